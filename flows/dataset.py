@@ -22,7 +22,7 @@ from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
-from flows.publishing import CHANGES_FILE, Published, publish, refuse_failed_gates
+from flows.publishing import CHANGES_FILE, Published, publish, refuse_unpublished
 from flows.study import load_study
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
@@ -107,7 +107,7 @@ def dataset(
         published = publish(run, outcome)
     _show(run, outcome, published)
     refuse_nothing(outcome.missing)
-    refuse_failed_gates(published)
+    refuse_unpublished(published)
     return {stage.name: stage.num_computed for stage in outcome.stages}
 
 

@@ -4,17 +4,48 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from flows.gates import Figure, figures_of
 from flows.reasons import changed_leaves, shorten
 from flows.recorded import Recorded, environment_changes
-from storage_schema import Store
+from storage_schema import Manifest, Store
 
-__all__ = ["Changes", "ScoreChange", "changelog", "differences"]
+__all__ = ["Changes", "Figure", "ScoreChange", "changelog", "differences"]
 
 _WHICH = ("same", "other", "only_a", "only_b")
+
+
+class Figure(NamedTuple):
+    """What a figure of the table `scores` is of; `at` is None where it is no point of a curve."""
+
+    topic: str
+    metric: str
+    method: str
+    split: str
+    item: str
+    at: float | None
+
+
+Figures = Mapping[Figure, tuple[float | None, str]]
+"""Value and unit of figures; NaN, of which JSON knows nothing, is None."""
+
+
+def _figures_of(store: Store, manifests: Iterable[Manifest]) -> Figures:
+    """Return the scores among these artifacts."""
+    found: dict[Figure, tuple[float | None, str]] = {}
+    for manifest in manifests:
+        if "scores" in manifest.tables:
+            table = store.read(manifest.ref, "scores", columns=[*Figure._fields, "value", "unit"])
+            columns = [[_plain(value) for value in table[name]] for name in Figure._fields]
+            for *name, value, unit in zip(*columns, table["value"], table["unit"], strict=True):
+                found[Figure(*name)] = (_plain(value), unit)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, str) else float(value) if math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
@@ -78,7 +109,7 @@ def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
         else:
             which = "same" if mine.ref.content_digest == theirs.ref.content_digest else "other"
         counts.setdefault(place[:2], Counter())[which] += 1
-    before, after = (figures_of(store, recorded.artifacts.values()) for recorded in (one, other))
+    before, after = (_figures_of(store, recorded.artifacts.values()) for recorded in (one, other))
     names = {**before, **after}
     scores = [
         ScoreChange(name, names[name][1], a, b)

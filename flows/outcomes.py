@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from flows.listener import Listener
-from flows.planning import Selection, StagePlan, stage_verdict, what_is_missing
+from flows.planning import Selection, StagePlan, what_is_missing
 from flows.study import Study
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.graph import Graph
+from tasks.summary import stage_verdict
 
 __all__ = ["Outcome", "Run", "StageOutcome"]
 

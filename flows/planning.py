@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -12,11 +12,12 @@ from typing import Any
 from flows.reasons import Reasons, StageRecord
 from flows.records import last_sections, read_last_run, uncollected
 from flows.study import Study
-from pasdedeux.verdict import Verdict, summarise_verdicts
+from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, ShardRecord, Store
 from storage_schema.provenance import source_digest
 from tasks.graph import Graph, GraphError
-from tasks.stage import Shard, Stage, StageInputs, verdict_of
+from tasks.stage import Shard, Stage, StageInputs
+from tasks.summary import stage_verdict
 
 __all__ = [
     "NothingMadeError",
@@ -30,7 +31,6 @@ __all__ = [
     "plan_stage",
     "refuse_nothing",
     "stage_inputs",
-    "stage_verdict",
     "what_is_missing",
 ]
 
@@ -366,12 +366,6 @@ def _plan_stage(
     unread = () if stage.unread is None else stage.unread(parameters)
     absent = tuple(table for table in stage.reads if not inputs.of(table) and table not in unread)
     return StagePlan(stage=stage, is_selected=True, shards=tuple(shards), absent_tables=absent)
-
-
-def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
-    """Return one verdict over these artifacts of a stage; None where none of them has one."""
-    verdicts = [verdict_of(manifest) for manifest in manifests]
-    return summarise_verdicts(verdict for verdict in verdicts if verdict is not None)
 
 
 def _last_records(store: Store, study: str) -> Callable[[str], StageRecord]:

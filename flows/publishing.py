@@ -1,4 +1,4 @@
-"""Publishing: a finished run of a whole study becomes a version of a dataset, where its gates hold and it is new."""
+"""Publishing: a finished run of a whole study becomes a version of a dataset, if verdicts allow it and it is new."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from flows.differences import changelog, differences
-from flows.gates import figures_of
 from flows.outcomes import Outcome, Run
 from flows.planning import PlanError
 from flows.recorded import Recorded, artifacts_by_place, read_environment, read_recorded
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE
+from pasdedeux.evaluation.verdicts import verdict_words
+from pasdedeux.verdict import Level
 from storage_schema import (
     ArtifactRef,
     Dataset,
@@ -24,15 +25,16 @@ from storage_schema import (
 )
 from storage_schema.datasets import newest_version
 from storage_schema.errors import DatasetExists
+from tasks.summary import product_verdicts, summary_of
 
-__all__ = ["CHANGES_FILE", "GateError", "Published", "publish", "refuse_failed_gates"]
+__all__ = ["CHANGES_FILE", "Published", "VerdictError", "publish", "refuse_bad_verdicts", "refuse_unpublished"]
 
 CHANGES_FILE = "CHANGES.md"
 """File of a dataset that says what is different from the version before."""
 
 
-class GateError(Exception):
-    """A run is not published because a quality gate does not hold; says which, with the figure."""
+class VerdictError(Exception):
+    """A run is not published, or not good enough for who asked, because of a verdict; says which, with the figure."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Published:
         name: Name of the dataset.
         words: What happened, in one line.
         dataset: The version that holds what the run made; None where nothing is published.
-        failures: The gates that do not hold, with the figure.
+        failures: The verdicts that forbid it, with the figure.
         is_new: Whether the version was made just now.
     """
 
@@ -64,7 +66,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
 
     The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
     study, the environment, the card and what is different from the version before.  A run of a part of a study, one
-    whose gates fail and one that made nothing new are not published.
+    with a verdict that must not fail and does, and one that made nothing new are not published.
 
     Raises:
         MissingArtifact, CorruptArtifact: An artifact of the run is no longer whole in the store.
@@ -80,10 +82,16 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
     refs = [ref for stage in outcome.stages for ref in stage.artifacts]
     manifests = [store.manifest(ref) for ref in refs]
     sources = source_credits(store, *refs)
-    gates, figures = settings.parsed, figures_of(store, manifests)
-    failures = tuple(failure for gate in gates if (failure := gate.failure(manifests, figures)))
+    verdicts = summary_of(manifests).verdicts
+    required = product_verdicts(manifests) if settings.required is None else settings.required
+    nothing = f"there is no such verdict; verdicts: {', '.join(verdicts)}"
+    failures = tuple(
+        f"{one}: {verdict_words(verdicts.get(one)) or nothing}"
+        for one in required
+        if one not in verdicts or verdicts[one].level is Level.FAIL
+    )
     if failures:
-        words = f"{name} is not published: {len(failures)} of {len(gates)} gates do not hold"
+        words = f"{name} is not published: {len(failures)} of {len(required)} required verdicts fail"
         return Published(name, words, failures=failures)
     while True:
         before = newest_version(store, name)
@@ -99,14 +107,29 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         return Published(name, f"{made.label} is published; what is new: {made.path / CHANGES_FILE}", made, is_new=True)
 
 
-def refuse_failed_gates(published: Published | None) -> None:
-    """Fail where a gate does not hold.
+def refuse_unpublished(published: Published | None) -> None:
+    """Fail where a verdict forbids publishing.
 
     Raises:
-        GateError: Says which, with the figure.
+        VerdictError: Says which, with the figure.
     """
     if published is not None and published.failures:
-        raise GateError("\n       ".join([published.words, *published.failures]))
+        raise VerdictError("\n       ".join([published.words, *published.failures]))
+
+
+def refuse_bad_verdicts(run: Run, outcome: Outcome, worst: Level) -> None:
+    """Fail where a verdict on what a run made or found fresh is at least so bad.
+
+    Raises:
+        VerdictError: Says which, with the figure.
+    """
+    made = [run.store.manifest(ref) for stage in outcome.stages for ref in stage.artifacts]
+    bad = {name: one for name, one in summary_of(made).verdicts.items() if one.level.rank >= worst.rank}
+    if bad:
+        said = (
+            f"{len(bad)} verdict{'s are' if len(bad) > 1 else ' is'} {worst.value}{' or worse' * (worst is Level.WARN)}"
+        )
+        raise VerdictError("\n       ".join([said, *(f"{name}: {verdict_words(one)}" for name, one in bad.items())]))
 
 
 def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:

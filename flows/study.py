@@ -10,14 +10,22 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
-from flows.gates import PublishSettings
 from flows.renamed import renamed_key
 from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_tree, unknown
 from pasdedeux.settings import Settings
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
-__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shared_keys", "study_from_record", "study_from_tree"]
+__all__ = [
+    "PublishSettings",
+    "Study",
+    "StudyError",
+    "StudyHead",
+    "load_study",
+    "shared_keys",
+    "study_from_record",
+    "study_from_tree",
+]
 
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")
@@ -47,6 +55,19 @@ class StudyHead(BaseModel):
         if not _NAME.fullmatch(name):
             raise ValueError("a study's name has letters, digits, '-' and '_' only")
         return name
+
+
+class PublishSettings(Settings):
+    """The `[publish]` section: a run of the whole study becomes a version of a dataset where no verdict forbids it."""
+
+    name: str | None = Field(
+        None, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="Name of the dataset; the study's when not given"
+    )
+    required: tuple[str, ...] | None = Field(
+        None,
+        description="Verdicts that must not fail, by the names that `status` gives ('augmentation', 'evaluation: "
+        "lifting'); those on the products in the version when not given",
+    )
 
 
 class Study(BaseModel):
@@ -162,9 +183,9 @@ def study_from_tree(
     publish = _validate(PublishSettings, tree.values[PUBLISH], PUBLISH, problems) if PUBLISH in tree.values else None
     if not problems and head is not None:
         wanted = graph if head.stages is None else graph.only(head.stages)
-        for number, gate in enumerate(publish.parsed if publish is not None else ()):
-            if problem := gate.problem(wanted):
-                problems.append(f"{PUBLISH}.gates.{number}: {gate.text}: {problem}")
+        for number, name in enumerate((publish.required if publish is not None else None) or ()):
+            if (judged := name.partition(":")[0]) not in wanted.names:
+                problems.append(unknown(f"{PUBLISH}.required.{number}: '{name}'", wanted.names, judged))
     if problems or head is None:
         raise StudyError([f"study {tree.label}: {problem}" for problem in problems])
     asked = frozenset(wanted.names).intersection([*sections, *(head.stages or ())])

@@ -14,8 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
 
-from flows.gates import PublishSettings
-from flows.study import StudyHead, shared_keys
+from flows.study import PublishSettings, StudyHead, shared_keys
 from flows.study_files import HEAD, PUBLISH
 from tasks.graph import Graph
 

@@ -3,28 +3,57 @@
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
-
-__all__ = ["Level", "Verdict", "summarise_verdicts"]
+__all__ = ["Level", "Paired", "Verdict"]
 
 
 class Level(StrEnum):
-    """How good a result is."""
+    """How good a result is, the worst last; what there was too little of to judge is no pass."""
 
     PASS = "pass"
+    NOT_JUDGED = "not judged"
     WARN = "warn"
     FAIL = "fail"
 
+    @property
+    def rank(self) -> int:
+        """Its place among levels: the worst has the greatest."""
+        return list(Level).index(self)
 
-_ORDER = tuple(Level)
-_SHARE = re.compile(r"^\d+ of \d+: ")
+
+@dataclass(frozen=True)
+class Paired:
+    """What a method and its baselines came to on the same items, as sums over blocks of 1 s of a take.
+
+    Args:
+        method: The method.
+        baselines: What it is compared with.
+        count: How many things the items are of, such as variants, each of many frames.
+        takes: Take of each block.
+        seconds: Its second within the take.
+        sizes: Number of items in each block.
+        sums: Sums over these items, by method and baseline.
+        is_larger_better: For shares; errors are better smaller.
+    """
+
+    method: str
+    baselines: tuple[str, ...]
+    count: int
+    takes: tuple[str, ...]
+    seconds: tuple[int, ...]
+    sizes: tuple[int, ...]
+    sums: Mapping[str, tuple[float, ...]]
+    is_larger_better: bool = False
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Paired:
+        """Return what `dataclasses.asdict` gave, after a way through JSON."""
+        rows: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in values.items()}
+        return cls(**{**rows, "sums": {name: tuple(found) for name, found in values["sums"].items()}})
 
 
 @dataclass(frozen=True)
@@ -32,14 +61,17 @@ class Verdict:
     """What is thought of a result.
 
     Args:
-        level: pass, warn or fail.
+        level: pass, not judged, warn or fail.
         reason: Why, in words; empty where it passes and there is nothing to say.
         figure: Name of the one figure that matters, as people say it ("contact drift"); empty without one.
-        value: That figure; NaN without one.
+        value: That figure, a mean where it is over several things; NaN without one.
         unit: Its unit.
         baseline: The same figure of the trivial way to do it; NaN without one.
         baseline_name: What that trivial way is ("plain forward kinematics").
-        count: How many results this stands for.
+        count: How many things the figure is over.
+        thing: What these are, in the plural ("variants").
+        tally: Where this stands for several results: levels, reasons, and how many results have them.
+        paired: What the level was told from, where methods were compared on the same items.
 
     Raises:
         ValueError: Something other than pass has no reason.
@@ -53,6 +85,9 @@ class Verdict:
     baseline: float = math.nan
     baseline_name: str = ""
     count: int = 1
+    thing: str = "results"
+    tally: tuple[tuple[Level, str, int], ...] = ()
+    paired: Paired | None = None
 
     def __post_init__(self) -> None:
         """Refuse a warning or a failure without a reason."""
@@ -65,45 +100,15 @@ class Verdict:
             name: value if math.isfinite(value) else None
             for name, value in (("value", float(self.value)), ("baseline", float(self.baseline)))
         }
-        words = {name: getattr(self, name) for name in ("reason", "figure", "unit", "baseline_name", "count")}
-        return {"level": self.level.value, **words, **numbers}
+        words = {name: getattr(self, name) for name in ("reason", "figure", "unit", "baseline_name", "count", "thing")}
+        tally = {"tally": [[level.value, reason, count] for level, reason, count in self.tally]} if self.tally else {}
+        paired = {} if self.paired is None else {"paired": asdict(self.paired)}
+        return {"level": self.level.value, **words, **numbers, **tally, **paired}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Verdict:
         """Return the verdict that `to_json` wrote."""
         numbers = {name: math.nan if values[name] is None else values[name] for name in ("value", "baseline")}
-        return cls(**{**values, **numbers, "level": Level(values["level"])})
-
-
-def summarise_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
-    """Return one verdict over many: the worst level, how many share it and why, medians of figure and baseline.
-
-    The reason is the most frequent one of the worst level.  None when there is no verdict.
-    """
-    found = list(verdicts)
-    if len(found) < 2:
-        return found[0] if found else None
-    worst = max((verdict.level for verdict in found), key=_ORDER.index)
-    total = sum(verdict.count for verdict in found)
-    worst_ones = [verdict for verdict in found if verdict.level is worst]
-    reasons = Counter(_SHARE.sub("", verdict.reason) for verdict in worst_ones if verdict.reason)
-    reason = reasons.most_common(1)[0][0] if reasons else ""
-    if worst is not Level.PASS:
-        reason = f"{sum(verdict.count for verdict in worst_ones)} of {total}: {reason}"
-    named = next((verdict for verdict in found if verdict.figure), found[0])
-    alike = [verdict for verdict in found if verdict.figure == named.figure]
-    return Verdict(
-        level=worst,
-        reason=reason,
-        figure=named.figure,
-        value=_median([verdict.value for verdict in alike]),
-        unit=named.unit,
-        baseline=_median([verdict.baseline for verdict in alike]),
-        baseline_name=named.baseline_name,
-        count=total,
-    )
-
-
-def _median(values: list[float]) -> float:
-    known = [value for value in values if not math.isnan(value)]
-    return float(np.median(known)) if known else math.nan
+        tally = tuple((Level(level), reason, count) for level, reason, count in values.get("tally", ()))
+        paired = Paired.from_json(values["paired"]) if "paired" in values else None
+        return cls(**{**values, **numbers, "level": Level(values["level"]), "tally": tally, "paired": paired})

@@ -23,8 +23,9 @@ from pasdedeux.augmentation import (
 )
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.interaction.objects import MovingObjects
-from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
 from tasks.poses import num_persons, read_poses
@@ -225,7 +226,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
             for variant in augmenter.solve(batch):
                 verdicts.append(variant.verdict)
                 _write(writer, take_id, take, variant)
-        summary = summarise_verdicts(verdicts)
+        summary = merge_verdicts(verdicts)
         assert summary is not None
         writer.facts[VERDICT_FACT] = summary.to_json()
         writer.timings["solve_s"] = time.monotonic() - started
@@ -298,7 +299,7 @@ def _write(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Vari
     writer.append("variant_quality", {column: _one_row(value) for column, value in row.items()})
 
 
-_LEVELS = tuple(level.value for level in Level)
+_LEVELS = (Level.PASS.value, Level.WARN.value, Level.FAIL.value)
 
 
 def _one_row(value: Any) -> Any:

@@ -26,7 +26,7 @@ from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit
 
 __all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", "read_pairs", "read_views", "run_shard"]
 
-VERSION = 4
+VERSION = 5
 
 
 class ViewsOfPoses(Parameters):
@@ -194,8 +194,6 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     verdict = Verdict(
         Level.PASS if len(positions) else Level.WARN,
         "" if len(positions) else f"the {options.origin}s hold no pose",
-        figure="poses",
-        value=len(positions),
     )
     return commit(shard, store, tables={"projections": columns}, facts=facts, verdict=verdict)
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
@@ -26,14 +27,14 @@ from pasdedeux.reconstruction.reconstruct import (
 )
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
-from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
 
 __all__ = ["MAX_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 16
+VERSION = 17
 
 
 MAX_PAIRS = 30_000
@@ -148,7 +149,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         tables={"motions": _columns(rows)},
         facts=facts,
         attachments=attachments,
-        verdict=(summarise_verdicts(judged.values()) if rows else None)
+        verdict=(merge_verdicts(judged.values()) if rows else None)
         or Verdict(Level.FAIL, facts["skipped"][0] if facts["skipped"] else "the sequence shows nobody"),
         parts=judged,
     )

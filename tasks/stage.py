@@ -171,7 +171,6 @@ class Stage:
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
         needs: What it makes something of, with the keys that give it; told where it was asked for and made nothing.
-        metrics: Where it writes `scores`: the metrics of each topic; `*` stands for any letters.
         check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
             called before anything runs, also while the stage waits for what it reads.
         check_study: The same for what other stages' sections say, given by stage.
@@ -188,7 +187,6 @@ class Stage:
     run_shard: Callable[[Shard, Store], ArtifactRef] = field(repr=False)
     meaning: str = ""
     needs: str = ""
-    metrics: Mapping[str, Sequence[str]] = field(default_factory=dict, repr=False)
     check: Callable[[Any], None] | None = field(default=None, repr=False)
     check_study: Callable[[Mapping[str, Any]], None] | None = field(default=None, repr=False)
     early: tuple[EarlyPlan, ...] = field(default=(), repr=False)

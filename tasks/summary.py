@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 
 from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
-from pasdedeux.evaluation.verdicts import Judged, by_stage
-from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from pasdedeux.evaluation.verdicts import Judged, merge_verdicts, part_name
+from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
 from tasks.poses import num_persons
 from tasks.stage import verdict_of, verdicts_of_parts
 
-__all__ = ["judge", "summary_of"]
+__all__ = ["judge", "product_verdicts", "stage_verdict", "summary_of"]
 
 _APART = "evaluation"
 """The stage whose partitions, topics, are judged one by one."""
@@ -22,12 +22,13 @@ _APART = "evaluation"
 
 @dataclass(frozen=True)
 class _Thing:
-    """A thing that people count: its name, the table that holds it, and a fact that counts it instead of rows."""
+    """A thing that people count: name, table, a fact that counts it instead of rows, the topic that judges it."""
 
     name: str
     table: str
     counted_by: str = ""
     is_artifact: bool = False
+    topic: str = ""
 
 
 _THINGS = (
@@ -35,11 +36,11 @@ _THINGS = (
     _Thing("annotations", "annotations"),
     _Thing("seeds", "seeds"),
     _Thing("draws", "draws"),
-    _Thing("lifted pairs", "lifted_pairs", counted_by="num_lifted"),
+    _Thing("lifted pairs", "lifted_pairs", counted_by="num_lifted", topic="lifting"),
     _Thing("database poses", "projections"),
-    _Thing("reconstructed sequences", "motions", is_artifact=True),
-    _Thing("variants", "variant_quality"),
-    _Thing("models", "models", is_artifact=True),
+    _Thing("reconstructed sequences", "motions", is_artifact=True, topic="reconstruction"),
+    _Thing("variants", "variant_quality", topic="augmentation"),
+    _Thing("models", "models", is_artifact=True, topic="models"),
 )
 
 
@@ -52,12 +53,21 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
         made=[made for thing, parts in counted.items() if (made := _made(thing, parts)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
         left_out=folded(sorted({sentence for one in found for sentence in _left_out(one)})),
-        verdicts=dict(sorted(by_stage(judge(found), apart=_APART).items(), key=_worst_first)),
+        verdicts=dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank)),
     )
 
 
-def _worst_first(named: tuple[str, Verdict]) -> int:
-    return -list(Level).index(named[1].level)
+def product_verdicts(manifests: Sequence[Manifest]) -> list[str]:
+    """Return the names of the verdicts on the things among these artifacts: of their stages, and of their topics."""
+    products = [(one, thing) for thing in _THINGS for one in manifests if thing.table in one.tables]
+    stages = {one.ref.stage for one, _ in products}
+    topics = tuple(part_name(_APART, f"{thing.topic} ") for _, thing in products if thing.topic)
+    return [name for name in summary_of(manifests).verdicts if name in stages or f"{name} ".startswith(topics)]
+
+
+def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
+    """Return one verdict over these artifacts of a stage; None where none of them has one."""
+    return merge_verdicts(verdict for one in manifests for verdict in _verdicts(one).values())
 
 
 def _left_out(manifest: Manifest) -> list[str]:
@@ -82,20 +92,34 @@ def _left_out(manifest: Manifest) -> list[str]:
 def judge(manifests: Sequence[Manifest]) -> list[Judged]:
     """Return a verdict for each part of a stage and partition, or for the whole of it; stages after what they read."""
     reads: dict[str, set[str]] = {}
-    groups: dict[tuple[str, str], list[Manifest]] = {}
+    groups: dict[tuple[str, str], list[Verdict]] = {}
     for one in manifests:
         reads.setdefault(one.ref.stage, set()).update({ref.stage for ref in one.inputs} - {one.ref.stage})
-        groups.setdefault((one.ref.stage, one.partition), []).append(one)
+        for name, verdict in _verdicts(one).items():
+            groups.setdefault((one.ref.stage, f"{one.partition} {name}".strip()), []).append(verdict)
     # Sorted: sets of names have another order in every process.
     order = list(TopologicalSorter({stage: sorted(before) for stage, before in sorted(reads.items())}).static_order())
-    judged = []
-    for (stage, partition), found in sorted(groups.items(), key=lambda item: (order.index(item[0][0]), item[0][1])):
-        parts = {name: verdict for one in found for name, verdict in verdicts_of_parts(one).items()}
-        judged += [Judged(stage, f"{partition} {name}", verdict) for name, verdict in parts.items()]
-        whole = summarise_verdicts(verdict for one in found if (verdict := verdict_of(one)) is not None)
-        if whole is not None and not parts:
-            judged.append(Judged(stage, partition, whole))
-    return judged
+    judged = {place: merge_verdicts(found) for place, found in groups.items()}
+    return [
+        Judged(stage, partition, whole)
+        for (stage, partition), whole in sorted(judged.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
+        if whole is not None
+    ]
+
+
+def _verdicts(manifest: Manifest) -> dict[str, Verdict]:
+    """Return what a shard thinks of the parts of its result, by name; of the whole, without a name, where of none."""
+    whole = verdict_of(manifest)
+    return verdicts_of_parts(manifest) or ({} if whole is None else {"": whole})
+
+
+def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
+    """Return one verdict for each stage, those that others read first; what is evaluated is judged one by one."""
+    judged = judge(manifests)
+    names = dict.fromkeys("" if one.stage == _APART else one.stage for one in judged)
+    found = {name: stage_verdict(one for one in manifests if one.ref.stage == name) for name in names if name}
+    apart = {part_name(one.stage, one.partition): one.verdict for one in judged if one.stage == _APART}
+    return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
 
 
 def _made(thing: _Thing, parts: Sequence[Manifest]) -> Made:

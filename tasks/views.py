@@ -18,7 +18,7 @@ from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
 __all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "run_shard"]
 
-VERSION = 3
+VERSION = 4
 
 MAX_WITHOUT_VIEW = 0.25
 """Share of the annotated pairs without a view above which there is a warning."""
@@ -121,7 +121,9 @@ def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: i
         level, reason = Level.WARN, f"{num_without} of {num_pairs} annotated pairs have no view"
     elif median < MIN_TRUST:
         level, reason = Level.WARN, "the hypotheses of most views lie far apart"
-    return Verdict(level, reason, figure="median trust in views (1: all hypotheses agree)", value=median)
+    figure = "trust in views (1: all hypotheses agree)"
+    mean = float(np.mean(trust)) if len(trust) else math.nan
+    return Verdict(level, reason, figure=figure, value=mean, count=len(trust) or 1, thing="images")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import errno
 import tempfile
 import time
 from dataclasses import asdict, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -31,9 +32,10 @@ from flows.execution import outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, nearest_folder
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
-from flows.publishing import publish, refuse_failed_gates
+from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
 from flows.records import uncollected
 from flows.study import Study, load_study
+from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
@@ -71,6 +73,14 @@ pending  it depends on a stage that is not there yet; rebuilt only if that stage
 --cost says what the run would take, from what each shard took when it was last computed.
 """
 
+
+class FailOn(StrEnum):
+    """How bad a verdict may be at most, and one less."""
+
+    WARN = Level.WARN.value
+    FAIL = Level.FAIL.value
+
+
 OnlyOption = Annotated[list[str] | None, typer.Option("--only", metavar="STAGE", help="These stages alone.")]
 FromOption = Annotated[str | None, typer.Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
 UntilOption = Annotated[str | None, typer.Option("--until", metavar="STAGE", help="This stage and what it needs.")]
@@ -100,6 +110,9 @@ def run(
     is_preview: Annotated[
         bool, typer.Option("--preview", help=f"On {PREVIEW_S:g} s of each take and video, kept as <study>-preview.")
     ] = False,
+    fail_on: Annotated[
+        FailOn | None, typer.Option("--fail-on", help="End with exit code 1 when a verdict is at least so bad.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Build a study."""
@@ -110,25 +123,33 @@ def run(
         head = chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})
         chosen = chosen.model_copy(update={"head": head, "publish": None})
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
-    build_and_report(chosen, graph, open_store(store), selection, where, as_json=as_json)
+    worst = None if fail_on is None else Level(fail_on.value)
+    build_and_report(chosen, graph, open_store(store), selection, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         typer.echo(f"all of it: {next_command('run', study, store=store, settings=settings)}")
 
 
 def build_and_report(
-    chosen: Study, graph: Graph, opened: Store, selection: Selection, cluster: ClusterSettings, *, as_json: bool
+    chosen: Study,
+    graph: Graph,
+    opened: Store,
+    selection: Selection,
+    cluster: ClusterSettings,
+    *,
+    as_json: bool,
+    fail_on: Level | None = None,
 ) -> None:
     """Bring a study up to date and say what was done."""
     started = time.perf_counter()
     outcome, made = build(chosen, graph, opened, selection, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
     with in_use(opened):
-        published = publish(Run(chosen, graph, opened), outcome)
+        run = Run(chosen, graph, opened)
+        published = publish(run, outcome)
     if as_json:
         said = {} if published is None else {"published": published.to_json()}
         print_json({**outcome.to_json(), "seconds": round(seconds, 3), **said})
-        refuse_nothing(outcome.missing)
-        refuse_failed_gates(published)
+        _refuse(outcome, published, run, fail_on)
         return
     for line in (*outcome_lines(outcome), *(f"warning: {w}" for w in made.warnings)):
         typer.echo(line)
@@ -143,8 +164,15 @@ def build_and_report(
         typer.echo(f"report: {_shown(outcome.report)}")
     if published is not None and not published.failures:
         typer.echo(published.words)
+    _refuse(outcome, published, run, fail_on)
+
+
+def _refuse(outcome: Outcome, published: Published | None, run: Run, fail_on: Level | None) -> None:
+    """Fail where nothing was made of what was asked for, or a verdict is too bad to publish or for who asked."""
     refuse_nothing(outcome.missing)
-    refuse_failed_gates(published)
+    refuse_unpublished(published)
+    if fail_on is not None:
+        refuse_bad_verdicts(run, outcome, fail_on)
 
 
 def build(

@@ -11,11 +11,11 @@ import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import manifest_lines, print_table
-from flows.planning import stage_verdict
 from flows.records import describe_runs, last_manifests, read_last_run, uncollected
 from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 from storage_schema.manifest import RESERVED_NAMES
+from tasks.summary import stage_verdict
 
 __all__ = ["app"]
 

@@ -143,6 +143,7 @@ class Quality:
             unit="m",
             baseline=self.contact_drift_fk_m,
             baseline_name="plain forward kinematics",
+            thing="variants",
         )
 
 

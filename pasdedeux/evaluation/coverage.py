@@ -18,6 +18,8 @@ __all__ = [
     "coverage_figure",
     "coverage_scores",
     "curve_points",
+    "is_trivial",
+    "nearest_by_method",
     "real_frame_levels",
     "realism_scores",
     "union_scores",
@@ -92,22 +94,29 @@ def _measures(curve: CoverageCurve) -> list[tuple[str, Array, str]]:
     return [("D_I", curve.interaction_m, "m"), ("D_C", curve.cartesian_m, "m"), ("D_S", curve.shape, "")]
 
 
+def is_trivial(method: str) -> bool:
+    """Tell whether draws are of a trivial way: of the prior alone, or the seeds as they are."""
+    return method.startswith((PRIOR_ONLY, "seeds"))
+
+
+def nearest_by_method(curves: Mapping[str, CoverageCurve], grown: str) -> dict[str, Array]:
+    """Return the least D_C of each real pair (truth,), metres, to draws, and to draws and grown seeds together."""
+    alone = {method: curve.min_cartesian_m for method, curve in curves.items()}
+    both = {f"{name}_and_{grown}": np.minimum(own, alone[grown]) for name, own in alone.items() if grown in alone}
+    return alone | {name: least for name, least in both.items() if name != f"{grown}_and_{grown}"}
+
+
 def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, grown: str, *, split: str) -> list[Score]:
     """Return the coverage in D_C of the draws of each method together with the grown seeds they started from."""
-    if grown not in curves:
-        return []
     scores = []
-    for method, curve in curves.items():
-        if method != grown:
-            least = np.minimum(curve.min_cartesian_m, curves[grown].min_cartesian_m)
+    for name, least in nearest_by_method(curves, grown).items():
+        if name not in curves:
             worth = as_good_as_real_frames(float(least.mean()), levels.cartesian_m, levels.num_draws)
             for metric, value, unit in (
                 ("coverage_D_C", float(least.mean()), "m"),
                 ("as_good_as_real_frames_D_C", worth, "frames"),
             ):
-                is_baseline = method.startswith(PRIOR_ONLY)
-                name = f"{method}_and_{grown}"
-                scores.append(Score(metric, name, value, unit, is_baseline, split, count=len(least)))
+                scores.append(Score(metric, name, value, unit, is_trivial(name), split, count=len(least)))
     return scores
 
 

@@ -24,8 +24,10 @@ __all__ = [
     "HIDDEN",
     "LiftedExample",
     "calibration_scores",
+    "completion_errors",
     "completion_scores",
     "expected_figure",
+    "in_between_errors",
     "in_between_scores",
     "lifted_errors",
     "lifted_player",
@@ -81,17 +83,19 @@ def lifted_scores(lifted_m: Mapping[str, Array], truth_m: Mapping[str, Array], *
     ]
 
 
-def completion_scores(
-    generator: np.random.Generator, truth_m: Array, draws_m: npt.NDArray[np.floating], *, split: str
-) -> list[Score]:
-    """Hide an arm, a leg or the limbs of one person of real pairs (n, 2, 17, 3), metres, and score what is put there.
+def completion_errors(
+    generator: np.random.Generator, truth_m: Array, draws_m: npt.NDArray[np.floating]
+) -> dict[str, dict[str, Array]]:
+    """Hide limbs of one person of real pairs (n, 2, 17, 3), metres; return errors (n,) by what is hidden and method.
+
+    Hidden is an arm, a leg, or everything beyond shoulders and hips.
 
     `median` and `blended` are the published steps over the 100 draws nearest in D_I, `fitted` adds exact bones,
     `blended_10` takes 10 draws; the mean of all draws and the nearest draw, moved onto the visible joints, are the
     baselines.
     """
     mean = np.asarray(draws_m.mean(axis=0), dtype=np.float64)
-    scores = []
+    found: dict[str, dict[str, Array]] = {}
     for part, choices in HIDDEN.items():
         errors: dict[str, list[float]] = {}
         for truth in truth_m:
@@ -115,26 +119,38 @@ def completion_scores(
             ):
                 error = np.linalg.norm(pair[person, joints] - truth[person, joints], axis=-1).mean()
                 errors.setdefault(method, []).append(float(error))
-        for method, values in errors.items():
-            scores += _summary(np.array(values), "occluded_joint_error", method, split, item=part)
-    return scores
+        found[part] = {method: np.array(values) for method, values in errors.items()}
+    return found
 
 
-def in_between_scores(
-    spans_m: Sequence[Array], draws_m: npt.NDArray[np.floating], *, split: str, item: str
-) -> list[Score]:
-    """Score the pairs between the ends of real spans (frame, 2, 17, 3), metres, against the real ones."""
-    errors: dict[str, list[float]] = {"draws": [], "straight": []}
+def completion_scores(errors: Mapping[str, Mapping[str, Array]], *, split: str) -> list[Score]:
+    """Score errors of completed joints, metres, by what was hidden and by method."""
+    return [
+        score
+        for part, methods in errors.items()
+        for method, values in methods.items()
+        for score in _summary(values, "occluded_joint_error", method, split, item=part)
+    ]
+
+
+def in_between_errors(spans_m: Sequence[Array], draws_m: npt.NDArray[np.floating]) -> dict[str, list[Array]]:
+    """Return errors (frame,), metres, between the ends of real spans (frame, 2, 17, 3), by method and span."""
+    errors: dict[str, list[Array]] = {"draws": [], "straight": []}
     for span in spans_m:
         for method, between in (
             ("draws", fill_between(span[0], span[-1], len(span) - 2, draws_m)),
             ("straight", straight_between(span[0], span[-1], len(span) - 2)),
         ):
-            errors[method].append(float(np.linalg.norm(between - span[1:-1], axis=-1).mean()))
+            errors[method].append(np.linalg.norm(between - span[1:-1], axis=-1).mean(axis=(1, 2)))
+    return errors
+
+
+def in_between_scores(errors: Mapping[str, Sequence[Array]], *, split: str, item: str) -> list[Score]:
+    """Score what was put between the ends of spans, each span by the mean of its frames."""
     return [
         score
-        for method, values in errors.items()
-        for score in _summary(np.array(values), "in_between_error", method, split, item=item)
+        for method, spans in errors.items()
+        for score in _summary(np.array([span.mean() for span in spans]), "in_between_error", method, split, item=item)
     ]
 
 

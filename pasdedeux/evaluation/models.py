@@ -27,6 +27,7 @@ from pasdedeux.skeletons import BODY22, Skeleton
 __all__ = [
     "GENERATED",
     "UNITS",
+    "frame_errors_cm",
     "generated_errors",
     "key_contacts",
     "model_errors",
@@ -104,11 +105,16 @@ def model_errors(
     if not (np.isfinite(predicted_m).all() and np.isfinite(true_m).all()):
         raise InputError("a predicted or true motion is not finite")
     return {
-        "E_r": _CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
+        "E_r": float(frame_errors_cm(predicted_m, true_m).mean()),
         "E_b": _length_error_mm(predicted_m, bone_lengths(skeleton, true_m), skeleton),
         "JPD": _key_error_cm(predicted_m, true_m, keys),
         "PWD": _CM * _weighted_distance_error(predicted_m, true_m),
     }
+
+
+def frame_errors_cm(predicted_m: Array, true_m: Array) -> Array:
+    """Return the mean distance of joints in each frame (T,), cm, of motions (T, person, joint, 3); its mean is E_r."""
+    return np.asarray(_CM * np.linalg.norm(predicted_m - true_m, axis=-1).mean(axis=(1, 2)))
 
 
 def generated_errors(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     scale_free_error_m,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Items
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
@@ -23,6 +24,7 @@ from pasdedeux.skeletons import OP14
 __all__ = [
     "Reconstructed",
     "pair_scores",
+    "reconstruction_items",
     "reconstruction_player",
     "reconstruction_scores",
     "turn_to_camera",
@@ -43,6 +45,8 @@ class Reconstructed:
         found_m: By method, positions (frame, 14, 3) of the same frames.
         frames: Frames of the sequence (frame,), rising.
         person_id: Who it is in the sequence.
+        takes: Take of each frame.
+        times_s: Its time within the take, seconds.
     """
 
     item: str
@@ -50,6 +54,8 @@ class Reconstructed:
     found_m: Mapping[str, Array]
     frames: npt.NDArray[np.int64]
     person_id: int = 0
+    takes: Sequence[str] = ()
+    times_s: Sequence[float] = ()
 
 
 def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
@@ -72,6 +78,15 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
         scores += scores_of(figures, method, "m", is_baseline=is_baseline, **more)
     scores.append(Score("jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
     return scores
+
+
+def reconstruction_items(people: Sequence[Reconstructed]) -> Items:
+    """Return the error of every pose with root rotation kept, beside the nearest pose of the database."""
+    parts = []
+    for person in people:
+        errors = {method: root_centred_error_m(found, person.truth_m) for method, found in person.found_m.items()}
+        parts.append(Items(errors, person.takes, person.times_s, (_BASELINE,)))
+    return Items.joined(parts)
 
 
 def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item: str) -> list[Score]:

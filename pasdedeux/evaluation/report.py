@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -64,7 +64,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the report: a heading with its verdict, paragraphs, pictures, and tables that are folded.
+    """A section of the report: a heading with its verdicts by name, paragraphs, pictures, and tables that are folded.
 
     Paragraphs after the first `num_read` and pictures after the first `num_shown` are folded too.
     """
@@ -75,7 +75,7 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     num_shown: int = 4
     num_read: int = 6
-    verdict: Verdict | None = None
+    verdicts: Mapping[str, Verdict] = field(default_factory=dict)
 
     @property
     def anchor(self) -> str:

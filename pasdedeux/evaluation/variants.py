@@ -15,6 +15,7 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Items
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
@@ -22,7 +23,9 @@ from pasdedeux.spread import evenly_spread
 
 __all__ = [
     "QUALITY_COLUMNS",
+    "ContactDrifts",
     "VariantQualities",
+    "contact_drifts",
     "contact_scores",
     "drift_figure",
     "gap_scores",
@@ -96,19 +99,38 @@ def quality_scores(qualities: VariantQualities) -> list[Score]:
     return scores
 
 
-def contact_scores(
-    contacts: Contacts, source: Source, girth: Girths, variants: Iterable[tuple[Array, Array]], *, item: str
-) -> list[Score]:
-    """Return how far contacts of hands and feet, and of bodies, come from their distance, beside plain FK.
+@dataclass(frozen=True)
+class ContactDrifts:
+    """How far contacts of variants come from their distance, metres.
 
-    Median, 95th percentile and worst over contacts, frames and variants.
+    Args:
+        is_hand: Whether a contact is of hands or feet, (contact,); one for each frame that it is held in.
+        frames: That frame, (contact,).
+        found_m: By method, the drifts of each variant (variant, contact).
+    """
+
+    is_hand: npt.NDArray[np.bool_]
+    frames: npt.NDArray[np.int64]
+    found_m: Mapping[str, Array]
+
+    def items(self, take_id: str, rate_hz: float) -> Items:
+        """Return the drift of each contact in each frame of each variant."""
+        count = len(self.found_m["naive_fk"])
+        values = {method: drifts.ravel() for method, drifts in self.found_m.items()}
+        times_s = np.tile(self.frames / rate_hz, count)
+        return Items(values, [take_id] * len(times_s), times_s, ("naive_fk",), count)
+
+
+def contact_drifts(
+    contacts: Contacts, source: Source, girth: Girths, variants: Iterable[tuple[Array, Array]]
+) -> ContactDrifts:
+    """Return how far contacts of hands and feet, and of bodies, come from their distance, beside plain FK.
 
     Args:
         contacts: Those of the take: known ones where it has such, otherwise those found.
         source: The take.
         girth: How thick the variants' bodies are.
         variants: Scales (P, 22) and motion (T, P, 22, 3) of each.
-        item: Name of the take.
     """
     held = np.nonzero(contacts.is_held)
     is_hand, bones = contacts.num_hands[held] > 0, contacts.bones()[held]
@@ -123,10 +145,16 @@ def contact_scores(
         plain = reference_motion(source, scale[None])[0]
         for method, moved in zip(found, (motion, plain), strict=True):
             found[method].append(np.abs(distances(points_of(moved)) - wanted))
+    drifts = {method: np.array(rows).reshape(len(rows), len(is_hand)) for method, rows in found.items()}
+    return ContactDrifts(is_hand, held[0], drifts)
+
+
+def contact_scores(drifts: ContactDrifts, *, item: str) -> list[Score]:
+    """Return median, 95th percentile and worst over contacts, frames and variants of a take, of hands and of bodies."""
     scores = []
-    for name, is_mine in (("hand", is_hand), ("body", ~is_hand)):
-        for method, drifts in found.items():
-            mine = np.concatenate([drift[is_mine] for drift in drifts]) if drifts else np.zeros(0)
+    for name, is_mine in (("hand", drifts.is_hand), ("body", ~drifts.is_hand)):
+        for method, found in drifts.found_m.items():
+            mine = found[:, is_mine].ravel()
             if len(mine):
                 values = zip(("median", "p95", "worst"), np.percentile(mine, [50.0, 95.0, 100.0]), strict=True)
                 figures = {f"{name}_contact_drift_{which}": value for which, value in values}

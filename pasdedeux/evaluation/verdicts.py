@@ -1,108 +1,218 @@
-"""Is it good: a topic's one figure beside the trivial way to do it, and verdicts as rows for people and programs."""
+"""Is it good: a method beside every trivial way on the same held-out items, and verdicts in words and rows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pasdedeux.evaluation.figures import compared_figure
 from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.score_tables import format_value, shown_as
-from pasdedeux.evaluation.scores import Score
-from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval
+from pasdedeux.verdict import Level, Paired, Verdict
 
-__all__ = ["Judged", "Yardstick", "by_stage", "figure_words", "part_name", "verdict_columns", "verdict_words"]
+__all__ = [
+    "Items",
+    "Judged",
+    "Yardstick",
+    "compare",
+    "figure_words",
+    "merge_verdicts",
+    "part_name",
+    "verdict_columns",
+    "verdict_words",
+]
 
-_CLEARLY = 0.05
-"""A method is better or worse than a baseline where it differs by more than this share of the baseline's figure."""
+FEWEST_BLOCKS = 10
+"""Seconds of motion or stills below which nothing is judged."""
+_HELD_OUT = "held_out"
+
+
+@dataclass(frozen=True)
+class Items:
+    """What methods came to on the same held-out items, one by one.
+
+    Args:
+        values: By method, the figure of each item (item,); NaN where it has none.
+        takes: Take of each item, or whatever else nobody would call new: items of one are alike.
+        times_s: Its time within the take, seconds.
+        baselines: The methods that are trivial ways; those that know what nobody knows count as none.
+        count: How many things the items are of, where each is of many frames.
+    """
+
+    values: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    takes: Sequence[str] = ()
+    times_s: Sequence[float] | npt.NDArray[np.float64] = ()
+    baselines: Collection[str] = ()
+    count: int | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Items]) -> Items:
+        """Return the items of all parts; a method that a part lacks has NaN there."""
+        names = dict.fromkeys(name for one in parts for name in one.values)
+        values = {
+            name: np.concatenate([np.asarray(one.values.get(name, np.full(len(one.takes), np.nan))) for one in parts])
+            for name in names
+        }
+        takes = [take for one in parts for take in one.takes]
+        times_s = [float(time) for one in parts for time in one.times_s]
+        counts = [len(one.takes) if one.count is None else one.count for one in parts]
+        return cls(values, takes, times_s, {name for one in parts for name in one.baselines}, sum(counts))
+
+    def paired(self, methods: Sequence[str] = (), *, is_larger_better: bool = False) -> Paired | None:
+        """Return the first of these methods that was scored, else the best that is no baseline, beside the baselines.
+
+        Items count that all of them have.  None where no method was scored.
+        """
+        own = {name: found for name, found in self.values.items() if not is_bound(name) and np.isfinite(found).any()}
+        sign = -1.0 if is_larger_better else 1.0
+        found = [name for name in methods if name in own] or sorted(
+            (name for name in own if name not in self.baselines and not methods),
+            key=lambda name: (sign * float(np.nanmean(own[name])), name),
+        )
+        if not found:
+            return None
+        baselines = sorted(name for name in own if name in self.baselines and name != found[0])
+        names = [found[0], *baselines]
+        kept = np.isfinite([own[name] for name in names]).all(axis=0)
+        takes, take = np.unique(np.asarray(self.takes), return_inverse=True)
+        seconds = np.floor(np.asarray(self.times_s, dtype=np.float64)).astype(np.int64)
+        known, row = np.unique(np.stack([take, seconds], axis=1)[kept], axis=0, return_inverse=True)
+        row = row.ravel()
+        sums = {name: tuple(np.bincount(row, own[name][kept], len(known)).tolist()) for name in names}
+        return Paired(
+            method=found[0],
+            baselines=tuple(baselines),
+            count=int(kept.sum()) if self.count is None or not kept.any() else self.count,
+            takes=tuple(str(takes[at]) for at in known[:, 0]),
+            seconds=tuple(known[:, 1].tolist()),
+            sizes=tuple(np.bincount(row, minlength=len(known)).tolist()),
+            sums=sums,
+            is_larger_better=is_larger_better,
+        )
+
+
+def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
+    """Return the verdict on a method: the rule that holds wherever methods are compared.
+
+    The difference to each baseline on the same items has an interval by bootstrap: over takes where there are five,
+    else over blocks of 1 s.  Pass where every interval lies on the good side, fail where one lies on the bad side, warn
+    in between; not judged without a baseline, or with items in fewer than ten blocks of 1 s.  The baseline that is told
+    is the one that is hardest to beat.
+    """
+    sizes, num_blocks = np.array(paired.sizes, dtype=np.float64), len(paired.sizes)
+    mean = {name: float(np.sum(found) / sizes.sum()) if num_blocks else math.nan for name, found in paired.sums.items()}
+    sign = -1.0 if paired.is_larger_better else 1.0
+    has_takes = len(set(paired.takes)) >= FEWEST_UNITS
+    intervals = {
+        name: bootstrap_interval(
+            sign * np.subtract(paired.sums[name], paired.sums[paired.method]),
+            sizes,
+            units=paired.takes if has_takes else None,
+        )
+        for name in paired.baselines
+        if num_blocks >= FEWEST_BLOCKS
+    }
+    is_behind = any(high < 0.0 for _, high in intervals.values())
+    hardest = min(
+        paired.baselines,
+        key=lambda name: intervals[name][is_behind] if intervals else sign * mean[name],
+        default="",
+    )
+    method, beaten = in_words(paired.method), in_words(hardest) if hardest else ""
+    if not intervals:
+        level = Level.NOT_JUDGED
+        reason = (
+            f"no baseline was scored beside {method}"
+            if not hardest
+            else f"{paired.count:,} {thing} in {num_blocks} blocks of 1 s, and {FEWEST_BLOCKS} are needed"
+            if num_blocks
+            else "nothing of it was held out"
+        )
+    else:
+        lead, (low, high) = sign * (mean[hardest] - mean[paired.method]), intervals[hardest]
+        level = Level.FAIL if is_behind else Level.PASS if low > 0.0 else Level.WARN
+        if is_worse := is_behind or lead < 0.0:
+            lead, low, high = -lead, -high, -low
+        by = format_value(lead, unit)
+        ends = " to ".join(format_value(end, unit).split(" ")[0] for end in (low, high))
+        over = f"{len(set(paired.takes))} takes" if has_takes else f"{num_blocks} blocks of 1 s"
+        how = {Level.PASS: "better than", Level.WARN: "about as good as", Level.FAIL: "worse than"}[level]
+        said = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
+        reason = f"{method} is {how} {beaten}, {said} {by} ({ends}, over {over})"
+    values = (mean[paired.method], unit, mean.get(hardest, math.nan), beaten)
+    return Verdict(level, reason, figure, *values, count=paired.count, thing=thing, paired=paired)
 
 
 @dataclass(frozen=True)
 class Yardstick:
-    """The figure that says whether a topic's result is good, and what it has to beat.
+    """The figure that says whether a topic's result is good; every baseline that was scored has to be beaten.
 
     Args:
-        metric: Metric of the scores.
+        metric: Metric of the scores that are drawn.
         figure: What it is, as people say it.
-        baselines: Methods that are the trivial ways; the best of those that were scored is what has to be beaten.
-        methods: What has to beat it: the first of these that was scored; where none is named, the best method that is
-            no baseline.
+        unit: Its unit.
+        thing: What items it is over, in the plural.
+        methods: What is judged: the first of these that was scored; where none is named, the best that is no baseline.
+        name: What is judged, where a topic has more than one verdict; empty: the topic itself.
         is_larger_better: For shares and areas; errors are better smaller.
-        chance: What doing nothing, or guessing, gives where no method stands for it; NaN where one does.
-        chance_name: What that is.
+        limit: What is allowed, where no method stands beside it; NaN where one does.
     """
 
     metric: str
     figure: str
-    baselines: tuple[str, ...] = ()
+    unit: str
+    thing: str
     methods: tuple[str, ...] = ()
+    name: str = ""
     is_larger_better: bool = False
-    chance: float = math.nan
-    chance_name: str = ""
+    limit: float = math.nan
 
-    def verdict(self, scores: Iterable[Score]) -> Verdict | None:
-        """Return the verdict on these scores: pass where clearly better, fail where clearly worse, warn in between.
-
-        Figures are means over the parts and items that both have; of a part with a figure over all its items, that one
-        alone.  None where the metric, a method or a baseline is not among the scores.
-        """
-        found, unit, plain = self._found(scores)
-        named = [method for method in self.methods if method in found][:1]
-        methods = named if self.methods else [method for method in found if method not in plain]
-        baselines = [name for name in self.baselines if name in found]
-        if not methods or not (baselines or math.isfinite(self.chance)):
-            return None
-        mean = _means(found, [*methods, *baselines])
-        if not mean:
-            return None
-        sign = -1.0 if self.is_larger_better else 1.0
-        method = min(methods, key=lambda name: sign * mean[name])
-        name = min(baselines, key=lambda name: sign * mean[name]) if baselines else self.chance_name
-        value, baseline = mean[method], mean.get(name, self.chance)
-        lead = sign * (baseline - value)
-        level = (
-            Level.PASS
-            if lead > _CLEARLY * abs(baseline) or value == baseline == 0.0
-            else Level.FAIL
-            if lead < -_CLEARLY * abs(baseline)
-            else Level.WARN
-        )
-        how = {
-            Level.PASS: "better than" if lead else "without error, as",
-            Level.WARN: "about as good as",
-            Level.FAIL: "worse than",
-        }[level]
-        reason = f"{in_words(method)} is {how} {in_words(name)}"
-        return Verdict(level, reason, self.figure, value, unit, baseline, in_words(name))
+    def verdict(self, items: Items) -> Verdict | None:
+        """Return the verdict on these items; None where no method is among them."""
+        paired = items.paired(self.methods, is_larger_better=self.is_larger_better)
+        if paired is None:
+            words = "nothing of it was held out"
+            return None if items.takes else Verdict(Level.NOT_JUDGED, words, self.figure, count=0, thing=self.thing)
+        if math.isnan(self.limit):
+            return compare(paired, self.figure, self.unit, self.thing)
+        value = sum(paired.sums[paired.method]) / sum(paired.sizes)
+        level = Level.PASS if value <= self.limit else Level.FAIL
+        reason = "" if level is Level.PASS else f"more than {format_value(self.limit, self.unit)}, which is allowed"
+        more = (value, self.unit, self.limit, "allowed")
+        return Verdict(level, reason, self.figure, *more, count=paired.count, thing=self.thing)
 
     def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
         """Draw the mean figure of every method that was scored where the trivial ways were, best first, as SVG.
 
-        The goal, told in the caption, is what has to be beaten: the best trivial way, or chance.  Where no trivial way
-        was scored beside others, methods are drawn that were scored wherever most were.  Bounds, which know what nobody
-        knows, are left to the tables.  None where there is nothing to compare, as only trivial ways.
+        The goal, told in the caption, is what has to be beaten: the best trivial way, or what is allowed.  Where a part
+        is held out, that alone is drawn.  Where no trivial way was scored beside others, methods are drawn that were
+        scored wherever most were.  Bounds, which know what nobody knows, are left to the tables.  None where there is
+        nothing to compare, as only trivial ways.
         """
         found, unit, plain = self._found(scores)
-        found = {name: own for name, own in found.items() if name in self.baselines or not is_bound(name)}
         own = max((set(found[name]) for name in found if name not in plain), key=len, default=set())
-        tried = [own.intersection(found[name]) for name in self.baselines if name in found]
+        tried = [own.intersection(found[name]) for name in sorted(plain)]
         for shared in (*tried, max(map(set, found.values()), key=len, default=set())):
             places = _apart(shared)
             methods = [name for name in found if places and places.issubset(found[name])]
-            if len(methods) >= (1 if math.isfinite(self.chance) else 2):
+            if len(methods) >= (1 if math.isfinite(self.limit) else 2):
                 break
         else:
             return None
-        if set(self.baselines).issuperset(methods) and not math.isfinite(self.chance):
+        if plain.issuperset(methods) and not math.isfinite(self.limit):
             return None
-        means = _means({name: {place: found[name][place] for place in places} for name in methods}, methods)
+        # Sorted: the mean of a set would depend on the order of its hashes.
+        means = {name: float(np.mean([found[name][place] for place in sorted(places)])) for name in methods}
         sign = -1.0 if self.is_larger_better else 1.0
         ranked = sorted(means, key=lambda name: (sign * means[name], name))
-        trivial = ((means[one], in_words(one)) for one in ranked if one in self.baselines)
-        goal, name = next(trivial, (self.chance, self.chance_name))
+        trivial = ((means[one], in_words(one)) for one in ranked if one in plain)
+        goal, name = next(trivial, (self.limit, "what is allowed"))
         shown_unit, factor = shown_as(unit)
         drawn = compared_figure(
             {in_words(method): factor * means[method] for method in ranked},
@@ -116,29 +226,108 @@ class Yardstick:
         return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, hatched are trivial ways{beaten}."
 
     def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:
-        """Return the figures by method and place, their unit, and which methods are baselines."""
+        """Return the figures by method and place without bounds, their unit, and which methods are baselines."""
+        mine = [
+            score
+            for score in scores
+            if score.metric == self.metric and math.isnan(score.at) and math.isfinite(score.value)
+            if not is_bound(score.method)
+        ]
+        mine = [score for score in mine if score.split == _HELD_OUT] or mine
         found: dict[str, dict[tuple[str, str], float]] = {}
-        unit, plain = "", set(self.baselines)
-        for score in scores:
-            if score.metric == self.metric and math.isnan(score.at) and math.isfinite(score.value):
-                found.setdefault(score.method, {})[score.split, score.item] = score.value
-                unit = score.unit
-                plain |= {score.method} if score.is_baseline else set()
-        return found, unit, plain
-
-
-def _means(found: dict[str, dict[tuple[str, str], float]], methods: Sequence[str]) -> dict[str, float]:
-    """Return the means of methods over the places that all of them have; nothing where there is none."""
-    if not methods:
-        return {}
-    # Sorted: the mean of a set would depend on the order of its hashes.
-    places = sorted(_apart(set.intersection(*(set(found[name]) for name in methods))))
-    return {name: float(np.mean([found[name][place] for place in places])) for name in methods} if places else {}
+        for score in mine:
+            found.setdefault(score.method, {})[score.split, score.item] = score.value
+        return found, mine[-1].unit if mine else "", {score.method for score in mine if score.is_baseline}
 
 
 def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """Return places without the items of parts that have a figure over all of them, which would count twice."""
     return {(split, item) for split, item in places if item == "all" or (split, "all") not in places}
+
+
+def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
+    """Return one verdict over many, however and in whatever order their work was cut; None where there is none.
+
+    What was compared is compared again over all items.  Of what is left it is the worst level, how many share it and
+    their most frequent reason, and means of figure and baseline over all things: of the figure that the reason is of.
+    """
+    every = list(verdicts)
+    found = _joined([one for one in every if one.count] or every[:1])
+    if len(found) < 2:
+        return found[0] if found else None
+    tally = Counter[tuple[Level, str]]()
+    for one in found:
+        for level, reason, count in one.tally or ((one.level, one.reason, 1),):
+            tally[level, reason] += count
+    worst = max((level for level, _ in tally), key=lambda level: level.rank)
+    shared = {reason: count for (level, reason), count in tally.items() if level is worst}
+    why = min(shared, key=lambda reason: (not reason, -shared[reason], reason))
+    reason = why if worst is Level.PASS else f"{sum(shared.values())} of {tally.total()}: {why}"
+    measured: dict[str, list[Verdict]] = {}
+    for one in found:
+        if one.figure and math.isfinite(one.value):
+            measured.setdefault(one.figure, []).append(one)
+    rows = tuple((level, reason, count) for (level, reason), count in sorted(tally.items()))
+    if not measured:
+        return Verdict(worst, reason, count=tally.total(), tally=rows)
+
+    def rank(figure: str) -> tuple[int, int, str]:
+        alike = measured[figure]
+        has_reason = any((worst, why) in {(one.level, one.reason), *(row[:2] for row in one.tally)} for one in alike)
+        return -has_reason, -sum(one.count for one in alike), figure
+
+    alike = measured[min(measured, key=rank)]
+    names = sorted({one.baseline_name for one in alike})
+    return Verdict(
+        worst,
+        reason,
+        alike[0].figure,
+        _mean((one.value, one.count) for one in alike),
+        alike[0].unit,
+        _mean((one.baseline, one.count) for one in alike),
+        names[0] if len(names) == 1 else "",
+        count=sum(one.count for one in alike),
+        thing=alike[0].thing,
+        tally=rows,
+    )
+
+
+def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    """Return verdicts with those in one that compared the same methods by the same figure."""
+    alone: list[Verdict] = []
+    groups: dict[tuple[str, str, tuple[str, ...]], list[Verdict]] = {}
+    for one in verdicts:
+        if one.paired is None:
+            alone.append(one)
+        else:
+            groups.setdefault((one.figure, one.paired.method, one.paired.baselines), []).append(one)
+    for same in groups.values():
+        parts = [one.paired for one in same if one.paired is not None]
+        names = (parts[0].method, *parts[0].baselines)
+        blocks: dict[tuple[str, int], list[tuple[float, ...]]] = {}
+        for part in parts:
+            columns = zip(part.sizes, *(part.sums[name] for name in names), strict=True)
+            for block, row in zip(zip(part.takes, part.seconds, strict=True), columns, strict=True):
+                blocks.setdefault(block, []).append(row)
+        known = sorted(blocks)
+        rows = [[math.fsum(column) for column in zip(*blocks[one], strict=True)] for one in known]
+        whole = replace(
+            parts[0],
+            count=sum(part.count for part in parts),
+            takes=tuple(take for take, _ in known),
+            seconds=tuple(second for _, second in known),
+            sizes=tuple(int(size) for size, *_ in rows),
+            sums={name: tuple(row[at] for row in rows) for at, name in enumerate(names, 1)},
+        )
+        alone.append(compare(whole, same[0].figure, same[0].unit, same[0].thing))
+    return alone
+
+
+def _mean(values: Iterable[tuple[float, int]]) -> float:
+    """Return the mean of values that each stand for so many things, those that are NaN left out."""
+    known = [(value, count) for value, count in values if math.isfinite(value)]
+    total = sum(count for _, count in known)
+    return math.fsum(value * count for value, count in known) / total if total else math.nan
 
 
 @dataclass(frozen=True)
@@ -153,21 +342,12 @@ class Judged:
 def verdict_columns(judged: Sequence[Judged]) -> dict[str, list[object]]:
     """Return verdicts as columns of the `verdicts` table, in the order of stage and partition."""
     rows = sorted(judged, key=lambda one: (one.stage, one.partition))
-    names = ("level", "reason", "figure", "value", "unit", "baseline", "baseline_name", "count")
+    names = ("level", "reason", "figure", "value", "unit", "baseline", "baseline_name", "count", "thing")
     return {
         "stage": [row.stage for row in rows],
         "partition": [row.partition for row in rows],
         **{name: [getattr(row.verdict, name) for row in rows] for name in names},
     }
-
-
-def by_stage(judged: Sequence[Judged], *, apart: str) -> dict[str, Verdict]:
-    """Return one verdict for each stage in order of appearance; partitions of stage `apart` each have their own."""
-    groups: dict[str, list[Verdict]] = {}
-    for one in judged:
-        name = part_name(one.stage, one.partition) if one.stage == apart else one.stage
-        groups.setdefault(name, []).append(one.verdict)
-    return {name: verdict for name, found in groups.items() if (verdict := summarise_verdicts(found)) is not None}
 
 
 def part_name(stage: str, partition: str) -> str:
@@ -189,7 +369,11 @@ def verdict_words(verdict: Verdict | None) -> str:
 
 
 def figure_words(verdict: Verdict) -> str:
-    """Return the figure that matters beside that of the trivial way, medians where it is of many; empty without one."""
+    """Return the figure that matters beside that of the trivial way, and how many things it is over; empty without one.
+
+    >>> figure_words(Verdict(Level.PASS, "", "contact drift", 0.012, "m", count=40, thing="variants"))
+    'contact drift 1.2 cm, mean of 40 variants'
+    """
     if not verdict.figure or not math.isfinite(verdict.value):
         return ""
     line = f"{verdict.figure} {format_value(verdict.value, verdict.unit)}"
@@ -197,7 +381,7 @@ def figure_words(verdict: Verdict) -> str:
         line += (
             f" against {format_value(verdict.baseline, verdict.unit)} ({in_words(verdict.baseline_name) or 'baseline'})"
         )
-    return f"{line}, in the median" if verdict.count > 1 and "median" not in verdict.figure else line
+    return f"{line}, mean of {verdict.count:,} {verdict.thing}" if verdict.count > 1 else line
 
 
 def _judged(verdict: Verdict) -> str:

@@ -21,6 +21,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_removed_error_m,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Items
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
@@ -203,20 +204,29 @@ def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Arr
     return motion
 
 
-def unseen_view_scores(searcher: Searcher, motion: UnseenMotion, condition: Condition, stream: Stream) -> list[Score]:
+def unseen_view_scores(
+    searcher: Searcher, motion: UnseenMotion, condition: Condition, stream: Stream
+) -> tuple[list[Score], Items]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
+
+    The items are the errors of all poses, the root kept.
 
     The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
     """
     figures: dict[tuple[str, str], list[float]] = {}
     motions: dict[str, list[Array]] = {}
+    parts: list[Items] = []
     for view, yaw in enumerate(motion.yaws_deg):
         seen = see(motion, condition, yaw, stream(view))
+        errors: dict[str, Array] = {}
+        times_s = np.arange(len(seen.truth_m)) / motion.rate_hz
         for method, positions in reconstruct_seen(searcher, seen, has_clean_up=True).items():
+            errors[method] = root_centred_error_m(positions, seen.truth_m)
             motions.setdefault(method, []).append(positions)
             slide_hz = motion.rate_hz if method != BEST_MARK else None
             for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
                 figures.setdefault((metric, method), []).append(value)
+        parts.append(Items(errors, [motion.item] * len(times_s), times_s, (Method.NEAREST.value,)))
         for metric in ("jitter", "foot_slide"):
             value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
             figures.setdefault((metric, "truth"), []).append(value)
@@ -235,7 +245,7 @@ def unseen_view_scores(searcher: Searcher, motion: UnseenMotion, condition: Cond
             label = f"{item}, views {abs(yaw - motion.yaws_deg[0]):g} degrees apart"
             more = {"is_baseline": _is_baseline(method), "split": condition.name, "item": label, "count": count}
             scores += scores_of(differs, method, "m", **more)
-    return scores
+    return scores, Items.joined(parts)
 
 
 def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:

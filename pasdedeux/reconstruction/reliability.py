@@ -92,7 +92,8 @@ class Reliability:
         is_bad = self.expected_error_m > BAD_ERROR_M or self.share_seen < USELESS_SHARE_SEEN
         reasons += self.doubts
         level = Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS
-        return Verdict(level, "; ".join(reasons), figure="expected error", value=self.expected_error_m, unit="m")
+        figure = ("expected error", self.expected_error_m, "m")
+        return Verdict(level, "; ".join(reasons), *figure, thing="people")
 
 
 def judge_person(found: Reconstruction, left_out_m: float = float("nan"), *, doubts: Sequence[str] = ()) -> Reliability:

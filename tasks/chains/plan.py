@@ -17,7 +17,7 @@ from tasks.stage import Shard, StageInputs, named_refs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 13
+VERSION = 14
 
 Inputs = dict[str, Sequence[Manifest]]
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.sampling.annotations import MIN_CANDIDATES
 from pasdedeux.sampling.chain import ChainState, Segment, generator_from_json, generator_to_json, run_segment
 from pasdedeux.sampling.density import (
@@ -26,7 +27,6 @@ from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs, Sc
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
 from pasdedeux.sampling.warm_up import disperse, proposal_from_json, proposal_to_json, warm_up
 from pasdedeux.settings import Settings
-from pasdedeux.verdict import summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.densities import DENSITIES
@@ -392,5 +392,5 @@ def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> Artifa
             "seed_index": options.seed_index,
             "takes": merge_takes(*done),
         },
-        verdict=summarise_verdicts(report.verdict for report in reports),
+        verdict=merge_verdicts(report.verdict for report in reports),
     )

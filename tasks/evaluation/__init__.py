@@ -65,7 +65,6 @@ def evaluation_stage(topics: Sequence[Topic]) -> Stage:
         run_shard=partial(_run_shard, tuple(topics)),
         meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
         needs="results to score or to show",
-        metrics={topic.name: topic.metrics for topic in topics},
         early=tuple(EarlyPlan(topic.plan, reads=topic.reads) for topic in topics),
     )
 

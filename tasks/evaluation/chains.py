@@ -133,16 +133,6 @@ TOPIC = Topic(
     reads=("chain_info", "draws"),
     plan=_plan,
     run=_run,
-    metrics=(
-        "acceptance_rate_mean",
-        "ceiling_share_mean",
-        "ess_min",
-        "log_density_*",
-        "log_prior_*",
-        "rhat_max",
-        "sigma_l_mean",
-        "travelled_mean",
-    ),
     cautions=(
         (
             "draws",

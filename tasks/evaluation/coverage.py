@@ -10,19 +10,20 @@ from pasdedeux.evaluation.coverage import (
     coverage_figure,
     coverage_scores,
     curve_points,
+    is_trivial,
+    nearest_by_method,
     real_frame_levels,
     realism_scores,
     union_scores,
 )
 from pasdedeux.evaluation.embedding import PairMap, map_figure
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Items, Yardstick
 from pasdedeux.experiments.exploration import exploration_table
-from pasdedeux.sampling.coverage import coverage_curve
-from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
-from tasks.evaluation.truth import read_take_frames, read_takes
+from tasks.evaluation.truth import read_rates, read_take_frames, read_takes
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -84,10 +85,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         notes.append(f"Coverage is not measured on {names}: priors learned from what people did there.")
     annotated = set(read_take_frames(store, shard.refs("annotations"), keys_only=True).values())
     generator = stream(shard.seed, TOPIC.name, split)
-    truth, others = _split(takes, annotated, held_out, split)
+    truth, others, places = _split(takes, annotated, held_out, split)
     if not len(truth) or not len(others):
         return TopicResult(notes=[*notes, f"Coverage of {split.replace('_', ' ')} frames: there are none."])
-    truth = truth[generator.permutation(len(truth))[: options.num_truth_pairs]]
+    chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
+    truth = truth[chosen]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
     mapped = list(draws)
     draws |= draws_from_first_seeds(store, draw_refs)
@@ -123,7 +125,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         pictures=pictures,
         captions=captions,
         notes=notes,
+        items={"": _items(curves, [places[at] for at in chosen], read_rates(store, take_refs), split)},
     )
+
+
+def _items(
+    curves: dict[str, CoverageCurve], places: list[tuple[str, int]], rates: dict[str, float], split: str
+) -> Items:
+    """Return how far each real pair is from the nearest draw; none of takes that draws were made from."""
+    if split != "held_out":
+        return Items()
+    values = nearest_by_method(curves, GROWN)
+    takes, times_s = [take for take, _ in places], [frame / rates[take] for take, frame in places]
+    return Items(values, takes, times_s, {name for name in values if is_trivial(name)})
 
 
 def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
@@ -163,20 +177,23 @@ def _map(truth: np.ndarray, draws: dict[str, np.ndarray], seed: np.ndarray | Non
 
 def _split(
     takes: dict[str, np.ndarray], annotated: set[tuple[str, int]], held_out: list[str], split: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the real pairs of the part, and the other real pairs of takes that are not held out."""
+) -> tuple[np.ndarray, np.ndarray, list[tuple[str, int]]]:
+    """Return the part's real pairs, other real pairs of takes that are not held out, take and frame of the first."""
     wanted, others = [], []
+    places: list[tuple[str, int]] = []
     for take_id, pairs in takes.items():
         is_annotated = np.array([(take_id, frame) in annotated for frame in range(len(pairs))], dtype=bool)
         if take_id in held_out:
             if split == "held_out":
                 wanted.append(pairs)
+                places += [(take_id, frame) for frame in range(len(pairs))]
             continue
         chosen = {"annotated": is_annotated, "unannotated": ~is_annotated, "held_out": np.zeros(len(pairs), dtype=bool)}
         wanted.append(pairs[chosen[split]])
+        places += [(take_id, int(frame)) for frame in np.flatnonzero(chosen[split])]
         others.append(pairs[~chosen[split]])
     empty = np.zeros((0, 2, 17, 3))
-    return np.concatenate([empty, *wanted]), np.concatenate([empty, *others])
+    return np.concatenate([empty, *wanted]), np.concatenate([empty, *others]), places
 
 
 TOPIC = Topic(
@@ -187,8 +204,7 @@ TOPIC = Topic(
     reads=("draws", "seeds", "poses", "annotations"),
     plan=_plan,
     run=_run,
-    metrics=("coverage_*", "as_good_as_real_frames_*", "draw_to_nearest_real_*", "num_draws"),
     settings=CoverageSettings,
-    yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", (PRIOR_ONLY,)),),
+    yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", "m", "real pairs"),),
     tables=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
 )

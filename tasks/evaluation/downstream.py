@@ -16,7 +16,7 @@ from pasdedeux.evaluation.downstream import (
     recognition_table,
 )
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Items, Yardstick
 from pasdedeux.learning import has_torch
 from pasdedeux.learning.clip_classifier import ClipClassifier, clips_of
 from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredictor, joint_errors
@@ -92,7 +92,14 @@ def _recognise(shard: Shard, store: Store) -> TopicResult:
         scores.append(_accuracy(method, classifier.accuracy(tested), told, tested))
     largest = max(map(len, tested.values())) / sum(map(len, tested.values()))
     scores.append(_accuracy("largest_class", 100.0 * largest, told, tested, is_baseline=True))
-    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)])
+    values = {score.method: np.array([score.value]) for score in scores}
+    items = Items(values, [_repetition(told)], [0.0], (WITHOUT, "largest_class"), sum(map(len, tested.values())))
+    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)], items={"": items})
+
+
+def _repetition(told: OneTraining) -> str:
+    """Return what is drawn together when one asks how sure a figure is: a training, with all that it was tested on."""
+    return f"{told.shares} seed {told.seed}"
 
 
 def _accuracy(
@@ -123,12 +130,15 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
         for method, clips in ((WITH, _joined(real, made)), (WITHOUT, real))
     }
     guesses[STILL] = lambda known: np.repeat(known[:, -1:], HORIZON, axis=1)
-    scores = []
-    for kind, clips in tested.items():
+    scores, parts = [], []
+    for number, (kind, clips) in enumerate(tested.items()):
+        errors: dict[str, np.ndarray] = {}
         for method, guess in guesses.items():
             jme, ame = joint_errors(guess(clips[:, :HISTORY]), clips[:, HISTORY:])
+            errors[method] = jme.mean(axis=1)
             scores += prediction_scores(jme, ame, method, split=told.shares, item=f"{kind}, seed {told.seed}")
-    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)])
+        parts.append(Items(errors, [_repetition(told)] * len(clips), [number] * len(clips), (WITHOUT, STILL)))
+    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)], items={"": Items.joined(parts)})
 
 
 def _split(shard: Shard, store: Store, told: OneTraining) -> tuple[list[Manifest], list[Manifest]]:
@@ -200,9 +210,8 @@ RECOGNITION = Topic(
     reads=("poses", "variants", "variant_quality"),
     plan=_plan_recognition,
     run=_recognise,
-    metrics=("accuracy",),
     settings=LearnedSettings,
-    yardsticks=(Yardstick("accuracy", "accuracy of recognition", (WITHOUT,), (WITH,), is_larger_better=True),),
+    yardsticks=(Yardstick("accuracy", "accuracy of recognition", "%", "clips", (WITH,), is_larger_better=True),),
     tables=lambda scores: recognition_table(scores["recognition"]),
 )
 
@@ -216,9 +225,8 @@ PREDICTION = Topic(
     reads=("poses", "variants", "variant_quality"),
     plan=_plan_prediction,
     run=_predict,
-    metrics=("JME*", "AME*"),
     settings=LearnedSettings,
-    yardsticks=(Yardstick("JME_mean", "mean error of prediction", (WITHOUT, STILL), (WITH,)),),
+    yardsticks=(Yardstick("JME_mean", "mean error of prediction", "cm", "clips", (WITH,)),),
     has_means_first=True,
     tables=lambda scores: prediction_table(scores["prediction"]),
 )

@@ -14,7 +14,7 @@ from pasdedeux.evaluation.left_out import (
     left_out_figure,
     left_out_scores,
 )
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Items, Yardstick
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
@@ -22,7 +22,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_seen_pairs, views_of
 from tasks.draw_sets import draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
-from tasks.evaluation.truth import read_take_frames, read_takes, true_pair
+from tasks.evaluation.truth import read_rates, read_take_frames, read_takes, true_pair
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -78,6 +78,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         draws[_REAL] = real[generator.permutation(len(real))].astype(np.float32)
     known = _spread(used, _MAX_KNOWN)
     curves: dict[str, dict[str, LeftOutCurve]] = {}
+    items = Items()
     for split, every in judged.items():
         chosen = _spread(every, _NUM_JUDGED)
         if not chosen or not known:
@@ -86,6 +87,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         curves[split] = {name: left_out_curve(images, directions, pairs) for name, pairs in draws.items()}
         nearest = np.nanmin(image_distances(np.stack(images), np.stack([one.image_m for one in known])), axis=1)
         curves[split][_NEAREST] = LeftOutCurve(np.array([len(known)]), nearest[None])
+        # The last counts: held-out takes where there are any, else images that were left out of what draws are made of.
+        values = {name: curve.nearest_m[-1] for name, curve in curves[split].items()}
+        items = Items(values, *_takes_and_times(store, shard, [one.place for one in chosen], stills), _BASELINES)
     scores = [score for split, own in curves.items() for score in left_out_scores(own, _BASELINES, split=split)]
     pictures, captions = {}, {}
     if curves:
@@ -104,7 +108,23 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             "annotations that draws are nearest to, larger where more draws are. Crosses were left out. Better: "
             "circles lie all over the annotations, and near every cross."
         )
-    return TopicResult(scores, pictures, captions, _notes(judged, curves))
+    return TopicResult(scores, pictures, captions, _notes(judged, curves), {"": items} if curves else {})
+
+
+def _takes_and_times(
+    store: Store, shard: Shard, places: Sequence[Place], stills: set[str]
+) -> tuple[list[str], list[float]]:
+    """Return the take of each image and its time there, seconds; each still of one's own is a moment of its own."""
+    facts = {ref: store.manifest(ref).facts for ref in shard.refs("annotations")}
+    frames, rates = read_take_frames(store, shard.refs("annotations")), read_rates(store, shard.refs("takes"))
+    own = {name: float(fact["rate_hz"]) for fact in facts.values() for name in fact.get("sequence_ids", ())}
+    takes, times_s = [], []
+    for place in places:
+        is_virtual = (place.sequence_id, place.frame) in frames
+        take, frame = frames[place.sequence_id, place.frame] if is_virtual else (place.sequence_id, place.frame)
+        takes.append(take)
+        times_s.append(frame / (rates[take] if is_virtual else 1.0 if take in stills else own[take]))
+    return takes, times_s
 
 
 def _notes(judged: Mapping[str, Mapping[Place, SeenPair]], curves: Mapping[str, object]) -> list[str]:
@@ -181,10 +201,5 @@ TOPIC = Topic(
     reads=("annotations", "views", "draws", "seeds", "poses"),
     plan=_plan,
     run=_run,
-    metrics=("left_out_d_I", "left_out_d_I_*"),
-    yardsticks=(
-        Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", (PRIOR_ONLY,)),
-        # Where nobody sampled the prior alone, as of 2D poses of one's own.
-        Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", (_NEAREST,)),
-    ),
+    yardsticks=(Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", "m", "images"),),
 )

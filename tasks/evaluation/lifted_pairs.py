@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydantic import Field
@@ -11,10 +11,13 @@ from pydantic import Field
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.lifted_pairs import (
+    BASELINES,
     LiftedExample,
     calibration_scores,
+    completion_errors,
     completion_scores,
     expected_figure,
+    in_between_errors,
     in_between_scores,
     lifted_errors,
     lifted_player,
@@ -22,7 +25,7 @@ from pasdedeux.evaluation.lifted_pairs import (
     nearest_figure,
 )
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Items, Yardstick
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
@@ -31,12 +34,14 @@ from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
 from tasks.draw_sets import GROWN, draw_manifests, read_all_draws, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
-from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
+from tasks.evaluation.truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 __all__ = ["TOPIC"]
 
+_COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
+"""What is judged beside the lifted pairs."""
 _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted")
@@ -93,8 +98,10 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     takes = read_takes(store, take_refs, "pair17_m")
     held_out = held_out_takes(store, take_refs)
     frames, cameras = read_take_frames(store, annotation_refs), read_cameras(store, annotation_refs)
+    rates = read_rates(store, take_refs)
     found: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
     between: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
+    items: dict[str, list[Items]] = {}
     expected: dict[str, list[tuple[list[float], np.ndarray, np.ndarray]]] = {}
     examples: dict[str, dict[Place, dict[str, np.ndarray]]] = {}
     for ref in shard.refs("lifted"):
@@ -106,6 +113,7 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
                 continue
             also = _EXPECTED if table_name == "lifted_pairs" else ()
             table = store.read(ref, table_name, columns=[*PLACE_COLUMNS, "method", "pair17_m", *also])
+            made: dict[tuple[Place, str], dict[str, tuple[np.ndarray, np.ndarray]]] = {}
             for row in range(table.num_rows):
                 place = place_of(table, row)
                 found_pair = true_pair(place, frames, takes)
@@ -117,10 +125,18 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
                 method = "nearest_draw" if table["method"][row] == "nearest" else str(table["method"][row])
                 pair = np.asarray(table["pair17_m"][row], dtype=np.float64)
                 sink.setdefault(split, {}).setdefault(method, []).append((pair, truth))
+                made.setdefault((place, take_id), {})[method] = (pair, truth)
                 if table_name == "lifted_pairs":
                     examples.setdefault(split, {}).setdefault(place, {"truth": truth})[method] = pair
                     if (told := _told(table, row)) is not None:
                         expected.setdefault(split, []).append((told, pair, truth))
+            name = "" if table_name == "lifted_pairs" else _BETWEEN_LIFTED
+            items.setdefault(name, [])
+            for (place, take_id), by_method in made.items():
+                if take_id in held_out:
+                    at_s = frames[place.sequence_id, place.frame][1] / rates[take_id]
+                    own = {method: _pair_error(*both) for method, both in by_method.items()}
+                    items[name].append(Items(own, [take_id], [at_s], BASELINES))
     scores: list[Score] = []
     for split, methods in sorted(found.items()):
         lifted, truths = (
@@ -158,7 +174,13 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
                 f"{split.replace('_', ' ').capitalize()} frames: the truth, and what was made of its image, first seen "
                 "from the camera. Turn them: better is what has the truth's depth from the side too."
             )
-    return TopicResult(scores=scores, pictures=pictures, captions=captions)
+    joined = {name: Items.joined(own) for name, own in items.items()}
+    return TopicResult(scores=scores, pictures=pictures, captions=captions, items=joined)
+
+
+def _pair_error(lifted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """Return the error (1,) of one lifted pair, metres."""
+    return lifted_errors(lifted_m[None], truth_m[None])["lifted_pair_error"]
 
 
 def _nearest(shard: Shard, store: Store) -> TopicResult:
@@ -243,27 +265,41 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
     others = np.concatenate(sampled) if sampled else nothing
     pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MAX_DRAWS]]])
     scores: list[Score] = []
+    judged: dict[str, list[Items]] = {_COMPLETED: [], _BETWEEN: []}
+    rates = read_rates(store, take_refs)
     for split in ("learned", "held_out"):
-        chosen = {name: pairs for name, pairs in takes.items() if (name in held_out) == (split == "held_out")}
-        if not chosen:
+        own = {name: pairs for name, pairs in takes.items() if (name in held_out) == (split == "held_out")}
+        places = _spread_places(own, count, 0)
+        if not places:
             continue
-        every = np.concatenate(list(chosen.values()))
-        truth = every[generator.permutation(len(every))[:count]]
-        scores += completion_scores(generator, truth, pool, split=split)
-        for gap in _GAPS:
-            spans = _spans(list(chosen.values()), gap, max(count // 4, 1), generator)
-            if spans:
-                scores += in_between_scores(spans, pool, split=split, item=f"{gap} frames")
-    return TopicResult(scores=scores, notes=[f"Joints were completed from {len(pool):,} draws and grown seeds."])
+        completed = completion_errors(generator, np.stack([own[take][frame] for take, frame in places]), pool)
+        scores += completion_scores(completed, split=split)
+        if split == "held_out":
+            at = [take for take, _ in places], [frame / rates[take] for take, frame in places]
+            judged[_COMPLETED] += [Items(errors, *at, BASELINES) for errors in completed.values()]
+        every = _spread_places(own, max(count, len(_GAPS)), max(_GAPS))
+        for number, gap in enumerate(_GAPS):
+            starts = every[number :: len(_GAPS)]
+            if not starts:
+                continue
+            filled = in_between_errors([own[take][frame : frame + gap + 1] for take, frame in starts], pool)
+            scores += in_between_scores(filled, split=split, item=f"{gap} frames")
+            if split == "held_out":
+                named = [take for take, _ in starts for _ in range(gap - 1)]
+                times_s = [(frame + more) / rates[take] for take, frame in starts for more in range(1, gap)]
+                errors = {method: np.concatenate(spans) for method, spans in filled.items()}
+                judged[_BETWEEN].append(Items(errors, named, times_s, BASELINES))
+    return TopicResult(
+        scores=scores,
+        notes=[f"Joints were completed from {len(pool):,} draws and grown seeds."],
+        items={name: Items.joined(found) for name, found in judged.items()},
+    )
 
 
-def _spans(takes: Sequence[np.ndarray], gap: int, count: int, generator: np.random.Generator) -> list[np.ndarray]:
-    """Return spans of gap + 1 frames from random places of takes that are long enough."""
-    starts = [(take, start) for take, pairs in enumerate(takes) for start in range(len(pairs) - gap)]
-    if not starts:
-        return []
-    chosen = generator.permutation(len(starts))[:count]
-    return [takes[starts[at][0]][starts[at][1] : starts[at][1] + gap + 1] for at in chosen]
+def _spread_places(takes: Mapping[str, np.ndarray], count: int, gap: int) -> list[tuple[str, int]]:
+    """Return takes and frames, evenly spread over all takes that are long enough, with so many frames after each."""
+    every = [(name, frame) for name, pairs in takes.items() for frame in range(len(pairs) - gap)]
+    return [every[at] for at in evenly_spread(len(every), count, has_ends=False)]
 
 
 def _split(facts: dict[str, object], is_held_out: bool) -> str:
@@ -281,10 +317,13 @@ TOPIC = Topic(
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
     plan=_plan,
     run=_run,
-    metrics=("*_error_mean", "*_error_median", "*_error_p90", "expected_*", "lifted_D_C_*"),
     settings=LiftedPairsSettings,
     yardsticks=(
-        Yardstick("occluded_joint_error_mean", "error of completed joints", ("mean_pair", "nearest_draw"), ("fitted",)),
-        Yardstick("lifted_pair_error_mean", "error of lifted pairs", ("naive_sampling", "lifting"), ("fitted",)),
+        Yardstick("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("fitted",)),
+        Yardstick("occluded_joint_error_mean", "error of completed joints", "m", "limbs", ("fitted",), _COMPLETED),
+        Yardstick("in_between_error_mean", "error of frames between", "m", "frames", ("draws",), _BETWEEN),
+        Yardstick(
+            "in_between_lifted_error_mean", "error between lifted pairs", "m", "frames", ("draws",), _BETWEEN_LIFTED
+        ),
     ),
 )

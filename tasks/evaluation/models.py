@@ -9,11 +9,11 @@ import numpy as np
 
 from pasdedeux.evaluation.model_meter import SOLVER, ModelMeter
 from pasdedeux.evaluation.model_tables import LARGEST_SCALE, best_model, case_player, extreme_cases, model_tables
-from pasdedeux.evaluation.models import GENERATED, UNITS, model_figure, model_scores, share_scores
+from pasdedeux.evaluation.models import GENERATED, frame_errors_cm, model_figure, model_scores, share_scores
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
-from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.learning import BASELINES, DEFAULT_MODELS, VariantKey, VariantModel
+from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.learning import BASELINES, DEFAULT_MODELS, SPLIT_NAMES, VariantKey, VariantModel
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
@@ -55,6 +55,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     meters: dict[str, ModelMeter] = {}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in (*models, SOLVER)}
     tested: list[VariantKey] = []
+    trivial = DEFAULT_MODELS if set(models).difference(DEFAULT_MODELS) else BASELINES
+    parts: list[Items] = []
     for item in variants.items(_named(facts["test"])):
         request = item.request
         tested.append(VariantKey(request.take_id, item.variant_id, request.bone_scale))
@@ -63,6 +65,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         predicted = {name: model.predict(request) for name, model in models.items()}
         for name, found in meters[request.take_id].measure(request.bone_scale, predicted, item.motion_m).items():
             errors[name].append(found)
+        by_frame = {name: frame_errors_cm(motion, item.motion_m) for name, motion in predicted.items()}
+        times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
+        parts.append(Items(by_frame, [request.take_id] * len(times_s), times_s, trivial, count=1))
     split = f"{facts['split']} test"
 
     def scores_where(item: str, rows: Sequence[int]) -> list[Score]:
@@ -131,7 +136,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         ),
         *keys,
     ]
-    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes)
+    items = {str(facts["split"]).replace("_", " "): Items.joined(parts)}
+    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes, items=items)
 
 
 def _generated(
@@ -163,10 +169,8 @@ TOPIC = Topic(
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,
-    metrics=tuple(UNITS),
-    yardsticks=(
-        Yardstick("E_r", "joint error E_r", DEFAULT_MODELS),
-        Yardstick("E_r", "joint error E_r", BASELINES),
+    yardsticks=tuple(
+        Yardstick("E_r", "joint error E_r", "cm", "variants", name=split.replace("_", " ")) for split in SPLIT_NAMES
     ),
     cautions=(
         (

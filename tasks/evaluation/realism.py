@@ -196,5 +196,4 @@ TOPIC = Topic(
     plan=_plan,
     run=_run,
     settings=LearnedSettings,
-    metrics=("KID", "FID", "density", "coverage", "recognised"),
 )

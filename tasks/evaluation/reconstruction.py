@@ -12,6 +12,7 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.reconstruction import (
     Reconstructed,
     pair_scores,
+    reconstruction_items,
     reconstruction_player,
     reconstruction_scores,
     turn_to_camera,
@@ -19,7 +20,7 @@ from pasdedeux.evaluation.reconstruction import (
 from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
-from tasks.evaluation.truth import rate_of, read_cameras, read_take_frames, read_takes
+from tasks.evaluation.truth import rate_of, read_cameras, read_rates, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC", "read_reconstructed", "search_notes"]
@@ -66,7 +67,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     }
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
-    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=search_notes(shard.name, facts))
+    # The database has not seen the take, or this would have been refused: all of it is held out.
+    items = {"": reconstruction_items(people)}
+    return TopicResult(scores, pictures, captions, search_notes(shard.name, facts), items)
 
 
 def search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
@@ -88,7 +91,7 @@ def read_reconstructed(
         read_take_frames(store, annotations),
         read_cameras(store, annotations),
     )
-    table = _read_motions(store, motions)
+    table, rates = _read_motions(store, motions), read_rates(store, takes)
     sequence_id = str(table["sequence_id"][0])
     people = []
     for person in np.unique(table["person_id"]):
@@ -103,7 +106,8 @@ def read_reconstructed(
             continue  # a passer-by of a simulated detector, or somebody whom it made up
         truth = np.stack([poses[take][frame, person] for take, frame in seen])
         truth = truth @ cameras[sequence_id].camera_from_world_rotmat.T
-        people.append(Reconstructed(f"{sequence_id} person {person}", truth, found, at, int(person)))
+        names, times_s = [take for take, _ in seen], [frame / rates[take] for take, frame in seen]
+        people.append(Reconstructed(f"{sequence_id} person {person}", truth, found, at, int(person), names, times_s))
     return people
 
 
@@ -176,12 +180,12 @@ TOPIC = Topic(
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
-    metrics=("error_*", "jitter", "pair_*_error"),
     yardsticks=(
         Yardstick(
             "error_root_kept",
             "mean joint error",
-            ("nearest",),
+            "m",
+            "poses",
             ("fit_clean", "fit", "viterbi_clean", "viterbi", "window_clean", "window"),
         ),
     ),

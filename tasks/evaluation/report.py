@@ -190,7 +190,11 @@ def _section(
         paragraphs=(topic.introduction, *_shortened(folded(note for part in parts for note in part.facts["notes"]))),
         tables=(*topic.tables(scores), *([] if means is None else [means]), *figures, *names),
         pictures=tuple(pictures),
-        verdict=summary.verdicts.get(part_name(STAGE_NAME, topic.name)),
+        verdicts={
+            name: verdict
+            for name, verdict in summary.verdicts.items()
+            if f"{name} ".startswith(f"{part_name(STAGE_NAME, topic.name)} ")
+        },
     )
 
 

@@ -53,11 +53,4 @@ TOPIC = Topic(
     reads=("poses",),
     plan=_plan,
     run=_run,
-    metrics=(
-        "duration",
-        "lowest_foot_joint",
-        "closest_joints_median",
-        "share_closer_than_15_cm",
-        "root_distance_median",
-    ),
 )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Items, Yardstick, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs
 
@@ -39,12 +39,14 @@ class TopicResult:
         pictures: Figures (.svg) and moving people (.player.json) by file name.
         captions: A caption for each picture.
         notes: Sentences for the reader: what was measured, what was skipped and why.
+        items: By name of a yardstick, what it judges: items that nothing was learned from; empty where there is none.
     """
 
     scores: Sequence[Score] = ()
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     captions: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    items: Mapping[str, Items] = field(default_factory=dict)
 
 
 def _no_tables(scores: ScoresOf) -> list[TextTable]:
@@ -66,9 +68,8 @@ class Topic:
         plan: Gives the shards for these inputs and settings (an instance of `settings`), made by `shard`; none where
             there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
         run: Scores one of these shards.
-        metrics: Metrics of its scores, which gates of a study may name; `*` stands for any letters.
         settings: Its keys in the study's section `evaluation`.
-        yardsticks: What says whether its result is good; the first whose figures a shard has gives the verdict.
+        yardsticks: What says whether its result is good: a verdict for each whose items a shard has.
         has_means_first: The page shows means over many items before the items.
         cautions: What to know of a dataset, as pairs of a table and a sentence that holds where the table is there.
         tables: Tables beside the figures, from the scores of all topics by name.
@@ -80,7 +81,6 @@ class Topic:
     reads: tuple[str, ...]
     plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
     run: Callable[[Shard, Store], TopicResult] = field(repr=False)
-    metrics: tuple[str, ...] = ()
     settings: type[Parameters] = Parameters
     yardsticks: tuple[Yardstick, ...] = ()
     has_means_first: bool = False
@@ -103,8 +103,10 @@ class Topic:
 
 
 def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:
-    """Commit what a topic found, with the verdict of the first of its yardsticks that fits."""
-    verdicts = (yardstick.verdict(result.scores) for yardstick in topic.yardsticks)
+    """Commit what a topic found, with the verdict of each of its yardsticks that has items."""
+    judged = {one.name: one.verdict(result.items[one.name]) for one in topic.yardsticks if one.name in result.items}
+    parts = {name: verdict for name, verdict in judged.items() if verdict is not None}
+    whole = merge_verdicts(parts.values())
     return commit(
         shard,
         store,
@@ -115,7 +117,8 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
             "captions": dict(result.captions),
             "notes": list(result.notes),
         },
-        verdict=next((verdict for verdict in verdicts if verdict is not None), None),
+        verdict=None if whole is None else replace(whole, paired=None),
+        parts=parts,
     )
 
 

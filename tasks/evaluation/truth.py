@@ -11,7 +11,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place
 from tasks.poses import read_poses
 
-__all__ = ["TakeFrames", "rate_of", "read_cameras", "read_take_frames", "read_takes", "true_pair"]
+__all__ = ["TakeFrames", "rate_of", "read_cameras", "read_rates", "read_take_frames", "read_takes", "true_pair"]
 
 TakeFrames = dict[tuple[str, int], tuple[str, int]]
 """The take and its frame behind every sequence and frame of virtual video."""
@@ -44,6 +44,12 @@ def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, Pinhole
 def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
     """Return one positions column of every take as (frame, person, joint, 3)."""
     return {store.manifest(ref).facts["take_id"]: read_poses(store, ref, column)[column] for ref in refs}
+
+
+def read_rates(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, float]:
+    """Return the frames per second of every take."""
+    found = [store.manifest(ref).facts for ref in refs]
+    return {str(facts["take_id"]): float(facts["rate_hz"]) for facts in found}
 
 
 def true_pair(place: Place, frames: TakeFrames, takes: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray] | None:

@@ -9,12 +9,12 @@ import numpy as np
 from pasdedeux.cameras import true_direction
 from pasdedeux.evaluation.figures import view_figure
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.evaluation.views import view_scores
+from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.views import VIEW_BASELINES, view_errors, view_scores
 from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, place_of
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
+from tasks.evaluation.truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC"]
@@ -38,7 +38,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
     annotation_facts = [store.manifest(ref).facts for ref in annotated]
     held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
+    rates = read_rates(store, shard.refs("takes"))
     scores: list[Score] = []
+    items = Items()
     for split in ("annotated", "held_out"):
         rows = [
             (table, start, stop, truth[1])
@@ -51,6 +53,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             estimated, weight = _hypotheses(rows)
             true = np.stack([true_direction(pair, cameras[t["sequence_id"][start]]) for t, start, _, pair in rows])
             scores += view_scores(estimated, weight, true, split=split)
+            if split == "held_out":
+                at = [frames[place.sequence_id, place.frame] for t, start, *_ in rows for place in [place_of(t, start)]]
+                times_s = [frame / rates[take] for take, frame in at]
+                takes_of = [take for take, _ in at]
+                items = Items(view_errors(estimated, weight, true), takes_of, times_s, VIEW_BASELINES)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
     skipped = [note for ref in shard.refs("views") for note in store.manifest(ref).facts.get("skipped", [])]
@@ -62,6 +69,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             "by level with the pair (1.6) to straight below (3.1). Each dot is a guess, larger where it is likelier "
             "(Yin et al. 2018, fig. 4b). Better: a few tight clusters for each camera, not a haze."
         },
+        items={"": items} if scores else {},
         notes=[*skipped, *([] if scores else ["No true camera is known here, so views have no error."])],
     )
 
@@ -93,6 +101,5 @@ TOPIC = Topic(
     reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
-    metrics=("view_error_*",),
-    yardsticks=(Yardstick("view_error_median", "median error of the view", ("mean_view",), ("heaviest_hypothesis",)),),
+    yardsticks=(Yardstick("view_error_mean", "error of the view", "degrees", "images", ("heaviest_hypothesis",)),),
 )

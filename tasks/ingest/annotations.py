@@ -252,7 +252,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
         },
         attachments={PEOPLE_NAME: write_decisions(row for one in settled.sequences for row in one.decisions).encode()},
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
-        verdict=_verdict(float((pair17.confidence > 0).mean()), len(frames.skipped), len(shard.files)),
+        verdict=_verdict(pair17.confidence > 0, len(frames.skipped), len(shard.files)),
     )
 
 
@@ -272,13 +272,14 @@ def _decisions(settled: SettledPeople) -> dict[str, Any]:
     }
 
 
-def _verdict(share_seen: float, num_skipped: int, num_files: int) -> Verdict:
-    """Say whether enough is seen: the share of the joints, and the frames that were left out."""
-    reasons = []
+def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:
+    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames left out."""
+    reasons, share_seen = [], float(is_seen.mean())
     if share_seen < GOOD_SHARE_SEEN:
         reasons.append(f"{share_seen:.0%} of the joints are seen")
     if num_skipped:
         reasons.append(f"{num_skipped} of {num_files} frames could not be read and were left out")
     is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
     level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
-    return Verdict(level, "; ".join(reasons), figure="joints seen", value=100 * share_seen, unit="%")
+    figure = ("joints seen", 100 * share_seen, "%")
+    return Verdict(level, "; ".join(reasons), *figure, count=len(is_seen), thing="people in frames")

@@ -36,7 +36,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 14
+VERSION = 15
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:

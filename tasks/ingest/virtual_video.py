@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -120,17 +121,18 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
             "detected": detected,
         },
         sources=manifest.sources,
-        verdict=_verdict(float(np.mean(shares_inside))),
+        verdict=_verdict(shares_inside),
     )
 
 
-def _verdict(share_inside: float) -> Verdict:
-    """Say whether the people are in the image."""
-    level = Level.PASS
+def _verdict(shares_inside: Sequence[float]) -> Verdict:
+    """Say whether the people are in the image, of each sequence."""
+    level, share_inside = Level.PASS, float(np.mean(shares_inside))
     if share_inside < GOOD_SHARE_INSIDE:
         level = Level.FAIL if share_inside < POOR_SHARE_INSIDE else Level.WARN
     reason = "" if level is Level.PASS else "many joints lie outside the image; make it larger or the distance greater"
-    return Verdict(level, reason, figure="joints in the image", value=100 * share_inside, unit="%")
+    figure = ("joints in the image", 100 * share_inside, "%")
+    return Verdict(level, reason, *figure, count=len(shares_inside), thing="sequences")
 
 
 def _add(columns: Columns, **added: Any) -> None:

@@ -13,7 +13,7 @@ from tasks.stage import Parameters
 
 __all__ = ["VERSION", "LiftingParameters", "LiftingShard"]
 
-VERSION = 6
+VERSION = 7
 
 
 class LiftingShard(RetrievalOptions, FitOptions, Parameters):

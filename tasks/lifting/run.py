@@ -82,7 +82,7 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
     distance = {
         method: [row["residual_m"] for row in rows if row["method"] == method] for method in ("nearest", "mean_pair")
     }
-    nearest, mean_pair = (float(np.median(found)) if found else math.nan for found in distance.values())
+    nearest, mean_pair = (float(np.mean(found)) if found else math.nan for found in distance.values())
     level, reason = Level.PASS, ""
     if not rows:
         level = Level.FAIL if num_skipped else Level.WARN
@@ -94,11 +94,13 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
     return Verdict(
         level,
         reason,
-        figure="median distance between nearest draw and image",
+        figure="distance between nearest draw and image",
         value=nearest,
         unit="m",
         baseline=mean_pair,
         baseline_name="mean of all draws",
+        count=len(distance["nearest"]),
+        thing="images",
     )
 
 

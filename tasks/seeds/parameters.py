@@ -11,7 +11,7 @@ from tasks.stage import Parameters
 
 __all__ = ["VERSION", "ChosenSeed", "FrameSeed", "GrownSeeds", "LiftedSeeds", "SeedFrame", "SeedsParameters"]
 
-VERSION = 9
+VERSION = 10
 
 NUM_CHOSEN, LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE = 2, 20, 1000
 """Seeds of each kind where a study does not say how many."""

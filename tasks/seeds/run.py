@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -156,10 +157,11 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
     verdict = Verdict(
         Level.WARN if is_short else Level.PASS,
         "near the other annotations chosen no pair keeps the joint limits" if is_short else "",
-        figure="lifted seeds",
-        value=len(indices),
-        baseline=options.num_lifted,
-        baseline_name="asked for",
+        figure="seeds lifted of those asked for",
+        value=100.0 * len(indices) / options.num_lifted,
+        unit="%",
+        count=options.num_lifted,
+        thing="seeds",
     )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
@@ -214,7 +216,8 @@ def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:
             f"{count} of {possible} pairs grew: {growth.num_refused} lifted pairs broke the joint limits, and "
             f"{growth.num_left} annotations lie farther than {options.farthest_m} m from everything lifted"
         )
-    return Verdict(level, reason, figure="grown pairs", value=count, baseline=possible, baseline_name="asked for")
+    share = 100.0 * count / possible if possible else math.nan
+    return Verdict(level, reason, "pairs grown of those asked for", share, "%", count=possible or 1, thing="pairs")
 
 
 def _done(key: str, store: Store) -> Manifest:

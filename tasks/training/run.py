@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import model_errors
+from pasdedeux.evaluation.models import frame_errors_cm
+from pasdedeux.evaluation.verdicts import Items, compare
 from pasdedeux.learning import (
     BASELINES,
     Arrays,
@@ -142,33 +143,23 @@ def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[]
 
 
 def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[TrainingItem]]) -> Verdict:
-    """Return whether a model is better than both baselines, over validation variants; the test set is not looked at.
+    """Return whether a model is better than every baseline over validation variants; the test set is not looked at.
 
     A baseline is what others are judged by.
     """
     if name in BASELINES:
         return Verdict(Level.PASS)
-    rivals = {baseline: load_model(baseline, {}) for baseline in BASELINES}
-    errors: dict[str, list[float]] = {"": [], **{baseline: [] for baseline in rivals}}
+    models = {name: model, **{baseline: load_model(baseline, {}) for baseline in BASELINES}}
+    parts: list[Items] = []
     for item in items():
-        skeleton = item.request.source.skeleton
-        for found, one in zip(errors.values(), (model, *rivals.values()), strict=True):
-            found.append(model_errors(one.predict(item.request), item.motion_m, skeleton=skeleton)["E_r"])
-    if not errors[""]:
+        request = item.request
+        errors = {one: frame_errors_cm(found.predict(request), item.motion_m) for one, found in models.items()}
+        times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
+        parts.append(Items(errors, [request.take_id] * len(times_s), times_s, BASELINES, count=1))
+    paired = Items.joined(parts).paired([name])
+    if paired is None:
         return Verdict(Level.WARN, "no variant is left for validation, so nothing is said of the model")
-    means = {rival: float(np.mean(found)) for rival, found in errors.items()}
-    own = means.pop("")
-    best = min(means, key=lambda rival: means[rival])
-    is_good = own < means[best]
-    return Verdict(
-        Level.PASS if is_good else Level.WARN,
-        "" if is_good else f"{name} is no better than {best} on validation variants",
-        figure="joint error of validation variants",
-        value=own,
-        unit="cm",
-        baseline=means[best],
-        baseline_name=best,
-    )
+    return compare(paired, "joint error of validation variants", "cm", "variants")
 
 
 def _by_take(keys: Sequence[VariantKey]) -> dict[str, list[str]]:

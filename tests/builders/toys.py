@@ -72,10 +72,12 @@ class SegmentParameters(Parameters):
 
 class BendParameters(Parameters):
     step: int = Field(1000, ge=1, description="Values are rounded to multiples of this")
+    level: Level | None = Field(None, description="What it thinks of them")
 
 
 class JudgeParameters(Parameters):
     title: str = Field("toys", description="Title of the report")
+    level: Level = Field(Level.WARN, description="What it thinks of them")
 
 
 class AsideParameters(Parameters):
@@ -152,7 +154,7 @@ def plan_bend(inputs: StageInputs, parameters: BendParameters) -> list[Shard]:
 
 def run_bend(shard: Shard, store: Store) -> ArtifactRef:
     note_and_obey(shard)
-    step = shard.options(BendParameters).step
+    step, level = shard.options(BendParameters).step, shard.options(BendParameters).level
     values = np.floor(store.read(shard.ref("log"), "training_log")["value"] / step) * step
     return commit(
         shard,
@@ -168,6 +170,7 @@ def run_bend(shard: Shard, store: Store) -> ArtifactRef:
             }
         },
         facts={"takes": merge_takes(store.manifest(shard.ref("log")))},
+        **({} if level is None else {"verdict": Verdict(level, "made for a test")}),
     )
 
 
@@ -210,7 +213,9 @@ def run_judge(shard: Shard, store: Store) -> ArtifactRef:
         },
         facts={"takes": []},
         attachments={"report.html": f"<h1>{shard.options(JudgeParameters).title}</h1>".encode()},
-        verdict=Verdict(Level.WARN, "made for a test", "total", total, "m", 2 * total, "twice that"),
+        verdict=Verdict(
+            shard.options(JudgeParameters).level, "made for a test", "total", total, "m", 2 * total, "twice that"
+        ),
     )
 
 
@@ -236,7 +241,6 @@ TOYS = Graph(
     (
         Stage(
             *("judge", 1, ("models",), ("scores",), JudgeParameters, plan_judge, run_judge, "adds it all up"),
-            metrics={"models": ("total",)},
         ),
         Stage("grow", 1, (), ("training_log",), GrowParameters, plan_grow, run_grow, "makes values"),
         Stage(

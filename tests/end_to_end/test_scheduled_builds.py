@@ -91,7 +91,7 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
     store = tmp_path / "store"
-    settings = ["--set", 'study.stages=["ingest"]', "--set", 'publish.gates=["verdict.ingest <= warn"]']
+    settings = ["--set", 'study.stages=["ingest"]', "--set", 'publish.required=["ingest"]']
     command = ["deploy", "duets", "--store", str(store), "--every", str(EVERY_S), "--workers", "0", *settings]
     for _ in range(2):  # the second time changes it in place
         found = subprocess.run(

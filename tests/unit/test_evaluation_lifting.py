@@ -15,8 +15,10 @@ from pasdedeux.evaluation.lifted_pairs import (
     HIDDEN,
     LiftedExample,
     calibration_scores,
+    completion_errors,
     completion_scores,
     expected_figure,
+    in_between_errors,
     in_between_scores,
     lifted_errors,
     lifted_player,
@@ -77,7 +79,9 @@ def test_scores_name_baselines_and_count_pairs() -> None:
 
 
 def test_hidden_joints_of_pairs_that_are_draws_are_found() -> None:
-    scores = completion_scores(np.random.default_rng(1), PAIRS[:2], PAIRS.astype(np.float32), split="learned")
+    scores = completion_scores(
+        completion_errors(np.random.default_rng(1), PAIRS[:2], PAIRS.astype(np.float32)), split="learned"
+    )
     assert {score.item for score in scores} == set(HIDDEN)
     assert value(scores, "occluded_joint_error_mean", "nearest_draw") < 1e-5
     assert value(scores, "occluded_joint_error_mean", "mean_pair") > 0.01
@@ -86,7 +90,7 @@ def test_hidden_joints_of_pairs_that_are_draws_are_found() -> None:
 def test_in_betweens_are_scored_beside_the_straight_line() -> None:
     share = np.linspace(0.0, 1.0, 5)[:, None, None, None]
     span = (1.0 - share) * PAIRS[0] + share * PAIRS[1]
-    scores = in_between_scores([span], PAIRS, split="learned", item="4 frames")
+    scores = in_between_scores(in_between_errors([span], PAIRS), split="learned", item="4 frames")
     assert value(scores, "in_between_error_mean", "straight") == pytest.approx(0.0, abs=1e-12)
     assert {score.method for score in scores} == {"draws", "straight"}
 

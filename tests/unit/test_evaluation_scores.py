@@ -15,12 +15,13 @@ from pasdedeux.evaluation.coverage import (
 )
 from pasdedeux.evaluation.model_tables import best_model, model_tables
 from pasdedeux.evaluation.models import model_figure, model_scores, share_scores
-from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_scores
+from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_items, reconstruction_scores
 from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.variants import (
     QUALITY_COLUMNS,
     VariantQualities,
+    contact_drifts,
     contact_scores,
     gap_scores,
     quality_scores,
@@ -114,15 +115,22 @@ def test_a_perfect_reconstruction_scores_zero_and_standing_still_does_not() -> N
 
 
 def test_a_reconstruction_has_to_beat_retrieval_and_not_the_mean_pose_that_nobody_knows() -> None:
-    errors = {"nearest": 0.2, "fit_clean": 0.1, "standing_still": 0.05}
-    scores = [Score("error_root_kept", method, value, "m", method != "fit_clean") for method, value in errors.items()]
-    verdict = reconstruction.TOPIC.yardsticks[0].verdict(scores)
+    truth = np.random.default_rng(3).normal(size=(360, 14, 3))
+    still = np.broadcast_to(truth.mean(axis=0), truth.shape)
+    found = {"nearest": 1.2 * truth, "fit_clean": 1.1 * truth, "standing_still": still}
+    times_s = np.arange(360) / 30.0
+    person = Reconstructed("s person 0", truth, found, np.arange(360), 0, ["hug"] * 360, times_s)
+    (yardstick,) = reconstruction.TOPIC.yardsticks
+    verdict = yardstick.verdict(reconstruction_items([person, person]))
     assert verdict is not None
-    assert (verdict.level, verdict.value, verdict.baseline, verdict.baseline_name) == ("pass", 0.1, 0.2, "nearest pose")
+    assert (verdict.level, verdict.baseline_name, verdict.count) == ("pass", "nearest pose", 720)
+    scores = reconstruction_scores(person, split="held_out")
+    assert verdict.value == pytest.approx(_by_method(scores, "error_root_kept")["fit_clean"])
+    assert verdict.baseline == pytest.approx(_by_method(scores, "error_root_kept")["nearest"])
 
 
 def test_items_of_a_part_that_has_a_figure_over_all_of_them_do_not_count_twice() -> None:
-    """Or a verdict would say 2.5 where the table says 1: `hug at 1.25` is in `hug`, and both are in `all`."""
+    """Or a picture would say 2.5 where the table says 1: `hug at 1.25` is in `hug`, and both are in `all`."""
     values = {"all": 1.0, "hug": 3.0, "hug at 1.25": 3.5}
     scores = [
         Score("E_r", method, factor * value, "m", method == "copy", split="random", item=item)
@@ -130,12 +138,14 @@ def test_items_of_a_part_that_has_a_figure_over_all_of_them_do_not_count_twice()
         for item, value in values.items()
     ]
     scores += [Score("E_r", method, 2.0, "m", method == "copy", split="b", item="x") for method in ("ridge", "copy")]
-    yardstick = Yardstick("E_r", "error", ("copy",))
-    verdict, drawn = yardstick.verdict(scores), yardstick.picture(scores)
-    assert verdict is not None
+    drawn = Yardstick("E_r", "error", "cm", "variants").picture(scores)
     assert drawn is not None
-    assert (verdict.value, verdict.baseline) == (1.5, 6.0)
+    assert b">150<" in drawn[0]
     assert "mean over 2 parts of the data" in drawn[1]
+    held_out = [Score("E_r", name, 7.0, "m", name == "copy", split="held_out") for name in ("ridge", "copy")]
+    alone = Yardstick("E_r", "error", "cm", "variants").picture([*scores, *held_out])
+    assert alone is not None
+    assert b">150<" not in alone[0], "what was learned from is never in one mean with what was held out"
 
 
 def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_have_both() -> None:
@@ -291,14 +301,28 @@ def test_lengths_are_shown_in_centimetres_and_what_is_not_a_number_as_a_dash() -
 def test_contacts_are_scored_by_class_beside_plain_fk_and_the_source_itself_keeps_them() -> None:
     source = Source(swaying_pair(8), 30.0)
     scale = np.ones((2, 22))
-    still = contact_scores(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)], item="x")
+    still = contact_scores(
+        contact_drifts(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)]), item="x"
+    )
     assert max(score.value for score in still) < 1e-9
     scale[0] = 0.8
-    scores = contact_scores(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)], item="x")
+    scores = contact_scores(
+        contact_drifts(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)]), item="x"
+    )
     assert {score.metric for score in scores} == {f"hand_contact_drift_{name}" for name in ("median", "p95", "worst")}
     drift = _by_method(scores, "hand_contact_drift_p95")
     assert drift["naive_fk"] > 0.05
     assert drift["interaction_mesh"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_take_that_touches_nothing_has_no_drifts() -> None:
+    source = Source(swaying_pair(8, apart_m=5.0), 30.0)
+    drifts = contact_drifts(source.contacts(), source, (1.0, 1.0), [(np.ones((2, 22)), source.positions_m)])
+    assert {method: found.shape for method, found in drifts.found_m.items()} == {
+        "interaction_mesh": (1, 0),
+        "naive_fk": (1, 0),
+    }
+    assert contact_scores(drifts, item="x") == []
 
 
 def test_the_gap_of_the_bulk_solver_is_measured_beside_its_estimate() -> None:

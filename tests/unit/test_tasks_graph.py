@@ -65,8 +65,8 @@ def test_the_stages_of_the_program_form_a_graph() -> None:
     ("settings", "said"),
     [
         (["augmentation.scales=[0.9]"], "split 'cross_scale' has no training variant"),
-        (["augmentation.contacts.nobody=[]"], "augmentation.contacts: take 'nobody' is not there; takes: hug, judo"),
-        (["seeds.frames=[{take='push_hands', frame=3}]"], "take 'push_hands' is no take that may be learned from"),
+        (["augmentation.contacts.nobody=[]"], "augmentation.contacts: take 'nobody' is not there; takes: hug, hug-001"),
+        (["seeds.frames=[{take='hug-001', frame=3}]"], "take 'hug-001' is no take that may be learned from"),
         (["ingest.duets=[]", "ingest.held_out=[]"], "seeds.num_seeds asks for 2 frames of takes, but there is no take"),
         (
             ["ingest.virtual_video.num_videos=0", "ingest.virtual_video.num_random_views=0"],

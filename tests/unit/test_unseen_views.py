@@ -58,10 +58,14 @@ def before_a_pinhole(world: np.ndarray) -> ViewedMotion:
 
 def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(searcher: Searcher) -> None:
     for condition in (Condition("clean"), Condition("noisy", noise=0.03)):
-        scores = unseen_view_scores(searcher, moved(walk(40, seed=11), 0.0, 75.0), condition, np.random.default_rng)
+        scores, items = unseen_view_scores(
+            searcher, moved(walk(40, seed=11), 0.0, 75.0), condition, np.random.default_rng
+        )
         assert all(np.isfinite(score.value) for score in scores)
         found = {(s.metric, s.method, s.item): s.value for s in scores}
         assert len(found) == len(scores)
+        mean = float(np.nanmean(items.values["fit"]))
+        assert mean == pytest.approx(found["error_root_kept", "fit", "walk, mean of views"])
         for view in ("walk at 0 degrees", "walk at 75 degrees", "walk, mean of views"):
             fit, nearest = (found["error_root_kept", method, view] for method in ("fit", "nearest"))
             assert fit < nearest

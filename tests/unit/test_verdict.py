@@ -1,18 +1,47 @@
-"""Verdicts: one word, one sentence, one figure."""
+"""Verdicts: one word, one sentence, one figure; a method beside every baseline; many as one, however they were cut."""
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from pasdedeux.evaluation.summary import Summary
+from pasdedeux.evaluation.verdicts import Items, Yardstick, figure_words, merge_verdicts
+from pasdedeux.verdict import Level, Verdict
+from storage_schema import Manifest, Store
+from tasks.stage import Parameters, Shard, commit
+from tasks.summary import judge, stage_verdict, summary_of
+
+YARDSTICK = Yardstick("error", "error of lifted pairs", "m", "images", ("fitted",))
+
+
+def items(*, takes: Sequence[str], seconds: int, **values: float | np.ndarray) -> Items:
+    """Return one item in every second of every take; baselines are all but `fitted`."""
+    count = len(takes) * seconds
+    noise = 0.001 * np.random.default_rng(0).normal(size=count)
+    named = {name: np.broadcast_to(value, count) + noise for name, value in values.items()}
+    times_s = np.tile(np.arange(seconds) + 0.5, len(takes))
+    return Items(named, np.repeat(takes, seconds).tolist(), times_s, set(values) - {"fitted"})
+
+
+def verdict_on(some: Items) -> Verdict:
+    found = YARDSTICK.verdict(some)
+    assert found is not None
+    return found
 
 
 def test_a_verdict_comes_back_from_json_as_it_was() -> None:
-    verdict = Verdict(Level.WARN, "drifts", "contact drift", 0.01, "m", 0.2, "plain forward kinematics")
-    assert Verdict.from_json(verdict.to_json()) == verdict
+    verdict = Verdict(Level.WARN, "drifts", "contact drift", 0.01, "m", 0.2, "plain forward kinematics", 3, "variants")
+    compared = verdict_on(items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2))
+    for one in (verdict, compared, merge_verdicts([verdict, compared])):
+        assert one is not None
+        assert Verdict.from_json(json.loads(json.dumps(one.to_json(), sort_keys=True))) == one
     bare = Verdict.from_json(Verdict(Level.PASS).to_json())
     assert bare.level is Level.PASS
     assert math.isnan(bare.value)
@@ -30,18 +59,144 @@ def test_a_warning_without_a_reason_is_refused() -> None:
         Verdict(Level.WARN)
 
 
-def test_many_verdicts_become_the_worst_with_its_share_and_the_median_figure() -> None:
-    found = [Verdict(Level.PASS, "", "drift", value, "m", 1.0, "plain") for value in (0.1, 0.2)]
-    found.append(Verdict(Level.WARN, "too far", "drift", 0.9, "m", 3.0, "plain"))
-    verdict = summarise_verdicts(found)
-    assert verdict == Verdict(Level.WARN, "1 of 3: too far", "drift", 0.2, "m", 1.0, "plain", count=3)
-    assert summarise_verdicts([]) is None
+def test_a_method_has_to_beat_every_baseline_and_not_the_weakest() -> None:
+    better = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2, mean_pair=0.3)
+    verdict = verdict_on(better)
+    assert (verdict.level, verdict.baseline_name, verdict.count) == (Level.PASS, "lifting alone", 12)
+    assert figure_words(verdict).endswith("(lifting alone), mean of 12 images")
+    worse = items(takes=["a"], seconds=12, fitted=0.25, lifting=0.2, mean_pair=0.3)
+    verdict = verdict_on(worse)
+    assert (verdict.level, verdict.baseline_name) == (Level.FAIL, "lifting alone")
+    assert verdict.reason == "fitted draws is worse than lifting alone, by 5 cm (5 to 5, over 12 blocks of 1 s)"
 
 
-def test_a_summary_of_summaries_says_its_share_once() -> None:
-    pair = summarise_verdicts([Verdict(Level.WARN, "does not mix")] * 2)
-    assert pair is not None
-    assert summarise_verdicts([pair]) == pair, "one summary keeps its share"
-    whole = summarise_verdicts([pair, pair])
+def test_what_may_be_chance_is_a_warning() -> None:
+    noise = 0.1 * np.random.default_rng(1).normal(size=12)
+    verdict = verdict_on(items(takes=["a"], seconds=12, fitted=0.2 + noise, lifting=0.21))
+    assert verdict.level is Level.WARN
+    assert "about as good as lifting alone" in verdict.reason
+
+
+def test_larger_may_be_better() -> None:
+    yardstick = replace(YARDSTICK, is_larger_better=True)
+    for fitted, level in ((0.3, Level.PASS), (0.1, Level.FAIL)):
+        verdict = yardstick.verdict(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2))
+        assert verdict is not None
+        assert verdict.level is level
+
+
+def test_a_bound_is_no_baseline_and_is_never_what_is_judged() -> None:
+    known = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2, real_frames=0.01)
+    assert verdict_on(known).level is Level.PASS
+    unnamed = replace(YARDSTICK, methods=())
+    both = unnamed.verdict(replace(known, values={**known.values, "truth": np.zeros(12)}))
+    assert both is not None
+    assert both.paired is not None
+    assert (both.level, both.paired.method) == (Level.PASS, "fitted")
+
+
+def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> None:
+    some = items(takes=["a"], seconds=24, fitted=0.1, lifting=0.2)
+    gaps = np.where(np.arange(24) % 2, np.nan, some.values["lifting"])
+    verdict = verdict_on(replace(some, values={**some.values, "lifting": gaps}))
+    assert (verdict.level, verdict.count) == (Level.PASS, 12)
+
+
+@pytest.mark.parametrize(
+    ("some", "words"),
+    [
+        (items(takes=["a"], seconds=9, fitted=0.1, lifting=0.2), "9 images in 9 blocks of 1 s, and 10 are"),
+        (items(takes=["a"], seconds=12, fitted=0.1), "no baseline was scored beside fitted draws"),
+        (Items(), "nothing of it was held out"),
+    ],
+)
+def test_too_little_is_not_judged_and_never_counts_as_a_pass(some: Items, words: str) -> None:
+    verdict = verdict_on(some)
+    assert verdict.level is Level.NOT_JUDGED
+    assert verdict.reason.startswith(words)
+    summary = Summary([], [], {"lifting": verdict, "seeds": Verdict(Level.PASS)})
+    assert summary.judgement == "1 not judged, 1 pass"
+    merged = merge_verdicts([replace(verdict, count=1), Verdict(Level.PASS)])
+    assert merged is not None
+    assert merged.level is Level.NOT_JUDGED
+
+
+def test_many_images_of_a_second_are_one_block() -> None:
+    some = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2)
+    assert verdict_on(replace(some, times_s=np.linspace(0.0, 8.9, 12))).level is Level.NOT_JUDGED
+
+
+def test_five_takes_are_drawn_as_wholes_and_fewer_second_by_second() -> None:
+    """A method that is better on most takes and worse on one is not sure to be better on the next take."""
+    lead = np.repeat([0.1, 0.1, 0.1, 0.1, -0.3], 20)
+    five = verdict_on(items(takes=["a", "b", "c", "d", "e"], seconds=20, fitted=0.5 - lead, lifting=0.5))
+    assert (five.level, "over 5 takes" in five.reason) == (Level.WARN, True)
+    four = verdict_on(items(takes=["a", "b", "c", "d"], seconds=20, fitted=0.5 - lead[:80], lifting=0.5))
+    assert (four.level, "over 80 blocks of 1 s" in four.reason) == (Level.PASS, True)
+
+
+def test_a_part_of_which_nothing_is_held_out_changes_nothing() -> None:
+    judged = verdict_on(items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2))
+    assert merge_verdicts([verdict_on(Items()), judged, verdict_on(Items())]) == judged
+
+
+def test_a_limit_is_kept_or_broken() -> None:
+    yardstick = Yardstick("switches", "identity switches a minute", "", "sequences", limit=1.0)
+    for value, level in ((1.0, Level.PASS), (1.5, Level.FAIL)):
+        verdict = yardstick.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]))
+        assert verdict is not None
+        assert (verdict.level, verdict.value, verdict.baseline) == (level, value, 1.0)
+
+
+def test_many_verdicts_become_the_worst_with_its_share_and_the_mean_figure() -> None:
+    found = [Verdict(Level.PASS, "", "drift", value, "m", 1.0, "plain", thing="variants") for value in (0.1, 0.2)]
+    found.append(Verdict(Level.WARN, "too far", "drift", 0.9, "m", 4.0, "plain", thing="variants"))
+    verdict = merge_verdicts(found)
+    assert verdict is not None
+    assert (verdict.level, verdict.reason, verdict.count, verdict.thing) == ("warn", "1 of 3: too far", 3, "variants")
+    assert (verdict.value, verdict.baseline) == pytest.approx((0.4, 2.0))
+    assert merge_verdicts([]) is None
+
+
+OF_VARIANTS = [
+    Verdict(
+        Level.FAIL if at % 5 == 0 else Level.PASS, f"bad {at % 2}" * (at % 5 == 0), "drift", at**2, "m", 2.0 * at, "fk"
+    )
+    for at in range(11)
+]
+OF_VARIANTS[3] = Verdict(Level.WARN, "nothing is in contact", "drift", math.nan, "m")
+OF_IMAGES = [
+    verdict_on(items(takes=[take], seconds=3, fitted=0.1 + 0.05 * at, lifting=0.22))
+    for at, take in enumerate(["a", "b", "c", "d", "e", "a", "b"])
+]
+
+
+@pytest.mark.parametrize("every", [OF_VARIANTS, OF_IMAGES], ids=["limits", "compared"])
+@pytest.mark.parametrize("size", [1, 2, 4, 100])
+def test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards(every: list[Verdict], size: int) -> None:
+    whole = merge_verdicts(every)
+    shards = [merge_verdicts(every[start : start + size]) for start in range(0, len(every), size)]
+    merged = merge_verdicts(reversed([one for one in shards if one is not None]))
     assert whole is not None
-    assert (whole.reason, whole.count) == ("4 of 4: does not mix", 4)
+    assert merged is not None
+    assert (merged.value, merged.baseline) == pytest.approx((whole.value, whole.baseline), rel=1e-12)
+    plain = [replace(one, value=0.0, baseline=0.0, paired=None) for one in (merged, whole)]
+    assert plain[0] == plain[1]
+
+
+def made(store: Store, name: str, **judged: Verdict) -> Manifest:
+    shard = Shard("views", 1, "hug", name, Parameters())
+    return store.manifest(commit(shard, store, tables={}, facts={}, verdict=judged["whole"]))
+
+
+def test_a_stage_and_its_summary_and_table_say_the_same(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    trust = [
+        Verdict(Level.PASS, "", "trust", value, count=count, thing="images") for value, count in ((0.9, 1), (0.5, 9))
+    ]
+    manifests = [made(store, str(at), whole=one) for at, one in enumerate(trust)]
+    whole = stage_verdict(manifests)
+    assert whole is not None
+    assert (round(whole.value, 6), figure_words(whole)) == (0.54, "trust 0.54, mean of 10 images")
+    assert summary_of(manifests).verdicts == {"views": whole}
+    assert [one.verdict for one in judge(manifests)] == [whole]

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from pasdedeux.evaluation.reconstruction import reconstruction_player
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Items, Yardstick
 from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
@@ -76,12 +76,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     searcher = _database(shard, store)
     condition = CONDITIONS[options.condition]
     scores: list[Score] = []
+    parts: list[Items] = []
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
     for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
-        scores += unseen_view_scores(searcher, motion, condition, draw)
+        found, errors = unseen_view_scores(searcher, motion, condition, draw)
+        scores += found
+        parts.append(replace(errors, takes=[options.take_id] * len(errors.takes)))
         if options.condition == 0:
             name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
             pictures[name] = _clip(searcher, motion, condition, draw(0))
@@ -92,7 +95,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
         "a mark that knows the truth."
     )
-    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=[note])
+    return TopicResult(scores, pictures, captions, [note], {"": Items.joined(parts)})
 
 
 def _database(shard: Shard, store: Store) -> Searcher:
@@ -144,7 +147,6 @@ PARALLEL_VIEWS = Topic(
     reads=("poses", "projections"),
     plan=_plan,
     run=_run,
-    metrics=("error_*", "jitter", "foot_slide", "two_views_differ"),
     settings=UnseenViewsSettings,
-    yardsticks=(Yardstick("error_root_kept", "mean joint error", (Method.NEAREST.value,), (Method.FIT.value,)),),
+    yardsticks=(Yardstick("error_root_kept", "mean joint error", "m", "poses", (Method.FIT.value,)),),
 )

@@ -145,7 +145,9 @@ class StoreReader:
             CorruptArtifact: A file is not what its manifest says.
             SchemaError: A column is unknown, or the file was written with other columns.
         """
-        return read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
+        found = read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
+        self.manifest(ref)  # another may have taken its place before the file was opened
+        return found
 
     def iter_batches(
         self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None

@@ -4,6 +4,7 @@ import json
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ from storage_schema import (
     SourceCredit,
     StorageError,
     Store,
+    TableData,
     artifact_key,
     record_latest,
     source_credits,
 )
 from storage_schema.errors import NewerSchema
-from storage_schema.parquet_files import ROW_GROUP_ROWS
+from storage_schema.parquet_files import ROW_GROUP_ROWS, read_table
 from storage_schema.version import SCHEMA_VERSION
 from tests.builders.storage_rows import assert_same_values, commit_rows, random_columns
 
@@ -305,6 +307,20 @@ def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.L
     assert other == first
     assert "computed a second time with other bytes" in caplog.text
     assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_what_takes_the_place_of_an_artifact_while_it_is_read_is_not_taken_for_it(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ref = commit_rows(store, attachments={"note.txt": b"1"})
+
+    def read_late(*told: Any, **more: Any) -> TableData:
+        commit_rows(store, attachments={"note.txt": b"2"}, replaces=True)
+        return read_table(*told, **more)
+
+    monkeypatch.setattr("storage_schema.store_reader.read_table", read_late)
+    with pytest.raises(CorruptArtifact, match="it was rebuilt with other bytes"):
+        store.read(ref, "scores")
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "no manifest", "bad manifest", "other columns", "other key"])

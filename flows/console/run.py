@@ -111,7 +111,7 @@ def run(
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     build_and_report(chosen, graph, open_store(store), selection, where, as_json=as_json)
     if is_preview and not as_json:
-        typer.echo(f"all of it: {next_command('run', study, store=store, settings=settings)}")
+        typer.echo(f"all of it: {next_command('run', study, *selection.words, store=store, settings=settings)}")
 
 
 def build_and_report(
@@ -217,7 +217,7 @@ def plan(
     typer.echo(
         "everything is fresh"
         if made.is_fresh
-        else f"run it with: {next_command('run', study, store=store, settings=settings)}"
+        else f"run it with: {next_command('run', study, *selection.words, store=store, settings=settings)}"
     )
 
 

@@ -21,7 +21,7 @@ $(VENV)/.tested: $(VENV)/.installed
 setup: $(VENV)/.tested
 
 demo: $(VENV)/.installed
-	@$(BIN)/python -c 'import importlib.util as u; u.find_spec("torch") or print("networks are left out: torch is not installed (make setup)")'
+	@$(BIN)/python -c 'import importlib.util as u; u.find_spec("torch") or print("torch is not installed: duets has no networks and does without (make setup brings it)")'
 	$(BIN)/pasdedeux run duets --store $(STORE)
 
 lint: $(VENV)/.tested

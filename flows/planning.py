@@ -69,6 +69,13 @@ class Selection:
     force: tuple[str, ...] = ()
 
     @property
+    def words(self) -> list[str]:
+        """Return what says the same on the command line."""
+        lists, singles = {"only": self.only, "force": self.force}, {"from": self.start, "until": self.until}
+        named = {**lists, **{name: (stage,) for name, stage in singles.items() if stage is not None}}
+        return [word for name, stages in named.items() for stage in stages for word in (f"--{name}", stage)]
+
+    @property
     def targets(self) -> frozenset[str]:
         """Return the stages that are named as what is wanted."""
         return frozenset([*self.only, *self.force, *filter(None, (self.start, self.until))])

@@ -34,6 +34,7 @@ from flows.renamed import RENAMED_COMMANDS
 from flows.study import StudyError
 from pasdedeux.errors import InputError, PasdedeuxError
 from storage_schema import StorageError
+from storage_schema.provenance import code_version
 from tasks.graph import Graph, GraphError
 from tasks.shards import ClusterError, ShardError
 
@@ -114,6 +115,12 @@ class _Commands(typer.core.TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+def _say_version(is_asked: bool) -> None:
+    if is_asked:
+        typer.echo(f"pasdedeux {code_version()}")
+        raise typer.Exit
+
+
 def command_line() -> typer.Typer:
     """Return the commands, put together."""
     app = typer.Typer(
@@ -122,7 +129,11 @@ def command_line() -> typer.Typer:
 
     @app.callback()
     def options(
-        context: typer.Context, debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error.")
+        context: typer.Context,
+        debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
+        version: bool = typer.Option(
+            False, "--version", help="Say the version and end.", callback=_say_version, is_eager=True
+        ),
     ) -> None:
         context.obj.is_debug = debug
 

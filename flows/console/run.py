@@ -126,7 +126,7 @@ def run(
     worst = None if fail_on is None else Level(fail_on.value)
     build_and_report(chosen, graph, open_store(store), selection, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
-        typer.echo(f"all of it: {next_command('run', study, store=store, settings=settings)}")
+        typer.echo(f"all of it: {next_command('run', study, *selection.words, store=store, settings=settings)}")
 
 
 def build_and_report(
@@ -246,7 +246,7 @@ def plan(
     typer.echo(
         "everything is fresh"
         if made.is_fresh
-        else f"run it with: {next_command('run', study, store=store, settings=settings)}"
+        else f"run it with: {next_command('run', study, *selection.words, store=store, settings=settings)}"
     )
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import ClassVar
 
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.npz import is_npz, read_npz
+from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
 
 __all__ = ["AnnotationFormat", "FileFormat", "FileStart", "MotionFormat", "MotionHead"]
@@ -34,7 +34,7 @@ class FileStart:
     @cached_property
     def array_names(self) -> frozenset[str]:
         """Names of the arrays of an npz archive; none of any other file.  A damaged archive is a FormatError."""
-        return frozenset(read_npz(self._data, "npz archive")) if is_npz(self._data) else frozenset()
+        return array_names(self._data) if is_npz(self._data) else frozenset()
 
     @cached_property
     def text(self) -> str:

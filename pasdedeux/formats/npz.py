@@ -6,6 +6,8 @@ import io
 import math
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,13 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 
-__all__ = ["is_npz", "read_npz"]
+__all__ = ["array_names", "is_npz", "read_npz"]
 
-MAX_ARCHIVE_BYTES = 4 << 30
+MAX_UNPACKED_BYTES = 1 << 30
 MAX_ARRAYS = 100
+MAX_RATIO = 100
+"""Of unpacked bytes to the archive's, beyond `_SMALL_BYTES`: poses hardly shrink to a tenth, zeros to a thousandth."""
+_SMALL_BYTES = 16 << 20
 
 
 def is_npz(data: bytes) -> bool:
@@ -24,23 +29,40 @@ def is_npz(data: bytes) -> bool:
     return data[:4] == b"PK\x03\x04"
 
 
+def array_names(data: bytes) -> frozenset[str]:
+    """Return the names of the arrays of an npz archive; nothing is unpacked.  A damaged archive is a FormatError."""
+    with _opened(data, "npz archive") as archive:
+        return frozenset(member.filename.removesuffix(".npy") for member in archive.infolist())
+
+
 def read_npz(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of an npz archive by name.
 
     Raises:
-        FormatError: The archive is damaged, holds Python objects, or states more data than it has.
+        FormatError: The archive is damaged, holds Python objects, or states more data than it has or may have.
     """
+    with _opened(data, what) as archive:
+        return {
+            member.filename.removesuffix(".npy"): _read_array(archive.read(member), member.filename[:40])
+            for member in archive.infolist()
+        }
+
+
+@contextmanager
+def _opened(data: bytes, what: str) -> Iterator[zipfile.ZipFile]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
-            if len(members) > MAX_ARRAYS or sum(member.file_size for member in members) > MAX_ARCHIVE_BYTES:
+            unpacked = sum(member.file_size for member in members)
+            if len(members) > MAX_ARRAYS:
+                raise FormatError(f"this {what} has {len(members)} arrays; at most {MAX_ARRAYS} are allowed")
+            most = min(MAX_UNPACKED_BYTES, max(_SMALL_BYTES, MAX_RATIO * len(data)))
+            if unpacked > most:
                 raise FormatError(
-                    f"this {what} states more data than the {MAX_ARCHIVE_BYTES >> 30} GiB that are allowed"
+                    f"this {what} of {len(data) / 1e6:.1f} MB states {unpacked / 1e6:.0f} MB of arrays, more than the "
+                    f"{most / 1e6:.0f} MB that are read from it; write it without compression, or in parts"
                 )
-            return {
-                member.filename.removesuffix(".npy"): _read_array(archive.read(member), member.filename[:40])
-                for member in members
-            }
+            yield archive
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, ValueError) as error:
         raise FormatError(f"this {what} is a damaged npz archive: {str(error)[:120]}") from None
 

@@ -22,7 +22,6 @@ from pasdedeux.learning.registry import (
     load_model,
     model_arrays,
     model_class,
-    needs_torch,
 )
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
@@ -64,7 +63,6 @@ __all__ = [
     "mapped_source",
     "model_arrays",
     "model_class",
-    "needs_torch",
     "read_weights",
     "write_weights",
 ]

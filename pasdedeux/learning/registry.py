@@ -17,7 +17,7 @@ from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.start_net import StartNetModel
 
-__all__ = ["BASELINES", "DEFAULT_MODELS", "MODELS", "load_model", "model_arrays", "model_class", "needs_torch"]
+__all__ = ["BASELINES", "DEFAULT_MODELS", "MODELS", "load_model", "model_arrays", "model_class"]
 
 MODELS: dict[str, type[VariantModel]] = {
     model.name: model
@@ -82,11 +82,6 @@ def load_model(name: str, arrays: Arrays) -> VariantModel:
             raise InputError(f"{name}: array '{key}' has a value that is not finite")
     built_on = [load_model(below, found) for below, found in inner.items()]
     return kind.from_arrays(own, *built_on[:1])
-
-
-def needs_torch(model: VariantModel) -> bool:
-    """Tell whether a model, or one that it builds on, needs the extra `learning`."""
-    return type(model).needs_torch or (model.built_on is not None and needs_torch(model.built_on))
 
 
 _BUILT_ON = "on:"

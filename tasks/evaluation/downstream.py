@@ -17,15 +17,15 @@ from pasdedeux.evaluation.downstream import (
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Items, Yardstick
-from pasdedeux.learning import has_torch
 from pasdedeux.learning.clip_classifier import ClipClassifier, clips_of
 from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredictor, joint_errors
 from storage_schema import Manifest, Store
-from tasks.evaluation.realism import LEFT_OUT, WITHOUT_TORCH, LearnedSettings
+from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.run import refuse_without_torch
 
 __all__ = ["PREDICTION", "RECOGNITION"]
 
@@ -49,8 +49,6 @@ def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: Le
     used = [take for take, kind in zip(takes, kinds, strict=True) if kinds.count(kind) > 1]
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
         return []
-    if not has_torch():
-        return [topic.shard(inputs, WITHOUT_TORCH)]
     ids = {take.facts["take_id"] for take in used}
     variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in ids]
     return [
@@ -78,8 +76,6 @@ def _plan_prediction(inputs: StageInputs, settings: LearnedSettings) -> list[Sha
 
 def _recognise(shard: Shard, store: Store) -> TopicResult:
     """Train the classifier twice on the same takes, once with their variants, and test it on clips of other takes."""
-    if shard.name == WITHOUT_TORCH:
-        return LEFT_OUT
     told = shard.options(OneTraining)
     train, test = _split(shard, store, told)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
@@ -111,8 +107,6 @@ def _accuracy(
 
 def _predict(shard: Shard, store: Store) -> TopicResult:
     """Train the predictor twice on the same takes, once with their variants, and test it on clips of other takes."""
-    if shard.name == WITHOUT_TORCH:
-        return LEFT_OUT
     told = shard.options(OneTraining)
     train, test = _split(shard, store, told)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
@@ -143,6 +137,7 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
 
 def _split(shard: Shard, store: Store, told: OneTraining) -> tuple[list[Manifest], list[Manifest]]:
     """Return the takes learned from and tested on, drawn among those of every interaction; held out takes only test."""
+    refuse_without_torch(f"the topic {shard.partition}", "evaluation.num_downstream_seeds=0")
     learn, judge = _SHARES[told.shares]
     generator = stream(shard.seed, "evaluation", "takes", told.shares, told.seed)
     by_kind: dict[str, list[Manifest]] = {}

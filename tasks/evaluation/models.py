@@ -19,7 +19,7 @@ from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of, skeleton_name
-from tasks.training.run import load_stored, without_torch
+from tasks.training.run import load_stored
 
 __all__ = ["TOPIC"]
 
@@ -45,13 +45,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants, and show the best, a middling and the worst of them."""
     stored = [store.manifest(ref) for ref in shard.refs("models")]
     facts = stored[0].facts
-    manifests, left_out = without_torch(stored)
-    missing = [f"{name} is left out: torch is not installed where this was scored" for name in left_out]
-    if not manifests:
-        return TopicResult(notes=missing)
     skeleton = skeleton_name(stored[0])
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), skeleton)
-    models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
+    models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in stored}
     meters: dict[str, ModelMeter] = {}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in (*models, SOLVER)}
     tested: list[VariantKey] = []
@@ -123,9 +119,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         for name, one in sorted(meters.items())
         if (pairs := one.key_names())
     ]
-    learned = len({key for manifest in manifests for key in manifest.facts["train"]})
+    learned = len({key for manifest in stored for key in manifest.facts["train"]})
     notes = [
-        *missing,
         *([f"Models and figures are of {skeleton}; what is of surfaces is not measured."] * (skeleton != BODY22.name)),
         f"Split {facts['split']}: {len(tested)} test variants of {len(meters)} "
         f"take{'s' * (len(meters) != 1)}, learned from {learned}. "

@@ -14,7 +14,7 @@ from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, ke
 from pasdedeux.evaluation.model_meter import SOLVER, generated
 from pasdedeux.evaluation.models import GENERATED
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.learning import BASELINES, has_torch
+from pasdedeux.learning import BASELINES
 from pasdedeux.learning.clip_classifier import ClassifierSettings, ClipClassifier, clips_of
 from pasdedeux.learning.motion_predictor import PredictorSettings
 from pasdedeux.skeletons import BODY22
@@ -24,14 +24,11 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of, skeleton_name
-from tasks.training.run import load_stored
+from tasks.training.run import load_stored, refuse_without_torch
 
-__all__ = ["LEFT_OUT", "TOPIC", "WITHOUT_TORCH", "LearnedSettings"]
+__all__ = ["TOPIC", "LearnedSettings"]
 
-WITHOUT_TORCH = "without_torch"
-"""Name of the shard of a topic that is asked for and cannot be answered."""
 OTHER_SKELETON = "other_skeleton"
-LEFT_OUT = TopicResult(notes=["Left out: torch is not installed (pip install 'pasdedeux[learning]')."])
 
 
 class LearnedSettings(Parameters):
@@ -57,8 +54,6 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     takes = [take for take in inputs.of("poses") if num_persons(take) == 2]
     if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
         return []
-    if not has_torch():
-        return [TOPIC.shard(inputs, WITHOUT_TORCH)]
     models = [model for model in models if skeleton_name(model) == BODY22.name]
     if not models:
         return [TOPIC.shard(inputs, OTHER_SKELETON)]
@@ -68,12 +63,11 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Train the classifier on real clips, and look with it at what every model predicts."""
-    if shard.name == WITHOUT_TORCH:
-        return LEFT_OUT
     if shard.name == OTHER_SKELETON:
         return TopicResult(
             notes=[f"Left out: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
         )
+    refuse_without_torch("the classifier of clips", "evaluation.num_realism_variants=0")
     settings = shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
     learned = [take for take in takes if not take.facts["is_held_out"]]

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 43
+VERSION = 44
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -405,6 +405,7 @@ class IngestParameters(Parameters):
     duets: tuple[DuetEntry, ...] | None = Field(default=None, description="Built-in duets")
     takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one person or more, file by file")
     pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
+    obtain: str = Field(default="", description="How files of `pairs` are had, said where some are not there")
     take_seconds: float | None = Field(
         default=None,
         gt=0,

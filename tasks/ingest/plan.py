@@ -54,6 +54,7 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         *(_duet_shard(inputs.seed, parameters, duet) for duet in parameters.resolved_duets()),
         *(_take_shard(inputs.seed, parameters, take) for take in parameters.takes),
     ]
+    _refuse_missing(parameters)
     shards: list[Shard] = []
     awaited = parameters.awaited()
     for name, family in parameters.pairs.items():
@@ -162,8 +163,31 @@ def _family_shards(
     return shards, left_out
 
 
+def _refuse_missing(parameters: IngestParameters) -> None:
+    """Refuse a study whose takes are named and not there; InputError with how many, and how they are had."""
+    named = [
+        (family, subject, take)
+        for family in parameters.pairs.values()
+        for take in family.takes or ()
+        for subject in family.subjects
+    ]
+    missing = [one for one in named if not any(path.is_file() for path in _family_paths(*one))]
+    if missing:
+        first = _family_paths(*missing[0])
+        others = f", nor do {len(missing) - 1} others of the {len(named)} that ingest.pairs names"
+        raise InputError(
+            f"file {' or '.join(path.name for path in first)} does not exist in {first[0].parent}"
+            + (others if len(missing) > 1 else "")
+            + (f"; {parameters.obtain}" if parameters.obtain else "")
+        )
+
+
+def _family_paths(family: PairOptions, subject: str, take: str) -> list[Path]:
+    return [family.folder / pattern.format(subject=subject, take=take) for pattern in family.patterns]
+
+
 def _family_file(family: PairOptions, subject: str, take: str) -> Path:
-    paths = [family.folder / pattern.format(subject=subject, take=take) for pattern in family.patterns]
+    paths = _family_paths(family, subject, take)
     found = [path for path in paths if path.is_file()]
     if not found:
         names = " or ".join(path.name for path in paths)

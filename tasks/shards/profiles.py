@@ -78,10 +78,12 @@ def started(profile: ClusterProfile) -> Iterator[Any]:
         # Adapting submits jobs in a callback whose error nobody sees, and not again: the first are waited for here.
         try:
             cluster.sync(_scaled, cluster, profile.min_workers, callback_timeout=profile.start_s)
-        except Exception as error:  # noqa: BLE001 - as above
+        except BaseException as error:
             with suppress(Exception):
                 cluster._created.clear()  # it asserts of every job that it has ended, also of those that never began
                 cluster.close()
+            if not isinstance(error, Exception):
+                raise
             raise ClusterError(f"{profile.cluster} cannot start its jobs: {in_one_line(error)}") from None
     with cluster:
         cluster.adapt(minimum=profile.min_workers, maximum=max(profile.min_workers, profile.max_workers))

@@ -39,6 +39,10 @@ class TrainingParameters(Parameters):
         min_length=1,
         description=f"Models, or names of `forms`: {', '.join(MODELS)}",
     )
+    networks: bool = Field(
+        True,
+        description="Train the models that need torch; false leaves them out, with what builds on them, and says so",
+    )
     skeleton: SkeletonName = Field(
         "body22", description="Skeleton of the models: body22, or 18 joints as in ExPI, which follow from it (expi18)"
     )
@@ -130,6 +134,6 @@ class SegmentParameters(Parameters):
 
 
 class LeftOutParameters(Parameters):
-    """A model that cannot be trained here, as torch is not installed."""
+    """A model that needs torch in a study that goes without networks."""
 
     name: str

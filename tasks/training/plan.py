@@ -7,7 +7,7 @@ from typing import Any
 
 from pasdedeux.augmentation import make_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning import Split, VariantKey, has_torch, make_split, model_class
+from pasdedeux.learning import Split, VariantKey, make_split, model_class
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
 from tasks.poses import num_persons
@@ -23,8 +23,8 @@ VERSION = 10
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     """Plan the segments of every model on every split; of takes that are held out or no pair nothing is learned.
 
-    Adding a model or a split computes that one alone.  Where torch is not installed, what needs it is left out, and so
-    is what builds on that.
+    Adding a model or a split computes that one alone.  Where the study goes without networks, what needs torch is left
+    out, and so is what builds on that; what is installed where this is planned changes nothing.
 
     Raises:
         InputError: A split leaves nothing to train on, or nothing to test on.
@@ -45,7 +45,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
             kind, settings, start = parameters.kind_of(model), parameters.settings_of(model), parameters.start_of(model)
             if start is not None and start not in last:
                 continue
-            if model_class(kind).needs_torch and not has_torch():
+            if model_class(kind).needs_torch and not parameters.networks:
                 shards.append(_shard(inputs, name, model, LeftOutParameters(name=model)))
                 continue
             before: tuple[str, ...] = ()

@@ -22,7 +22,6 @@ from pasdedeux.learning import (
     load_model,
     model_arrays,
     model_class,
-    needs_torch,
 )
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
@@ -31,7 +30,7 @@ from tasks.training.items import StoredVariants
 from tasks.training.parameters import LeftOutParameters, SegmentParameters
 from tasks.training.plan import split_variants
 
-__all__ = ["load_stored", "read_arrays", "run_shard", "without_torch"]
+__all__ = ["load_stored", "read_arrays", "refuse_without_torch", "run_shard"]
 
 _JUDGED = 24
 """Validation variants that the verdict looks at, spread evenly."""
@@ -41,15 +40,17 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Train one segment of a model and commit what it leaves: the model after the last one, the state before.
 
     Raises:
-        InputError: Every variant to train on failed, or training came to numbers that are not finite.
+        InputError: Every variant to train on failed, training came to numbers that are not finite, or torch is missing.
     """
     if isinstance(shard.parameters, LeftOutParameters):
         name = shard.parameters.name
-        reason = f"{name} is left out: torch is not installed (pip install 'pasdedeux[learning]')"
+        reason = f"{name} is left out: the study says training.networks = false"
         facts = {"kind": "left_out", "model": name, "skipped": [f"Model {reason}."]}
         return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
     told = shard.options(SegmentParameters)
     kind = model_class(told.model)
+    if kind.needs_torch:
+        refuse_without_torch(told.name, "training.networks=false")
     takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))
     split = split_variants(told.split, takes, variants_of, told.test_takes, shard.seed)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), told.skeleton)
@@ -91,7 +92,6 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             "class": told.model,
             "skeleton": told.skeleton,
             "segment": told.segment,
-            "needs_torch": needs_torch(trained.model),
             "takes": sorted({key.take_id for key in train}),
             "shares_takes": split.shares_takes,
             "train": _by_take(train),
@@ -120,11 +120,13 @@ def load_stored(store: Store, manifest: Manifest) -> VariantModel:
     return load_model(manifest.facts["class"], read_arrays(store, manifest.ref))
 
 
-def without_torch(manifests: Sequence[Manifest]) -> tuple[list[Manifest], list[str]]:
-    """Return those of some models that can be asked here, and the names of those that need torch, which is missing."""
-    left_out = [] if has_torch() else [manifest for manifest in manifests if manifest.facts["needs_torch"]]
-    found = [manifest for manifest in manifests if manifest not in left_out]
-    return found, [manifest.facts["model"] for manifest in left_out]
+def refuse_without_torch(who: str, instead: str) -> None:
+    """Refuse to compute without torch what was planned to need it; InputError with the setting that goes without."""
+    if not has_torch():
+        raise InputError(
+            f"{who} needs torch, which is not installed where this ran: pip install 'pasdedeux[learning]', "
+            f"or go without: --set {instead}"
+        )
 
 
 def _done(shard: Shard, store: Store) -> Iterator[Manifest]:

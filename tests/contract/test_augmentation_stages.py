@@ -22,7 +22,6 @@ from storage_schema import Manifest, Store
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters, read_take
 from tasks.evaluation.augmentation import TOPIC
-from tasks.evaluation.models import TOPIC as MODELS_TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
@@ -364,9 +363,7 @@ def test_variants_that_failed_are_tested_on_and_not_learned_from(store: Store) -
         train(store, plan_training(takes, all_fail, models=("ridge_scale",)))
 
 
-def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed_and_left_out_where_torch_is_missing(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed(store: Store, tmp_path: Path) -> None:
     chosen: dict[str, Any] = {
         "models": ("paper_cvae", "start_net"),
         "paper_cvae": {"num_steps": 3, "segment_steps": 2, "windows_per_step": 2, "width": 4, "hidden": 4},
@@ -394,28 +391,27 @@ def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed_and_left
     assert arrays["on:ridge_scale/mix"].dtype == np.float64
     steps = [set(store.read(made.ref, "training_log")["step"]) - {0} for made in done[0]]
     assert steps == [{2}, {3}, set(), {2}, {3}]
-    made = {"models": [done[0][n] for n in (1, 2, 4)], "poses": takes, "variants": augment(store, takes)}
-    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
-    (shard,) = MODELS_TOPIC.plan(StageInputs(made, seed=3), Parameters())
-    scored = MODELS_TOPIC.run(shard, store)
-    methods = {score.method for score in scored.scores}
-    assert "ridge_scale" in methods
-    assert not methods & {"paper_cvae", "start_net"}
-    said = [note.partition(" is left out")[0] for note in scored.notes if "torch is not installed" in note]
-    assert said == ["paper_cvae", "start_net"]
 
 
-def test_where_torch_is_missing_what_needs_it_is_left_out_and_named(
+def test_what_is_planned_does_not_depend_on_whether_torch_is_there_and_its_lack_is_one_sentence(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
     takes = [put_take(store, "one")]
+    variants = augment(store, takes)
     forms = {"refined": {"model": "mesh_refine", "start": "start_net"}}
-    shards = plan_training(takes, augment(store, takes), models=("copy", "refined"), forms=forms)
-    assert [shard.name for shard in shards] == ["copy", "ridge_scale", "start_net"]
-    verdict = verdict_of(store.manifest(TRAINING.run_shard(shards[-1], store)))
+    chosen: dict[str, Any] = {"models": ("copy", "refined"), "forms": forms}
+    here = plan_training(takes, variants, **chosen)
+    without = plan_training(takes, variants, networks=False, **chosen)
+    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
+    assert [shard.key for shard in plan_training(takes, variants, **chosen)] == [shard.key for shard in here]
+    assert plan_training(takes, variants, networks=False, **chosen) == without
+    (net,) = (shard for shard in here if shard.name == "start_net-segment0")
+    with pytest.raises(InputError, match=r"start_net needs torch, .*\[learning\]', .* --set training.networks"):
+        TRAINING.run_shard(net, store)
+    assert [shard.name for shard in without] == ["copy", "ridge_scale", "start_net"]
+    verdict = verdict_of(store.manifest(TRAINING.run_shard(without[-1], store)))
     assert verdict is not None
-    assert verdict.reason == "start_net is left out: torch is not installed (pip install 'pasdedeux[learning]')"
+    assert verdict.reason == "start_net is left out: the study says training.networks = false"
 
 
 def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> None:

@@ -31,20 +31,45 @@ def test_every_link_leads_to_a_file(page: Path) -> None:
     assert [link for link in links if "://" not in link and not (page.parent / link).exists()] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_and_option_that_is_shown_exists(page: Path) -> None:
+def commands_shown() -> dict[str, list[str]]:
+    """Return the commands that pages, studies that ship and helps show, by where."""
+    found: dict[str, list[str]] = {}
+    for page in PAGES:
+        lines = [line for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()]
+        lines += re.findall(r"`(pasdedeux [^`]+)`", page.read_text(encoding="utf-8").replace("\n", " "))
+        found[page.name] = [line for line in lines if line.startswith("pasdedeux ")]
+    for name, text in shipped_studies().items():
+        found[name] = re.findall(r"^#.*?\s(pasdedeux \w+ .*?)(?:  | \\|\)|$)", text, re.MULTILINE)
+    return found
+
+
+@pytest.mark.parametrize(("where", "lines"), commands_shown().items(), ids=list(commands_shown()))
+def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[str]) -> None:
     commands = typer.main.get_command(command_line())
-    lines = [line for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()]
-    for line in (line for line in lines if line.startswith("pasdedeux ")):
+    for line in lines:
         words = line.split("#  ")[0].split(" # ")[0].split()[1:]
         command = commands
-        while hasattr(command, "commands"):
+        while hasattr(command, "commands") and words[0] not in ("...", "--debug", "--help", "--version"):
             assert words[0] in command.commands, line
             command = command.commands[words.pop(0)]
         options = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
-        assert [word for word in words if word.startswith("--") and word not in options] == [], line
-        if command.name in ("run", "plan", "show") and words and words[0].isidentifier():
+        assert [word for word in words if word.startswith("--") and word not in {*options, "--help"}] == [], line
+        if command.name in ("run", "plan", "show") and words and words[0].isidentifier() and words[0].islower():
             assert words[0] in shipped_studies(), line
+
+
+def test_every_study_that_ships_stands_in_the_table_of_studies_and_no_other() -> None:
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8").partition("## Those that ship")[2]
+    rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
+    in_table = re.findall(r"`(\w+)`", " ".join(rows))
+    runnable = [name for name, text in shipped_studies().items() if "name" in tomllib.loads(text)["study"]]
+    assert sorted(in_table) == sorted(runnable)
+
+
+def test_no_study_that_ships_says_how_long_it_once_took() -> None:
+    for name, text in shipped_studies().items():
+        said = re.findall(r"^#.*(?:\d (?:min|h|hours?)\b|hour|took \d).*$", text, re.MULTILINE)
+        assert said == [], name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import compared_figure
 from pasdedeux.evaluation.report import PLAYER
 from pasdedeux.evaluation.score_tables import format_score
@@ -185,15 +186,20 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
         assert f"- evaluation: {name.replace('_', ' ')}: " in card
 
 
-def test_without_torch_what_needs_it_is_left_out_and_the_page_says_so(
+def test_topics_that_need_torch_are_planned_everywhere_and_its_lack_is_one_sentence(
     evaluated: tuple[Store, list[Manifest], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, _, _ = evaluated
+    asked = {"num_realism_variants": 2, "num_downstream_seeds": 1}
+    topics = [topic for topic in TOPICS if topic.name in ("realism", "recognition", "prediction")]
+    stage = evaluation_stage(topics)
+    here = stage.plan(inputs_of(store, stage), stage.parameters(**asked))
     monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
-    stage = evaluation_stage([topic for topic in TOPICS if topic.name in ("realism", "recognition", "prediction")])
-    made = evaluate(store, stage, num_realism_variants=2, num_downstream_seeds=1)
-    assert [one.name for one in made[:-1]] == ["without_torch"] * 3
-    assert page_of(store, made).count("Left out: torch is not installed") == 3
+    assert stage.plan(inputs_of(store, stage), stage.parameters(**asked)) == here
+    assert {shard.partition for shard in here[:-1]} == {topic.name for topic in topics}
+    for shard in here[:-1]:
+        with pytest.raises(InputError, match=r"needs torch, which is not installed .* --set evaluation.num_\w+=0"):
+            stage.run_shard(shard, store)
 
 
 class ToySettings(Parameters):

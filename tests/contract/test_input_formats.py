@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+import tracemalloc
+import zipfile
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +15,10 @@ from pydantic import ValidationError
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import check_anatomy
 from pasdedeux.formats.file_format import FileFormat, FileStart
+from pasdedeux.formats.npz import read_npz
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, find_format, is_companion, recognise_format
+from pasdedeux.formats.target_body import read_body
+from pasdedeux.interaction.objects import read_objects
 from tasks.ingest import IngestParameters
 from tests.builders.source_samples import GOOD_ANNOTATIONS, GOOD_MOTIONS
 
@@ -151,3 +156,49 @@ def test_a_study_that_names_an_unknown_format_is_told_all_of_them(
 ) -> None:
     with pytest.raises(ValidationError, match="should be one of auto, " + ", ".join(names)):
         IngestParameters.model_validate(section)
+
+
+def npz_bomb(array: str, megabytes: int) -> bytes:
+    """Return a small archive whose array claims, and has, so many megabytes of zeros."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(f"{array}.npy", "w") as member:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (megabytes * 2**20 // 24, 1, 3)}
+        np.lib.format.write_array_header_1_0(member, header)
+        for _ in range(megabytes):
+            member.write(bytes(2**20 // 24 * 24))
+        member.write(bytes(megabytes * 2**20 // 24 * 24 - megabytes * (2**20 // 24 * 24)))
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("array", "reading"),
+    [
+        ("positions_m", recognise_format),
+        ("keypoints_px", recognise_format),
+        ("positions_m", MOTION_FORMATS["positions_npz"].read),
+        ("keypoints_px", lambda data: ANNOTATION_FORMATS["annotation_npz"].read({"a.npz": data}, sequence_id="s")),
+        ("ends_m", read_objects),
+        ("positions_m", lambda data: read_body("a.npz", data)),
+    ],
+)
+def test_an_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_before_that(
+    array: str, reading: Callable[[bytes], object]
+) -> None:
+    data = npz_bomb(array, 64)
+    assert len(data) < 100_000
+    tracemalloc.start()
+    try:
+        with pytest.raises(FormatError, match=r"of 0\.1 MB states 67 MB of arrays, more than the 17 MB that are read"):
+            reading(data)
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_archive_of_real_size_is_read_also_where_most_of_it_is_zero() -> None:
+    values = np.zeros((400_000, 1, 3))
+    values[::50] = np.random.default_rng(0).normal(size=(8000, 1, 3))
+    out = io.BytesIO()
+    np.savez_compressed(out, positions_m=values)
+    assert out.tell() < values.nbytes / 30
+    assert np.array_equal(read_npz(out.getvalue(), "archive")["positions_m"], values)

@@ -68,7 +68,7 @@ KINDS = {
     video_of_a_take_left_out: FAILED,
     take_of_one: "Take solo: one person; the stages that need pairs passed it over.",
     nobody_is_scaled: "No variants of take solo: one person, and nobody of those who are scaled: B.",
-    model_without_torch: "Model paper_cvae is left out: torch is not installed",
+    model_without_torch: "Model paper_cvae is left out: the study says training.networks = false.",
 }
 
 

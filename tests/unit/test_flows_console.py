@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from flows.console.app import run_command_line
 from flows.machine import usable_cores
 from flows.planning import Selection
 from flows.renamed import RENAMED_COMMANDS
+from flows.study_files import read_study_tree, shipped_studies
+from storage_schema.provenance import code_version
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -328,6 +331,32 @@ def test_the_next_command_that_is_printed_does_what_it_says(tmp_path: Path, caps
     assert call("plan", study, "--store", store, "--set", "aside.size=3") == 0
     command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("run it with: "))
     assert command == ["pasdedeux", "run", study, "--store", store, "--set", "aside.size=3"]
+    for chosen in (["--until", "bend"], ["--from", "bend", "--force", "bend"], ["--only", "grow", "--only", "aside"]):
+        assert call("plan", study, "--store", store, *chosen) in (0, 2)
+        said = capsys.readouterr().out
+        if said:
+            command = shlex.split(said.splitlines()[-1].removeprefix("run it with: "))
+            assert Counter(command) == Counter(["pasdedeux", "run", study, "--store", store, *chosen])
+
+
+def test_the_version_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("--version") == 0
+    assert capsys.readouterr().out == f"pasdedeux {code_version()}\n"
+
+
+@pytest.mark.parametrize("study", [name for name, text in shipped_studies().items() if "\nname = " in text])
+def test_a_study_that_ships_runs_or_says_which_files_it_lacks_how_large_they_are_and_how_they_are_had(
+    study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code = run_command_line(["plan", study])
+    said = capsys.readouterr()
+    if not read_study_tree(study, tmp_path).values["ingest"].get("pairs"):
+        assert code == 0, said.err
+        return
+    assert code == 2
+    assert re.search(r"does not exist in .*, nor do \d+ others of the \d+ that ingest.pairs names; .*\d MB\b", said.err)
+    assert re.search(r"`pasdedeux fetch cmu --study \w+ --out cmu` brings them|--set ingest.pairs.\w+.folder", said.err)
 
 
 def test_what_is_there_of_a_run_that_failed_or_had_no_evaluation_is_summed_up(

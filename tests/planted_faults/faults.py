@@ -119,7 +119,8 @@ FAULTS = (
           "Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS", "Level.PASS",
           "unit/test_reliability.py::test_large_expected_errors_and_hardly_anything_seen_fail"),
     Fault("the verdict on capture always passes", "pasdedeux/plausibility/capture.py",
-          "if sign * value > sign * warn:", "if math.isinf(value):", "unit/test_capture.py::test_one_of_three_who_is_far_away_or_another_twice_is_noticed"),
+          "if sign * value > sign * warn:", "if math.isinf(value):",
+          "unit/test_capture.py::test_one_of_three_who_is_far_away_or_another_twice_is_noticed"),
     # Motion
     Fault("rigid alignment mirrors", "pasdedeux/kinematics/alignment.py",
           "np.where(sign < 0, -1.0, 1.0)", "np.where(sign < 0, 1.0, 1.0)",
@@ -212,7 +213,8 @@ FAULTS = (
     Fault("a random stream has no seed", "tasks/stage.py", "words = [seed]", "words = [0]",
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
     Fault("a shard starts before what it comes after", "flows/scheduling.py", "            elif waits:",
-          "            elif not waits and False:", "unit/test_flows_execution.py"),
+          "            elif None:", "unit/test_flows_execution.py::"
+          "test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest"),
     Fault("the record has the order of finishing", "flows/building.py",
           "tuple(self._made[item.shard.key] for item in work.plan.shards)",
           "tuple(m for m in self._made.values() if m.ref.stage == name)", "unit/test_flows_execution.py::"

@@ -10,7 +10,7 @@ from pasdedeux.errors import InputError
 from tasks import chains
 from tasks.chains import ChainsParameters
 from tasks.evaluation import coverage, reconstruction
-from tasks.evaluation.coverage import CoverageParameters, draws_from_first_seeds
+from tasks.evaluation.coverage import CoverageParameters, CoverageSettings, draws_from_first_seeds
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 from tests.builders.storage_rows import put
@@ -39,3 +39,17 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
     ):
         with pytest.raises(InputError, match=r"learned from (kept_back|two), which it is evaluated on"):
             topic.run(shard, store)
+
+
+def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",)}
+    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
+    known = StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
+    shards = coverage.TOPIC.plan(known, CoverageSettings(num_truth_pairs=8, num_curve_points=2))
+    assert [shard.name for shard in shards] == ["annotated", "unannotated", "held_out"]
+    for shard in shards:
+        scores = coverage.TOPIC.run(shard, store).scores
+        levels = [one.value for one in scores if (one.metric, one.method) == ("coverage_D_C", "real_frames")]
+        assert min(levels) > 1e-3

@@ -117,10 +117,6 @@ FAULTS = (
     Fault("real pairs that cover are those to be covered", "tasks/evaluation/coverage.py",
           "others.append(pairs[~chosen[split]])", "others.append(pairs)",
           "contract/test_coverage_topic.py::test_real_pairs_that_cover_are_not_those_to_be_covered"),
-    Fault("what is expected of a pair rests on itself", "tasks/lifting/run.py",
-          "np.flatnonzero(~np.isin(near.nearest.draw, own))", "np.arange(len(near.nearest.draw))",
-          "contract/test_lifting_stage.py::"
-          "test_what_is_expected_of_a_pair_rests_on_no_draw_of_that_person_at_that_moment"),
     Fault("held-out takes enter the projection database", "tasks/projections.py",
           'if facts.get("is_held_out", False):', "if False:", "contract/test_projection_stages.py::"
           "test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database"),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 if TYPE_CHECKING:
     from tests.builders.real_study import BuiltStudy
@@ -18,8 +18,9 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 # No example has a deadline: the first one of a kernel compiles it.  The same code draws the same examples everywhere;
-# `pytest --hypothesis-profile search` draws others every time.
+# `pytest --hypothesis-profile search` draws others every time; planted faults need no simplest example.
 settings.register_profile("search", deadline=None)
+settings.register_profile("planted", deadline=None, derandomize=True, phases=[Phase.explicit, Phase.generate])
 settings.register_profile("pasdedeux", deadline=None, derandomize=True)
 settings.load_profile("pasdedeux")
 

@@ -81,7 +81,7 @@ def put_annotations(
         "image_height_px": [1000] * count,
         "focal_px": [None] * count,
     }
-    facts = {"kind": "sequences", "takes": [take_id], "is_held_out": is_held_out, "num_persons": 2}
+    facts = {"kind": "sequences", "takes": [take_id], "is_held_out": is_held_out, "num_persons": 2, "is_virtual": True}
     annotations = put(
         store, "ingest", f"{take_id}-views", {"annotations": columns}, {**facts, "purpose": "random_views"}
     )

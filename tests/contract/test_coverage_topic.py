@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.coverage import real_frame_levels
+from pasdedeux.sampling.coverage import CoverageCurve
 from tasks import chains
 from tasks.chains import ChainsParameters
 from tasks.evaluation import coverage, reconstruction
@@ -57,3 +60,25 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
     ):
         with pytest.raises(InputError, match=r"learned from (kept_back|two), which it is evaluated on"):
             topic.run(shard, store)
+
+
+def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",)}
+    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
+    known = StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
+    compared: list[set[bytes]] = []
+
+    def levels(truth_m: np.ndarray, real_m: np.ndarray, generator: np.random.Generator) -> CoverageCurve:
+        compared.extend({pair.tobytes() for pair in pairs} for pairs in (truth_m, real_m))
+        return real_frame_levels(truth_m, real_m, generator)
+
+    monkeypatch.setattr(coverage, "real_frame_levels", levels)
+    for shard in coverage.TOPIC.plan(known, CoverageSettings(num_truth_pairs=300, num_curve_points=2)):
+        coverage.TOPIC.run(shard, store)
+        truth, real = compared[-2:]
+        assert truth
+        assert real
+        assert truth.isdisjoint(real)
+    assert len(compared) == 6

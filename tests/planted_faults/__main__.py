@@ -56,7 +56,7 @@ def plant(fault: Fault) -> str:
 
 def run_tests(root: Path, tests: Iterable[str]) -> tuple[int, list[str]]:
     """Run tests of a copy until one fails; gives what pytest ends with and the test that failed."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--hypothesis-profile", "planted"]
     command += [f"tests/{test}" for test in sorted(tests)]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     try:

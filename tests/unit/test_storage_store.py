@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -296,6 +297,30 @@ def test_a_new_artifact_takes_nothing_away_that_another_process_may_have_put_the
     monkeypatch.setattr(Store, "_remove_here", refuse)
     ref = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
     assert store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)})) == ref
+
+
+def test_everything_is_on_the_disk_before_an_artifact_has_its_name(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_disk: set[int] = set()
+    waiting: dict[str, list[str]] = {}
+    fsync, rename = os.fsync, Path.rename
+
+    def noted_fsync(handle: int) -> None:
+        on_disk.add(os.fstat(handle).st_ino)
+        fsync(handle)
+
+    def noted_rename(path: Path, target: Path) -> Path:
+        parts = [path, *path.iterdir()] if path.is_dir() else [path]
+        waiting[str(target)] = [part.name for part in parts if part.stat().st_ino not in on_disk]
+        return rename(path, target)
+
+    monkeypatch.setattr(os, "fsync", noted_fsync)
+    monkeypatch.setattr(Path, "rename", noted_rename)
+    ref = commit_rows(store, attachments={"note.txt": b"note"})
+    folder = store.folder(ref.stage, ref.key)
+    assert waiting[str(folder)] == []
+    assert folder.parent.stat().st_ino in on_disk, "and its name soon after"
 
 
 def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.LogCaptureFixture) -> None:

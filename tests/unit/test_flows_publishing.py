@@ -69,6 +69,22 @@ def test_nothing_new_makes_no_new_version(study: Path, capsys: pytest.CaptureFix
     assert len(versions(study)) == 1
 
 
+def test_a_rebuild_that_stopped_is_published_compared_rerun_and_built_upon(study: Path, tmp_path: Path) -> None:
+    store, scale = str(tmp_path / "store"), ("--set", "grow.scale=1.0001")
+    assert run(study) == 0
+    before = {one.ref for one in Store(store).artifacts("judge")}
+    assert run(study, *scale) == 0
+    assert {one.ref for one in Store(store).artifacts("judge")} == before, "bend has rounded the difference away"
+    assert [one.label for one in versions(study)] == ["released@1", "released@2"]
+    for line in (
+        ["diff", "released@1", "released@2", "--store", store],
+        *(["rerun", name, "--from", store, "--store", str(tmp_path / name)] for name in ("released@1", "released@2")),
+    ):
+        assert run_command_line(line, graph=TOYS) == 0
+    assert run(study, *scale, "--set", "judge.title=more") == 0
+    assert len(versions(study)) == 3
+
+
 def test_the_changelog_says_what_came_went_and_changed_and_the_scores(study: Path) -> None:
     assert run(study) == 0
     before = open_table("scores:released@1", study.parent / "store")["value"][0]

@@ -126,9 +126,7 @@ def refuse_bad_verdicts(run: Run, outcome: Outcome, worst: Level) -> None:
     made = [run.store.manifest(ref) for stage in outcome.stages for ref in stage.artifacts]
     bad = {name: one for name, one in summary_of(made).verdicts.items() if one.level.rank >= worst.rank}
     if bad:
-        said = (
-            f"{len(bad)} verdict{'s are' if len(bad) > 1 else ' is'} {worst.value}{' or worse' * (worst is Level.WARN)}"
-        )
+        said = f"verdicts that {'warn or fail' if worst is Level.WARN else 'fail'}: {len(bad)}"
         raise VerdictError("\n       ".join([said, *(f"{name}: {verdict_words(one)}" for name, one in bad.items())]))
 
 

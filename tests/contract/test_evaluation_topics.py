@@ -264,6 +264,20 @@ def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Pa
     assert "counted is worse than guessed, by 1" in worse, "better than the other guess is not enough"
 
 
+def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest], str]) -> None:
+    _, made, _ = evaluated
+    covered = {one.name: verdict_of(one) for one in made if one.partition == "coverage"}
+    assert {name: verdict.count > 0 for name, verdict in covered.items() if verdict is not None} == {
+        "annotated": False,
+        "unannotated": False,
+        "held_out": True,
+    }
+    for one in made:
+        for verdict in verdicts_of_parts(one).values():
+            if one.partition in ("views", "lifting", "coverage", "left_out") and verdict.paired is not None:
+                assert set(verdict.paired.takes) == {"hug"}, "the take that is held out"
+
+
 def test_what_lifting_fills_in_has_verdicts_of_its_own(evaluated: tuple[Store, list[Manifest], str]) -> None:
     store, made, page = evaluated
     judged = {name for one in made if one.partition == "lifting" for name in verdicts_of_parts(one)}

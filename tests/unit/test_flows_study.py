@@ -13,7 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from flows.renamed import RENAMED_KEYS
 from flows.study import Study, StudyError, load_study
 from flows.study_files import shipped_studies
+from pasdedeux.evaluation.scores import FEWEST_UNITS
+from pasdedeux.evaluation.verdicts import FEWEST_BLOCKS
 from tasks.graph import Graph, load_graph
+from tasks.ingest import IngestParameters
 from tasks.stage import Parameters, Stage
 from tests.builders.toys import TOYS, plan_aside, run_aside
 
@@ -308,3 +311,14 @@ def test_the_title_of_a_study_heads_its_report_where_the_report_has_none_of_its_
         file.write_text(text + own)
         study, _ = load_study(str(file), load_graph())
         assert study.parameters["evaluation"].model_dump()["title"] == title
+
+
+def test_the_demo_holds_out_enough_short_takes_to_be_judged_over_takes() -> None:
+    study, _ = load_study("duets", load_graph(), environment={})
+    ingest = study.parameters["ingest"]
+    assert isinstance(ingest, IngestParameters)
+    takes = {one.take_id: one.duration_s for one in ingest.resolved_duets()}
+    held_out = [takes[name] for name in ingest.held_out]
+    assert len(held_out) >= FEWEST_UNITS
+    assert sum(held_out) >= FEWEST_BLOCKS
+    assert max(held_out) <= 3.0, "what is held out costs as much as what is learned from"

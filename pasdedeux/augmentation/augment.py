@@ -16,7 +16,6 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
 from pasdedeux.interaction.known_contacts import UserContact, check_contacts
-from pasdedeux.plausibility import JointLimits
 from pasdedeux.verdict import Level, Verdict
 
 __all__ = ["Augmenter", "Variant"]
@@ -98,14 +97,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
-        joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
-        self._meter = QualityMeter(
-            source,
-            girth=self.settings.girth,
-            touch_m=self.settings.touch_m,
-            user_contacts=user_contacts,
-            joint_limits=joint_limits,
-        )
+        self._meter = QualityMeter(source, touch_m=self.settings.touch_m, user_contacts=user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:

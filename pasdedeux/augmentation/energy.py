@@ -33,7 +33,7 @@ Array = npt.NDArray[np.float64]
 def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
     """Return L x - L_c (s q - r) (variant, T, n, 3), metres, of offsets x = p - r (variant, T, n, 3)."""
     kept = np.matmul(problem.mesh.laplacian[None], offsets)
-    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.across))
+    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
 
 
 def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:

@@ -114,18 +114,16 @@ class Targets:
         bone_scale: Scales (variant, P, 22).
         reference: r (variant, T, n, 3), metres.
         difference: d = q - r (variant, T, n, 3), metres.
-        across: s q - r, with s the size of bodies whose girth follows their bones, otherwise d.
         height: Target of the vertical part of x for the floor term (variant, T, n), metres.
         lengths_m: New bone lengths (variant, n), metres; 0 for the roots.
         girdle_m: Distances of the girdle pairs in r (variant, T, pair), metres.
         clearance_m: Least n . B x of near bones (variant, T, M), metres.
-        contact_m: Vectors of the contacts as in the source, stretched to the wanted length (variant, T, M, 3), metres.
+        contact_m: Vectors of the contacts as in the source (variant, T, M, 3), metres.
     """
 
     bone_scale: Array
     reference: Array
     difference: Array
-    across: Array
     height: Array
     lengths_m: Array
     girdle_m: Array

@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
+from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.interaction.contacts import TOUCH_M
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import JointLimits, capsule_model
+from pasdedeux.plausibility import capsule_model
 from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22, PAIR17, JointMap
+from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
 __all__ = ["FrameLimits", "FrameQuality", "Measured", "Quality", "QualityLimits", "QualityMeter"]
@@ -32,12 +32,6 @@ _SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
 """Units of figures by the ending of their name, as reasons say them."""
 _STILL_M = 1e-9
 """A source with less jerk than this, in metres of third difference, is still."""
-_LIMITED = JointMap(
-    name="joint limits of body22",
-    target=PAIR17,
-    table={**{name: name for name in PAIR17.joint_names}, "spine": "spine1", "chest": "spine3"},
-)
-"""Which joints of body22 stand for those of pair17, on which the ranges of the joints are defined."""
 _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
 
 
@@ -73,7 +67,6 @@ class QualityLimits(Settings):
     self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, summed over bones, metres")
     spine_bend_rad: Limit = Field((0.6, 1.2), description="Change of the spine's bends, radians")
     jerk_ratio: Limit = Field((1.2, 2.0), description="Jerk over the source's")
-    invalid_angles: Limit = Field((0.2, 2.0), description="Joint angles out of range in a frame, mean")
 
 
 class FrameLimits(Settings):
@@ -95,8 +88,6 @@ class Quality:
 
     Contact drifts are means of the change of distance of the surfaces over contacts of the source: over all of them
     (NaN without any), over those of two hands or feet, of one, and of body on body; None where there is no such one.
-    `invalid_angles` counts joint angles of a frame that are out of range and beyond what the source does, in the mean;
-    None where no ranges were asked for.
     """
 
     num_contact_pairs: int
@@ -114,7 +105,6 @@ class Quality:
     self_penetration_m: float
     spine_bend_rad: float
     jerk_ratio: float
-    invalid_angles: float | None = None
 
     def judge(self, limits: QualityLimits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
@@ -188,14 +178,12 @@ class QualityMeter:
         self,
         source: Source,
         *,
-        girth: Girths = (1.0, 1.0),
         touch_m: tuple[float, float] = TOUCH_M,
         user_contacts: Sequence[UserContact] = (),
-        joint_limits: JointLimits | None = None,
     ) -> None:
         points = points_of(source.positions_m)
         self._num_frames = len(points)
-        self._source, self._girth = source, girth
+        self._source = source
         self._contacts = source.contacts(touch_m, user_contacts)
         self._held = np.nonzero(self._contacts.is_held)
         self._frames = self._held[0]
@@ -207,10 +195,7 @@ class QualityMeter:
         self._floor = source.floor_m
         self._below = np.maximum(self._floor - points[..., 1], 0.0)
         self._model = capsule_model(BODY22)
-        self._penetration = self._penetrate(points, self._radii(np.ones(source.radii_m.shape)))
-        self._limits = joint_limits and joint_limits.widened(
-            _LIMITED.positions(source.positions_m, BODY22.joint_names), name=source.name, percentile=0.0
-        )
+        self._penetration = self._penetrate(points)
         self._bends = _spine_bends(points)
 
     @property
@@ -230,18 +215,15 @@ class QualityMeter:
             lengths_m: Bone lengths (n,), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres.
         """
-        bones = self._contacts.bones()[self._held]
-        wanted = widened_m(self._distance, bones, self._source, self._girth, bone_scale[None])[0]
-        drift = np.abs(self._contact_distances(points) - wanted)
-        drift_fk = np.abs(self._contact_distances(reference) - wanted)
+        drift = np.abs(self._contact_distances(points) - self._distance)
+        drift_fk = np.abs(self._contact_distances(reference) - self._distance)
         people = self._people(points)
         bone_error = np.abs(bone_lengths(BODY22, people) - lengths_m.reshape(bone_scale.shape)).max(axis=(1, 2))
         excursion, by_stance = self._excursions(points)
         below = np.maximum(self._floor - points[..., 1], 0.0)
-        radii = self._radii(bone_scale)
-        depths = self._penetrate(points, radii)
+        depths = self._penetrate(points)
         extra = np.maximum(depths[:, -1] - self._penetration[:, -1], 0.0)
-        by_proportions = self._penetrate(reference, radii, is_within=True)
+        by_proportions = self._penetrate(reference, is_within=True)
         within = (depths - np.maximum(self._penetration, by_proportions))[:, :-1].sum(axis=-1)
         within = np.maximum(within, 0.0)
         bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
@@ -278,24 +260,14 @@ class QualityMeter:
             spine_bend_rad=float(np.percentile(bends, _PERCENTILE)),
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
             jerk_ratio=jerk / self._jerk if self._jerk > _STILL_M else 1.0 + jerk,
-            invalid_angles=self._invalid_angles(people),
         )
         return Measured(quality=quality, frames=frames)
 
     def _people(self, points: Array) -> Array:
         return points.reshape(-1, *self._source.positions_m.shape[1:])
 
-    def _invalid_angles(self, people: Array) -> float | None:
-        if self._limits is None:
-            return None
-        return float(self._limits.num_invalid(_LIMITED.positions(people, BODY22.joint_names)).sum(axis=-1).mean())
-
     def _contact_distances(self, points: Array) -> Array:
         return np.asarray(np.linalg.norm(self._contacts.vectors(points)[self._held], axis=-1))
-
-    def _radii(self, bone_scale: Array) -> Array:
-        wide = bone_scale if self._girth == "follow" else girths_of(self._girth, len(bone_scale))[:, None]
-        return np.asarray(self._source.radii_m * wide)
 
     def _excursions(self, points: Array) -> tuple[Array, list[float]]:
         """Return how far joints that stand are from their median place in that stance: by frame, by stance.
@@ -311,9 +283,9 @@ class QualityMeter:
             worst.append(float(away.max()))
         return frames, worst
 
-    def _penetrate(self, points: Array, radii: Array, *, is_within: bool = False) -> Array:
+    def _penetrate(self, points: Array, *, is_within: bool = False) -> Array:
         model = replace(self._model, between=self._model.between[:0]) if is_within else self._model
-        return model.penetration(self._people(points), radii)
+        return model.penetration(self._people(points), self._source.radii_m)
 
 
 def _jerk(points: Array) -> tuple[float, Array]:

@@ -15,8 +15,6 @@ from pasdedeux.settings import Settings
 
 __all__ = ["AugmentationSettings"]
 
-Girth = Annotated[float, Field(ge=0.2, le=5.0)]
-
 
 def _check_fade(fade: tuple[float, float]) -> tuple[float, float]:
     if not 0 <= fade[0] < fade[1]:
@@ -33,16 +31,8 @@ class AugmentationSettings(Settings):
     weights: Weights = Field(Weights(), description="Weights of the terms")
     limits: QualityLimits = Field(QualityLimits(), description="Limits of pass, warn and fail")
     frame_limits: FrameLimits = Field(FrameLimits(), description="The same for single frames")
-    girth: tuple[Girth, ...] | Literal["follow"] = Field(
-        (1.0, 1.0),
-        description="Thickness of A's, B's, ... body over the source's; 1, as for who is not stated, leaves it as it "
-        "was, whatever the bones do; follow: bones are as thick as they are long",
-    )
     floor_m: float | None = Field(
         None, description="Height of toe joints that stand, metres; found from everybody's feet where not given"
-    )
-    is_joint_limited: bool = Field(
-        False, description="Check joint angles against the published ranges, widened by what the source does"
     )
     touch_m: Annotated[tuple[float, float], AfterValidator(_check_fade)] = Field(
         TOUCH_M, description="Distance of surfaces in contact: full weight up to, none from; metres"

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,23 +22,17 @@ from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
-    "Girths",
     "Source",
     "complete_scales",
-    "girths_of",
     "points_of",
     "reference_motion",
     "scaled_lengths",
     "variant_rotations",
-    "widened_m",
 ]
 
 Array = npt.NDArray[np.float64]
 
-Girths = tuple[float, ...] | Literal["follow"]
-
 _LONGEST_JOINT_DISTANCE_M = 1e4
-_THINNEST_M = 1e-6
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _WAIST = BODY22.index("spine1")
 _TOES = BODY22.indices(["left_toe", "right_toe"])
@@ -190,11 +183,6 @@ def points_of(people: Array) -> Array:
     return people.reshape(*people.shape[:-3], people.shape[-3] * people.shape[-2], people.shape[-1])
 
 
-def girths_of(girth: tuple[float, ...], num_people: int) -> Array:
-    """Return everybody's thickness over the source's (P,): 1 for who has none stated."""
-    return np.array([*girth, *np.ones(num_people)])[:num_people]
-
-
 def complete_scales(source: Source, bone_scale: Array) -> Array:
     """Return scales (variant, P, 22) whose root entries are the leg ratios of the source's own legs.
 
@@ -235,31 +223,6 @@ def scaled_lengths(source: Source, bone_scale: Array) -> Array:
     lengths = source.lengths_m * bone_scale
     lengths[..., source.skeleton.root] = 0.0
     return np.asarray(lengths.reshape(len(bone_scale), source.num_points))
-
-
-def widened_m(
-    lengths_m: Array, bones: npt.NDArray[np.int64], source: Source, girth: Girths, bone_scale: Array
-) -> Array:
-    """Return distances of points of bones in bodies of another girth (variant, *batch), metres.
-
-    Args:
-        lengths_m: Distances in the source (*batch,).
-        bones: Child joints of the two bones (*batch, 2), numbered through; -1, -2, ... for objects, which never change.
-        source: The template.
-        girth: Thickness of A, B, ... over the source's: distances of surfaces stay.  Or "follow": bones are as thick as
-            they are long, and distances follow their radii, so that people of half the size are half as far apart.
-        bone_scale: Scales (variant, P, 22).
-    """
-    things = np.ones(0) if source.objects is None else source.objects.radii_m[::-1]
-    radii = np.concatenate([source.radii_m.ravel(), things])[bones]
-    same = np.ones(len(things))
-    if girth == "follow":
-        scales = (np.concatenate([scale.ravel(), same])[bones] for scale in bone_scale)
-        wide = np.stack([(radii * scale).sum(axis=-1) for scale in scales])
-        return np.asarray(lengths_m * wide / np.maximum(radii.sum(axis=-1), _THINNEST_M))
-    wider = np.concatenate([np.repeat(girths_of(girth, source.num_people), BODY22.num_joints), same])
-    added = (radii * (wider[bones] - 1.0)).sum(axis=-1)
-    return np.broadcast_to(np.maximum(lengths_m + added, 0.0), (len(bone_scale), *lengths_m.shape))
 
 
 def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, source_world_unitquat: Array) -> Array:

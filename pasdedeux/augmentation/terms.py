@@ -37,7 +37,6 @@ from pasdedeux.augmentation.source import (
     points_of,
     reference_motion,
     scaled_lengths,
-    widened_m,
 )
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.augmentation.variations import persons_of
@@ -69,7 +68,7 @@ def build_problem(
 
     Args:
         source: The template.
-        settings: Weights, girths, contacts and who is held fixed.
+        settings: Weights, contacts and who is held fixed.
         user_contacts: Contacts that replace what is found.
     """
     settings = settings or AugmentationSettings()
@@ -114,7 +113,7 @@ def build_problem(
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
-        clearance=find_clearance(source, weights.clearance, weights.clearance_self, settings.girth),
+        clearance=find_clearance(source, weights.clearance, weights.clearance_self),
         coupling=weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
     )
 
@@ -160,30 +159,22 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
     points = points_of(reference)
     difference = points_of(source.positions_m)[None] - points
     pairs = points[:, :, girdle_pairs(source.num_people)]
-    girth, contacts = problem.settings.girth, problem.contacts
-    across = difference
-    if girth == "follow":
-        size = bone_scale[:, :, 1:].mean(axis=(1, 2))[:, None, None, None]
-        across = size * points_of(source.positions_m)[None] - points
-    vectors = contacts.vectors(points_of(source.positions_m))
-    lengths = np.linalg.norm(vectors, axis=-1)
-    wanted = widened_m(lengths, contacts.bones(), source, girth, bone_scale) / np.maximum(lengths, 1e-6)
+    vectors = problem.contacts.vectors(points_of(source.positions_m))
     return Targets(
         bone_scale=bone_scale,
         reference=points,
         difference=difference,
-        across=across,
         height=_floor_heights(source, bone_scale, reference),
         lengths_m=scaled_lengths(source, bone_scale),
         girdle_m=np.linalg.norm(pairs[..., 0, :] - pairs[..., 1, :], axis=-1),
-        clearance_m=clearance_limits(problem.clearance, points, source, girth, bone_scale),
-        contact_m=wanted[..., None] * vectors,
+        clearance_m=clearance_limits(problem.clearance, points),
+        contact_m=np.repeat(vectors[None], len(bone_scale), axis=0),
     )
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
     """Return b (variant, T, n, axis=3) of the normal equations K x = b of the quadratic terms."""
-    rhs = np.matmul(problem.coupling, targets.across)
+    rhs = np.matmul(problem.coupling, targets.difference)
     rhs += (problem.anchor - problem.weights.reference)[:, None] * targets.difference
     if problem.num_frames > 1:
         change = problem.stance[..., None] * np.diff(targets.difference, axis=1)

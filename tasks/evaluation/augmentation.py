@@ -74,7 +74,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             is_known = solved.contacts == known_contacts(store.manifest(take))
             whose = "known of the take" if is_known else "stated by the study"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
-    kept = contact_scores(contacts, source, solved.girth, _motions(store, parts, tables), item=take_id)
+    kept = contact_scores(contacts, source, _motions(store, parts, tables), item=take_id)
     scales = np.concatenate([table["bone_scale"] for table in tables]).astype(np.float64)
     scales = scales.reshape(-1, source.num_people, BODY22.num_joints)
     gaps = gap_scores(source, scales, solved, solved.contacts, item=take_id)

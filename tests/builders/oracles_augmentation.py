@@ -16,7 +16,7 @@ def plain_residuals(problem: Problem, targets: Targets, offsets: np.ndarray) -> 
     missed = vectors - targets.contact_m[0]
     stretched = np.linalg.norm(vectors, axis=-1) - np.linalg.norm(targets.contact_m[0], axis=-1)
     parts = [
-        np.sqrt(w.laplacian) * (mesh.laplacian @ offsets - mesh.cross_laplacian @ targets.across[0]),
+        np.sqrt(w.laplacian) * (mesh.laplacian @ offsets - mesh.cross_laplacian @ targets.difference[0]),
         np.sqrt(problem.smoothness) * np.diff(offsets, n=2, axis=0),
         np.sqrt(w.reference) * offsets,
         np.sqrt(w.bending) * (bending_rows(problem.source) @ offsets),

@@ -99,7 +99,7 @@ def test_a_take_without_anybody_who_is_scaled_says_so(store: Store) -> None:
 
 def test_everybody_of_any_number_gets_a_row_a_frame(store: Store) -> None:
     takes = [put_take(store, "alone", num_persons=1), put_take(store, "trio", num_persons=3)]
-    alone, trio = augment(store, takes, scales=(0.8,), persons=("A", "BC", "all"), girth=(1.1,))
+    alone, trio = augment(store, takes, scales=(0.8,), persons=("A", "BC", "all"))
     assert alone.facts["variants"] == ["A-uniform-0.80"]
     assert trio.facts["variants"] == ["A-uniform-0.80", "BC-uniform-0.80", "ABC-uniform-0.80"]
     for manifest, people in ((alone, 1), (trio, 3)):
@@ -138,7 +138,7 @@ def test_pairs_get_variants_with_figures(store: Store) -> None:
 
 
 def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) -> None:
-    (made,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), is_joint_limited=True)
+    (made,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2))
     frames, quality = store.read(made.ref, "variant_frames"), store.read(made.ref, "variant_quality")
     assert frames.num_rows == 2 * FRAMES
     assert list(frames["frame"]) == [*range(FRAMES)] * 2
@@ -147,7 +147,6 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) ->
         mine = np.array(frames["variant_id"] == quality["variant_id"][row])
         assert (np.array(frames["verdict"])[mine] == "warn").sum() == quality["num_warn_frames"][row]
         assert frames["bone_error_m"][mine].max() == quality["bone_error_m"][row]
-    assert np.isfinite(quality["invalid_angles"]).all()
     strict = {"jerk_ratio": (0.0, 0.0)}
     (other,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), frame_limits=strict)
     assert set(store.read(other.ref, "variant_frames")["verdict"]) == {"fail"}
@@ -197,14 +196,6 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
     assert counts[3] == counts[0]
 
 
-def test_bodies_may_be_drawn_from_a_population_and_be_thicker(store: Store) -> None:
-    take = put_take(store, "pair")
-    (made,) = augment(store, [take], kinds=("population",), persons=("AB",), population={"count": 3}, girth=(1.2, 1.0))
-    quality = store.read(made.ref, "variant_quality")
-    assert list(quality["variant_id"]) == [f"AB-population-{index:04d}" for index in range(3)]
-    assert np.isnan(np.stack(list(quality["uniform_scale"]))).all()
-
-
 def test_polished_variants_end_with_descent_and_failures_name_their_frames(store: Store) -> None:
     take = put_take(store, "pair")
     strict = {"limits": {"jerk_ratio": (0.0, 0.0)}, "frame_limits": {"jerk_ratio": (0.0, 0.0)}}
@@ -252,8 +243,8 @@ def test_asking_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None
     take = put_take(store, "pair")
     other = Store(tmp_path / "other")
     put_take(other, "pair")
-    one = augment(store, [take], kinds=("uniform", "drawn"), drawn={"count": 3}, persons=("AB",))
-    two = augment(other, [take], kinds=("uniform", "drawn"), drawn={"count": 3}, persons=("AB",))
+    one = augment(store, [take], kinds=("uniform", "groups"), scales=(0.9,), persons=("AB",))
+    two = augment(other, [take], kinds=("uniform", "groups"), scales=(0.9,), persons=("AB",))
     assert [m.ref for m in one] == [m.ref for m in two]
 
 
@@ -449,8 +440,6 @@ def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
         {"persons": ("cat",)},
         {"weights": {"reference": 0.0}},
         {"limits": {"nonsense": (1, 2)}},
-        {"girth": (0.0, 1.0)},
-        {"population": {"correlation": 2.0}},
         {"contacts": {"pair": [{"joint_a": "nose", "joint_b": "head", "stop_frame": 3}]}},
         {"contacts": {"pair": [{"joint_a": "head", "joint_b": "head", "start_frame": 3, "stop_frame": 3}]}},
     ],

@@ -6,7 +6,6 @@ import pytest
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.quality import FrameLimits, Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
-from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from tests.builders.moving_pairs import swaying_pair
@@ -14,8 +13,8 @@ from tests.builders.moving_pairs import swaying_pair
 FRAMES = 20
 
 
-def _measure(source: Source, pair: np.ndarray, *, limits: JointLimits | None = None) -> Measured:
-    return QualityMeter(source, joint_limits=limits).measure(
+def _measure(source: Source, pair: np.ndarray) -> Measured:
+    return QualityMeter(source).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
         bone_scale=np.ones((2, 22)),
@@ -77,20 +76,6 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
     verdicts = frames.judge(FrameLimits())
     assert verdicts[10] == 2
     assert not verdicts[[*range(7), *range(14, FRAMES)]].any()
-
-
-def test_joint_angles_are_counted_where_asked_for_and_only_beyond_what_the_source_does() -> None:
-    source = Source(swaying_pair(FRAMES), 30.0)
-    limits = JointLimits.published()
-    assert _measure(source, source.positions_m).quality.invalid_angles is None
-    assert _measure(source, source.positions_m, limits=limits).quality.invalid_angles == 0.0
-    pair = np.array(source.positions_m)
-    knee, ankle = BODY22.index("left_knee"), BODY22.index("left_ankle")
-    # A shank that points forward from the knee: bent the wrong way.
-    pair[:, 0, ankle] = pair[:, 0, knee] + [0.0, -0.05, 0.4]
-    found = _measure(source, pair, limits=limits).quality.invalid_angles
-    assert found is not None
-    assert found >= 1.0
 
 
 def test_a_take_of_one_frame_has_figures() -> None:

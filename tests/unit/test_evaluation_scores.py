@@ -291,10 +291,10 @@ def test_lengths_are_shown_in_centimetres_and_what_is_not_a_number_as_a_dash() -
 def test_contacts_are_scored_by_class_beside_plain_fk_and_the_source_itself_keeps_them() -> None:
     source = Source(swaying_pair(8), 30.0)
     scale = np.ones((2, 22))
-    still = contact_scores(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)], item="x")
+    still = contact_scores(source.contacts(), source, [(scale, source.positions_m)], item="x")
     assert max(score.value for score in still) < 1e-9
     scale[0] = 0.8
-    scores = contact_scores(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)], item="x")
+    scores = contact_scores(source.contacts(), source, [(scale, source.positions_m)], item="x")
     assert {score.metric for score in scores} == {f"hand_contact_drift_{name}" for name in ("median", "p95", "worst")}
     drift = _by_method(scores, "hand_contact_drift_p95")
     assert drift["naive_fk"] > 0.05

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, Literal, TypeVar
@@ -134,7 +135,9 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         own = dict(self.variants[name])
         unknown = sorted(set(own) - set(type(self).model_fields) - {"density"} | set(own) & {"variants", "densities"})
         if unknown:
-            raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting")
+            near = difflib.get_close_matches(unknown[0], type(self).model_fields, n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting{hint}")
         density = own.pop("density", self.densities[0])
         if density not in DENSITIES:
             raise ValueError(

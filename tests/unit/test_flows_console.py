@@ -16,7 +16,6 @@ import pytest
 from flows.console.app import run_command_line
 from flows.machine import usable_cores
 from flows.planning import Selection
-from flows.renamed import RENAMED_COMMANDS
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -265,14 +264,6 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     err = capsys.readouterr().err
     assert words in err
     assert "Traceback" not in err
-
-
-def test_an_old_command_is_answered_with_the_new_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(RENAMED_COMMANDS, "look", "is `show` now")
-    assert call("look", "poses:toy") == 2
-    assert "look: is `show` now" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run", "deploy"])

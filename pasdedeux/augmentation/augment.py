@@ -14,7 +14,7 @@ from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
-from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
+from pasdedeux.augmentation.windows import LONGEST_S, OVERLAP_S, blend_weights, plan_windows
 from pasdedeux.interaction.known_contacts import UserContact, check_contacts
 from pasdedeux.verdict import Level, Verdict
 
@@ -97,7 +97,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
-        self._meter = QualityMeter(source, touch_m=self.settings.touch_m, user_contacts=user_contacts)
+        self._meter = QualityMeter(source, user_contacts=user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
@@ -169,7 +169,7 @@ class Augmenter:
         return self._judge(measured.quality, measured.frames.judge(self.settings.frame_limits), "")
 
     def _longest_s(self, rate_hz: float) -> float:
-        return min(self.settings.window_s, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
+        return min(LONGEST_S, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
 
     def _solver(self, number: int) -> WindowSolver:
         if number not in self._ready:

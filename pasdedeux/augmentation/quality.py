@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field
 
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.augmentation.support import stance_weights
-from pasdedeux.interaction.contacts import TOUCH_M
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import capsule_model
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["FrameLimits", "FrameQuality", "Measured", "Quality", "QualityLimits", "QualityMeter"]
+__all__ = ["FRAME_LIMITS", "LIMITS", "FrameQuality", "Limits", "Measured", "Quality", "QualityMeter"]
 
 Array = npt.NDArray[np.float64]
 
@@ -35,51 +31,39 @@ _STILL_M = 1e-9
 _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
 
 
-def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
-    if not 0 <= limit[0] <= limit[1]:
-        raise ValueError(f"warn {limit[0]:g}, fail {limit[1]:g}: allowed is 0 <= warn <= fail")
-    return limit
+Limits = Mapping[str, tuple[float, float]]
+"""By figure: above the first it is a warning, above the second a failure."""
 
+LIMITS: Limits = {
+    "bone_error_m": (1e-6, 1e-4),
+    "contact_drift_extremity_m": (0.005, 0.02),
+    "contact_drift_mixed_m": (0.005, 0.02),
+    "contact_drift_body_m": (0.01, 0.04),
+    "contact_drift_p95_m": (0.015, 0.05),  # no contact may be lost for a while
+    "stance_excursion_m": (0.01, 0.03),  # a third of a foot's width
+    "floor_penetration_m": (0.02, 0.06),
+    "penetration_m": (0.01, 0.1),
+    "self_penetration_m": (0.05, 0.2),
+    "spine_bend_rad": (0.6, 1.2),
+    "jerk_ratio": (1.2, 2.0),
+}
+"""Limits of the figures of a variant; one that fails is nothing to train on.
 
-Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
-"""A figure above the first is a warning, above the second a failure."""
+Warnings begin at what converged variants of well captured takes keep to; failures where an eye sees that something is
+wrong: a hand in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
+"""
 
-
-class QualityLimits(Settings):
-    """Limits of the figures of a variant; one that fails is nothing to train on.
-
-    Warnings begin at what converged variants of well captured takes keep to; failures where an eye sees that something
-    is wrong: a hand in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
-    """
-
-    bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
-    contact_drift_extremity_m: Limit = Field((0.005, 0.02), description="Drift of hands and feet, metres")
-    contact_drift_mixed_m: Limit = Field((0.005, 0.02), description="Drift of a hand or foot on a body, metres")
-    contact_drift_body_m: Limit = Field((0.01, 0.04), description="Drift of body on body, metres")
-    contact_drift_p95_m: Limit = Field(
-        (0.015, 0.05), description="95th percentile of all contacts' drift, metres: no contact may be lost for a while"
-    )
-    stance_excursion_m: Limit = Field(
-        (0.01, 0.03), description="Wandering of a joint in a stance, worst stance, metres: a third of a foot's width"
-    )
-    floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
-    penetration_m: Limit = Field((0.01, 0.1), description="Depth in the partner, summed over bones, metres")
-    self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, summed over bones, metres")
-    spine_bend_rad: Limit = Field((0.6, 1.2), description="Change of the spine's bends, radians")
-    jerk_ratio: Limit = Field((1.2, 2.0), description="Jerk over the source's")
-
-
-class FrameLimits(Settings):
-    """Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
-
-    bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
-    contact_drift_m: Limit = Field((0.02, 0.06), description="Mean over the frame's contacts, metres")
-    stance_excursion_m: Limit = Field((0.01, 0.03), description="Distance from the median place in the stance, metres")
-    floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
-    penetration_m: Limit = Field((0.02, 0.12), description="Depth in the partner, metres")
-    self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, metres")
-    spine_bend_rad: Limit = Field((0.8, 1.4), description="Change of the spine's bends, radians")
-    jerk_ratio: Limit = Field((2.0, 5.0), description="Jerk over the greater of the source's, there or over the take")
+FRAME_LIMITS: Limits = {
+    "bone_error_m": (1e-6, 1e-4),
+    "contact_drift_m": (0.02, 0.06),
+    "stance_excursion_m": (0.01, 0.03),
+    "floor_penetration_m": (0.02, 0.06),
+    "penetration_m": (0.02, 0.12),
+    "self_penetration_m": (0.05, 0.2),
+    "spine_bend_rad": (0.8, 1.4),
+    "jerk_ratio": (2.0, 5.0),
+}
+"""Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +90,7 @@ class Quality:
     spine_bend_rad: float
     jerk_ratio: float
 
-    def judge(self, limits: QualityLimits, *, is_alone: bool = False) -> Verdict:
+    def judge(self, limits: Limits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
 
         Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
@@ -114,7 +98,7 @@ class Quality:
         level, reasons = Level.PASS, []
         if not self.num_contact_pairs and not is_alone:
             level, reasons = Level.WARN, ["nothing is in contact in the source, so contact drift is not known"]
-        for name, (warn, fail) in limits:
+        for name, (warn, fail) in limits.items():
             value = getattr(self, name)
             if value is None or value <= warn:
                 continue
@@ -154,10 +138,10 @@ class FrameQuality:
     spine_bend_rad: Array
     jerk_ratio: Array
 
-    def judge(self, limits: FrameLimits) -> npt.NDArray[np.int64]:
+    def judge(self, limits: Limits) -> npt.NDArray[np.int64]:
         """Return the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
         verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
-        for name, (warn, fail) in limits:
+        for name, (warn, fail) in limits.items():
             values = getattr(self, name)
             verdicts = np.maximum(verdicts, (values > warn).astype(np.int64) + (values > fail))
         return verdicts
@@ -178,13 +162,12 @@ class QualityMeter:
         self,
         source: Source,
         *,
-        touch_m: tuple[float, float] = TOUCH_M,
         user_contacts: Sequence[UserContact] = (),
     ) -> None:
         points = points_of(source.positions_m)
         self._num_frames = len(points)
         self._source = source
-        self._contacts = source.contacts(touch_m, user_contacts)
+        self._contacts = source.contacts(user_contacts)
         self._held = np.nonzero(self._contacts.is_held)
         self._frames = self._held[0]
         self._class = self._contacts.num_hands[self._held]

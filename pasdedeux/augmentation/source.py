@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import TOUCH_M, Contacts, find_contacts
+from pasdedeux.interaction.contacts import Contacts, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
@@ -151,12 +151,11 @@ class Source:
         radii[:, BODY22.root] = radii[:, _WAIST]
         return radii
 
-    def contacts(self, touch_m: tuple[float, float] = TOUCH_M, stated: Sequence[UserContact] = ()) -> Contacts:
+    def contacts(self, stated: Sequence[UserContact] = ()) -> Contacts:
         """Find where people touch; see `find_contacts`."""
         return find_contacts(
             *(self.positions_m, self.radii_m, BODY22),
             rate_hz=self.rate_hz,
-            touch_m=touch_m,
             stated=stated,
             own=_own_touch() if self.num_people == 1 else None,
             objects=self.objects,

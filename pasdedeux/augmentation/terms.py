@@ -26,6 +26,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.mesh import build_mesh
@@ -68,33 +69,31 @@ def build_problem(
 
     Args:
         source: The template.
-        settings: Weights, contacts and who is held fixed.
+        settings: Who is held fixed.
         user_contacts: Contacts that replace what is found.
     """
-    settings = settings or AugmentationSettings()
-    weights = settings.weights
     mesh = build_mesh(source, smoothing_s=_MESH_SMOOTHING_S)
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 
-    contacts = source.contacts(settings.touch_m, user_contacts)
+    contacts = source.contacts(user_contacts)
     contact_weights = weights.of_contacts(contacts)
     standing = stance_weights(source, user_contacts).reshape(frames, -1)
     stands = np.sqrt(standing[1:] * standing[:-1])
     stiff = np.clip(lasting_s(stands, source.rate_hz), *_STANCE_S) / _STANCE_S[0]
-    stance = weights.stance * rate**2 * stiff**2 * stands
-    floor = weights.floor * floor_weights(source, user_contacts).reshape(frames, -1)
+    stance = weights.STANCE * rate**2 * stiff**2 * stands
+    floor = weights.FLOOR * floor_weights(source, user_contacts).reshape(frames, -1)
     count = source.num_points
-    anchor = np.full(count, weights.reference)
-    if settings.fixed_person is not None:
-        anchor.reshape(source.num_people, -1)[persons_of(settings.fixed_person, source.num_people)] += weights.fixed
-    smoothness = weights.smoothness * rate**4
+    anchor = np.full(count, weights.REFERENCE)
+    if settings is not None and settings.fixed_person is not None:
+        anchor.reshape(source.num_people, -1)[persons_of(settings.fixed_person, source.num_people)] += weights.FIXED
+    smoothness = weights.SMOOTHNESS * rate**4
 
     laplacian = mesh.laplacian
-    shared = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ laplacian
+    shared = weights.LAPLACIAN * np.swapaxes(laplacian, -1, -2) @ laplacian
     add_stencils(contacts.points, contacts.shares, contact_weights, shared)
     bends = bending_rows(source)
-    shared += weights.bending * bends.T @ bends
+    shared += weights.BENDING * bends.T @ bends
     shared[:, range(count), range(count)] += anchor
     matrix = np.stack([shared, shared])
     diagonal, lag1, lag2 = temporal_couplings(stance, smoothness, frames)
@@ -102,7 +101,6 @@ def build_problem(
     matrix[..., range(count), range(count)] += diagonal
     return Problem(
         source=source,
-        settings=settings,
         mesh=mesh,
         matrix=matrix,
         lag1=lag1,
@@ -113,8 +111,8 @@ def build_problem(
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
-        clearance=find_clearance(source, weights.clearance, weights.clearance_self),
-        coupling=weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
+        clearance=find_clearance(source, weights.CLEARANCE, weights.CLEARANCE_SELF),
+        coupling=weights.LAPLACIAN * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
     )
 
 
@@ -175,7 +173,7 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
     """Return b (variant, T, n, axis=3) of the normal equations K x = b of the quadratic terms."""
     rhs = np.matmul(problem.coupling, targets.difference)
-    rhs += (problem.anchor - problem.weights.reference)[:, None] * targets.difference
+    rhs += (problem.anchor - weights.REFERENCE)[:, None] * targets.difference
     if problem.num_frames > 1:
         change = problem.stance[..., None] * np.diff(targets.difference, axis=1)
         change[..., 1] = 0.0

@@ -67,8 +67,7 @@ class ModelMeter:
 
     @cached_property
     def _quality(self) -> QualityMeter:
-        solving = self._request.solving
-        return QualityMeter(self._request.source, touch_m=solving.touch_m, user_contacts=self._request.contacts)
+        return QualityMeter(self._request.source, user_contacts=self._request.contacts)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -77,7 +76,7 @@ class ModelMeter:
         known = [one for one in request.contacts if one.weight > 0.0 and not one.is_of_floor]
         if known:
             return stated_contacts(known, source.num_frames, BODY22, source.objects)
-        return source.contacts(request.solving.touch_m)
+        return source.contacts()
 
     @cached_property
     def keys(self) -> Contacts | None:

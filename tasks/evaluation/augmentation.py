@@ -65,7 +65,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     source = read_take(store, take).source
     solved = batch_of(store.manifest(parts[0]))
     held = tuple(contact for contact in solved.contacts if contact.weight > 0 and not contact.is_of_floor)
-    contacts = source.contacts(solved.touch_m, solved.contacts)
+    contacts = source.contacts(solved.contacts)
     if held:
         contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
     if contacts.weights.size:

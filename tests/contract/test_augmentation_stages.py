@@ -154,7 +154,7 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) ->
 
 def test_batches_of_earlier_versions_are_read_and_what_is_no_longer_allowed_is_one_sentence(store: Store) -> None:
     (made,) = augment(store, [put_take(store, "pair")], scales=(0.8,))
-    told = {**made.parameters, "mesh_smoothing_s": 0.25, "weights": {**made.parameters["weights"], "gone": 1.0}}
+    told = {**made.parameters, "mesh_smoothing_s": 0.25, "weights": {"stance": 1.0}}
     assert augmentation.batch_of(replace(made, parameters=told)) == augmentation.batch_of(made)
     with pytest.raises(InputError, match=r"variants of take 'pair' were made by an earlier version.*solver.*'bulk'"):
         augmentation.batch_of(replace(made, parameters={**told, "solver": "descent"}))
@@ -438,7 +438,6 @@ def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
         {"grid": {"start": 1.2, "stop": 0.8, "step": 0.1}},
         {"groups": ("wings",)},
         {"persons": ("cat",)},
-        {"weights": {"reference": 0.0}},
         {"limits": {"nonsense": (1, 2)}},
         {"contacts": {"pair": [{"joint_a": "nose", "joint_b": "head", "stop_frame": 3}]}},
         {"contacts": {"pair": [{"joint_a": "head", "joint_b": "head", "start_frame": 3, "stop_frame": 3}]}},

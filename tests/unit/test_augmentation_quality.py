@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.quality import FrameLimits, Measured, QualityMeter
+from pasdedeux.augmentation.quality import FRAME_LIMITS, Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
@@ -50,7 +50,7 @@ def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
 def test_the_source_itself_passes_in_every_frame() -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
     measured = _measure(source, source.positions_m)
-    assert not measured.frames.judge(FrameLimits()).any()
+    assert not measured.frames.judge(FRAME_LIMITS).any()
     assert measured.frames.jerk_ratio.max() <= 1.0
 
 
@@ -72,8 +72,8 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
     pair[10, 0, BODY22.index(joint)] += moved_m
     frames = _measure(source, pair).frames
     values = getattr(frames, figure)
-    assert values[10] > getattr(FrameLimits(), figure)[1]
-    verdicts = frames.judge(FrameLimits())
+    assert values[10] > FRAME_LIMITS[figure][1]
+    verdicts = frames.judge(FRAME_LIMITS)
     assert verdicts[10] == 2
     assert not verdicts[[*range(7), *range(14, FRAMES)]].any()
 

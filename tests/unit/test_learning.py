@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from pasdedeux.augmentation import (
-    AugmentationSettings,
     Augmenter,
     Source,
     UserContact,
@@ -170,15 +169,14 @@ def test_the_mesh_goes_on_from_where_a_model_puts_the_pair_and_its_energy_falls(
     assert energies[0] == pytest.approx(total_energy(terms, points_of(fk)))
 
 
-def test_a_long_take_is_refined_in_windows() -> None:
+def test_a_long_take_is_refined_in_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     request = _request(TAKE, 0.8)
     long = Source(swaying_pair(70), 10.0, "sway")
-    model = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6)
-    short, whole = (
-        model.predict(replace(request, source=long, solving=AugmentationSettings(window_s=window)))
-        for window in (6.5, 30.0)
-    )
-    moved = np.linalg.norm(whole - load_model("naive_fk", {}).predict(replace(request, source=long)), axis=-1).mean()
+    asked = replace(request, source=long)
+    whole = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6).predict(asked)
+    monkeypatch.setattr("pasdedeux.learning.mesh_refine.LONGEST_S", 6.5)
+    short = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6).predict(asked)
+    moved = np.linalg.norm(whole - load_model("naive_fk", {}).predict(asked), axis=-1).mean()
     assert np.linalg.norm(short - whole, axis=-1).mean() < 0.1 * moved
 
 

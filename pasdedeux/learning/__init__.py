@@ -25,7 +25,7 @@ from pasdedeux.learning.registry import (
     needs_torch,
 )
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
-from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
 from pasdedeux.learning.topology import mapped_item, mapped_source
 from pasdedeux.learning.torch_settings import has_torch
@@ -45,7 +45,6 @@ __all__ = [
     "NoSettings",
     "RidgeAdaptedModel",
     "RidgeScaleModel",
-    "RidgeSettings",
     "Split",
     "SplitName",
     "Trained",

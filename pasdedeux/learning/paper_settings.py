@@ -8,8 +8,16 @@ from pydantic import Field, field_validator
 
 from pasdedeux.learning.torch_settings import TorchSettings
 from pasdedeux.learning.windows import RATE_HZ
+from pasdedeux.settings import Settings
 
-__all__ = ["Action2MotionLikeSettings", "ActorLikeSettings", "PaperCvaeSettings", "WindowVaeSettings"]
+__all__ = [
+    "Action2MotionLikeConfig",
+    "ActorLikeConfig",
+    "PaperCvaeConfig",
+    "PaperCvaeSettings",
+    "WindowSizes",
+    "WindowVaeSettings",
+]
 
 _LONGEST_S = 60.0
 
@@ -19,6 +27,11 @@ class WindowVaeSettings(TorchSettings):
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
+
+
+class WindowSizes(Settings):
+    """Windows of a step; no study sets them."""
+
     window_s: float = Field(2.0, gt=0, le=_LONGEST_S, description="Length of a window, seconds")
     windows_per_step: int = Field(16, ge=1, le=1000, description="Windows of a step, drawn from all takes")
 
@@ -56,6 +69,11 @@ class PaperCvaeSettings(WindowVaeSettings):
         description="As published, or with ST-GCNs that know the time for G-GRUs, without the template's first and "
         "last frame, motion itself in place of its change, or A given B's scales in place of B's motion",
     )
+
+
+class PaperCvaeConfig(WindowSizes, PaperCvaeSettings):
+    """The settings with the sizes of the networks, which no study sets."""
+
     width: int = Field(32, ge=1, le=1024, description="Features of ST-GCN1, 2 and 3")
     num_blocks: int = Field(3, ge=1, le=12, description="Blocks of each of them")
     kernel: int = Field(5, ge=1, le=99, description="Frames that a block's convolution over time spans; odd")
@@ -70,7 +88,7 @@ class PaperCvaeSettings(WindowVaeSettings):
         return kernel
 
 
-class ActorLikeSettings(WindowVaeSettings):
+class ActorLikeConfig(WindowSizes, WindowVaeSettings):
     """ACTOR (Petrovich et al. 2021) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
 
     From ACTOR: a transformer whose first two outputs, for tokens of the class, are mean and variance of z; a decoder
@@ -86,7 +104,7 @@ class ActorLikeSettings(WindowVaeSettings):
     divergence_weight: float = Field(1e-5, ge=0, le=1, description="Weight of the divergence from the prior")
 
 
-class Action2MotionLikeSettings(WindowVaeSettings):
+class Action2MotionLikeConfig(WindowSizes, WindowVaeSettings):
     """Action2motion (Guo et al. 2020) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
 
     From Action2motion: z of every frame, whose prior is a recurrent network's of the frames so far, gated recurrent

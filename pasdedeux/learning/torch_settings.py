@@ -13,14 +13,11 @@ __all__ = ["TorchSettings", "has_torch", "require_torch"]
 
 
 class TorchSettings(Settings):
-    """How long a model is trained, how fast, and on what."""
+    """How long a model is trained, and how fast."""
 
     num_steps: int = Field(600, ge=1, description="Steps of training")
     segment_steps: int = Field(200, ge=1, description="Steps of a segment, the unit that is stored and resumed")
     learning_rate: float = Field(0.05, gt=0, le=1, description="Learning rate of Adam at the start")
-    device: str = Field(
-        "cpu", description="Where torch computes: cpu, or cuda, which was never tried; results differ between the two"
-    )
 
     @property
     def num_segments(self) -> int:

@@ -315,20 +315,20 @@ def test_a_model_is_judged_on_validation_beside_the_better_baseline(store: Store
 def test_adding_a_model_or_a_split_leaves_the_others_keys_alone(store: Store) -> None:
     takes = [put_take(store, "one"), put_take(store, "second")]
     variants = augment(store, takes)
-    some = plan_training(takes, variants, models=("copy", "ridge_scale"))
+    some = plan_training(takes, variants, models=("copy", "naive_fk"))
     more = plan_training(
         takes,
         variants,
-        models=("copy", "naive_fk", "soft", "ridge_scale"),
-        forms={"soft": {"model": "ridge_scale", "ridge": 0.5}},
+        models=("copy", "naive_fk", "near", "far"),
+        forms={name: {"model": "mesh_refine", "num_iterations": n} for name, n in (("near", 1), ("far", 9))},
         splits=("cross_scale", "cross_interaction"),
     )
     assert {shard.key for shard in some} < {shard.key for shard in more}
     assert len(more) == 8
     made = train(store, more)
-    soft, hard = (store.read(made[f"cross_scale {name}"].ref, "models") for name in ("soft", "ridge_scale"))
-    assert list(soft["array_name"]) == list(hard["array_name"])
-    assert [list(row) for row in soft["values"]] != [list(row) for row in hard["values"]]
+    near, far = (store.read(made[f"cross_scale {name}"].ref, "models") for name in ("near", "far"))
+    assert list(near["array_name"]) == list(far["array_name"])
+    assert [list(row) for row in near["values"]] != [list(row) for row in far["values"]]
 
 
 def test_variants_that_failed_are_tested_on_and_not_learned_from(store: Store) -> None:
@@ -353,7 +353,7 @@ def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed_and_left
 ) -> None:
     chosen: dict[str, Any] = {
         "models": ("paper_cvae", "ridge_adapted"),
-        "paper_cvae": {"num_steps": 3, "segment_steps": 2, "windows_per_step": 2, "width": 4, "hidden": 4},
+        "paper_cvae": {"num_steps": 3, "segment_steps": 2},
     }
     killed = Store(tmp_path / "other")
     done: list[list[Manifest]] = []
@@ -448,8 +448,8 @@ def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any])
         AugmentationParameters(**parameters)
     with pytest.raises(ValidationError, match="known models"):
         TrainingParameters(models=("oracle",))
-    with pytest.raises(ValidationError, match=r"training\.forms\.soft\.ridge"):
-        TrainingParameters(forms={"soft": {"model": "ridge_scale", "ridge": -1}})
+    with pytest.raises(ValidationError, match=r"training\.forms\.near\.num_iterations"):
+        TrainingParameters(forms={"near": {"model": "mesh_refine", "num_iterations": -1}})
     with pytest.raises(ValidationError, match=r"training\.forms\.soft\.model: 'oracle' is not known"):
         TrainingParameters(forms={"soft": {"model": "oracle"}})
     with pytest.raises(ValidationError, match="no name for a form"):

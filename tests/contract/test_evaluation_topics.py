@@ -87,7 +87,7 @@ def _learn_to_draw(store: Store) -> None:
     told = {
         "splits": ["cross_interaction"],
         "models": ["copy", "naive_fk", "ridge_scale", "actor_like"],
-        "actor_like": {"num_steps": 1, "width": 4, "num_blocks": 1},
+        "actor_like": {"num_steps": 1},
     }
     for shard in training.STAGE.plan(inputs_of(store, training.STAGE), training.STAGE.parameters.model_validate(told)):
         training.STAGE.run_shard(shard, store)

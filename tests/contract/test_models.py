@@ -57,7 +57,7 @@ def trained(variants: list[TrainingItem]) -> Trainer:
 
 def train(kind: type[VariantModel], variants: list[TrainingItem]) -> VariantModel:
     """Train all segments, each from what the one before left as a store would keep it."""
-    settings = kind.settings.model_validate(SMALL.get(kind.name, {}))
+    settings = getattr(kind, "config_kind", kind.settings).model_validate(SMALL.get(kind.name, {}))
     start = kind.start(settings)
     built_on = None if start is None else train(MODELS[start], variants)
     state: Arrays = {}

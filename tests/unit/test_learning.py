@@ -24,7 +24,6 @@ from pasdedeux.learning import (
     MeshRefineModel,
     RidgeAdaptedModel,
     RidgeScaleModel,
-    RidgeSettings,
     Training,
     TrainingItem,
     VariantKey,
@@ -71,14 +70,15 @@ def _scales(keys: Sequence[VariantKey]) -> set[float]:
     return {round(key.furthest_scale, 2) for key in keys}
 
 
-def _train_ridge(items: list[TrainingItem], ridge: float = 3e-3) -> tuple[VariantModel, dict[str, float]]:
-    trained = RidgeScaleModel.train(Training(lambda: iter(items), settings=RidgeSettings(ridge=ridge)))
+def _train_ridge(items: list[TrainingItem]) -> tuple[VariantModel, dict[str, float]]:
+    trained = RidgeScaleModel.train(Training(lambda: iter(items)))
     return trained.model, {entry.quantity: entry.value for entry in trained.log}
 
 
-def test_ridge_recovers_a_quadratic_in_scale_from_two_scales() -> None:
+def test_ridge_recovers_a_quadratic_in_scale_from_two_scales(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pasdedeux.learning.ridge_scale.RIDGE", 1e-9)
     train, test = _quadratic_items([0.95, 1.05]), _quadratic_items([0.75, 1.25])
-    model, figures = _train_ridge(train, ridge=1e-9)
+    model, figures = _train_ridge(train)
     for item in test:
         np.testing.assert_allclose(model.predict(item.request), item.motion_m, atol=1e-4)
     assert figures["num_variants"] == 2
@@ -90,7 +90,8 @@ def test_ridge_gives_the_source_at_scale_one() -> None:
     np.testing.assert_array_equal(model.predict(VariantRequest("sway", TAKE, np.ones((2, 22)))), TAKE.positions_m)
 
 
-def test_ridge_tells_limb_groups_apart() -> None:
+def test_ridge_tells_limb_groups_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pasdedeux.learning.ridge_scale.RIDGE", 1e-9)
     items = []
     for variation in group_variations([0.8, 0.9, 1.1], ["A"], ["arms", "legs"]):
         request = VariantRequest("sway", TAKE, variation.bone_scale)
@@ -98,7 +99,7 @@ def test_ridge_tells_limb_groups_apart() -> None:
         motion = TAKE.positions_m.copy()
         motion[..., 0] += change
         items.append(TrainingItem(variation.variant_id, request, motion))
-    model, _ = _train_ridge(items, ridge=1e-9)
+    model, _ = _train_ridge(items)
     (arms,) = group_variations([1.2], ["A"], ["arms"])
     (legs,) = group_variations([1.2], ["A"], ["legs"])
     moved = model.predict(VariantRequest("sway", TAKE, arms.bone_scale)) - TAKE.positions_m

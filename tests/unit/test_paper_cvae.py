@@ -29,7 +29,7 @@ from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(48), 20.0, "sway")
-SMALL = PaperCvaeModel.settings(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
+SMALL = PaperCvaeModel.config_kind(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
 SCALED_A, SCALED_B, BOTH = (v.bone_scale for v in uniform_variations([0.8], ["A", "B", "AB"]))
 
 
@@ -134,7 +134,7 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
     with pytest.raises(InputError, match=r"sizes .* are out of range"):
         load_model("paper_cvae", {**arrays, "sizes": np.array([11, 1e9, 5, 3, 2, 3, 0], np.float64)})
     with pytest.raises(ValueError, match="is even"):
-        PaperCvaeModel.settings.model_validate({"kernel": 4})
+        PaperCvaeModel.config_kind.model_validate({"kernel": 4})
 
 
 @pytest.mark.parametrize("num_frames", [1, 2, 30, 605, 1801])

@@ -56,7 +56,7 @@ def _items(scales: tuple[float, ...] = (0.8, 0.9, 1.1)) -> list[TrainingItem]:
 def _trained(kind: type[VariantModel], *, is_mapped: bool) -> VariantModel:
     items = [mapped_item(item, EXPI18_OF_BODY22, MAPPED) if is_mapped else item for item in _items()]
     told = SMALL.get(kind.name)
-    settings = kind.settings.model_validate({"window_s": 1.0, "num_steps": 2} | told) if told else None
+    settings = kind.config_kind.model_validate({"window_s": 1.0, "num_steps": 2} | told) if told else None
     return kind.train(Training(lambda: iter(items), settings=settings)).model
 
 

@@ -23,7 +23,6 @@ def test_keys_of_lists_and_of_named_tables_have_the_path_that_an_override_takes(
     assert KEYS["ingest.duets.N.duration_s"].unit == "s"
     assert KEYS["ingest.pairs.NAME.folder"].is_needed
     assert KEYS["ingest.pairs.NAME.persons.N.yaw_deg"].unit == "deg"
-    assert [KEYS[f"ingest.capture.{name}"].unit for name in ("speed_m_s", "jerk_m_s3")] == ["m/s", "m/s^3"]
     assert KEYS["ingest.virtual_video.noise_px"].type == "number >= 0, <= 200"
 
 

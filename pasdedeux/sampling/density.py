@@ -91,6 +91,13 @@ class ImageLikelihood(Likelihood, Protocol):
         ...
 
 
+_MAX_APART_M = 2.0
+"""Greatest distance of the mid-hips of the two, metres, or the seed's where that is more: the terms of eq. 2 do not
+bound it, so the prior alone would have no integral."""
+_SIGMA_V_RAD = 0.5
+"""Bandwidth of the view density, radians (Yin et al. 2018, eq. 5)."""
+
+
 class TargetSettings(PriorSettings):
     """What every density is made with: the physical prior, and how far round the seed it reaches."""
 
@@ -98,12 +105,6 @@ class TargetSettings(PriorSettings):
         default="none",
         description="c of eq. 11: the density is cut below f0 / c and above c f0, f0 the seed's (published: 100); "
         "none: it is sampled as it is",
-    )
-    max_apart_m: float = Field(
-        default=2.0,
-        gt=0,
-        description="Greatest distance of the mid-hips of the two, metres, or the seed's where that is more: the terms "
-        "of eq. 2 do not bound it, so the prior alone would have no integral",
     )
 
 
@@ -292,7 +293,7 @@ class DensityKind(ABC, Generic[S]):
         """
         prior = PhysicalPrior(chart, limits, self.prior(settings))
         truncation = math.inf if isinstance(settings.truncation, str) else settings.truncation
-        return PairDensity(chart, prior, likelihood, truncation=truncation, max_apart_m=settings.max_apart_m)
+        return PairDensity(chart, prior, likelihood, truncation=truncation, max_apart_m=_MAX_APART_M)
 
 
 class PriorOnlyKind(DensityKind[Settings]):
@@ -321,7 +322,6 @@ class ImageSettings(Settings):
 
     num_views: int = Field(default=20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
     num_candidates: int = Field(default=500, ge=1, description="Annotations compared with each view, nearest by view")
-    num_hypotheses: int = Field(default=4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
     sigma_l: Annotated[float, Field(gt=0)] | Literal["left_out"] = Field(
         default=LEFT_OUT,
         description="Bandwidth of the likelihood, 2 sigma_l^2 in metres (eq. 9; published: 0.01); left_out: where "
@@ -332,7 +332,6 @@ class ImageSettings(Settings):
         description="What the views of a pair say together: every_view, the mean of their logarithms, or mean, that of "
         "their likelihoods, as published (eq. 6)",
     )
-    sigma_v_rad: float = Field(default=0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
 
 
 I = TypeVar("I", bound=ImageSettings)  # noqa: E741
@@ -346,12 +345,12 @@ class ImageKind(DensityKind[I]):
     def likelihood(self, settings: I, inputs: DensityInputs) -> ImageLikelihood:
         """Return the likelihood over a bank of views that are drawn once from the view density (eq. 5)."""
         assert inputs.annotated is not None
-        views = inputs.annotated.view_density(deviation_rad=settings.sigma_v_rad)
+        views = inputs.annotated.view_density(deviation_rad=_SIGMA_V_RAD)
         bank = build_bank(
             views.sample(inputs.rng, settings.num_views),
             inputs.annotated.pairs,
             num_candidates=settings.num_candidates,
-            view_bandwidth_rad=settings.sigma_v_rad,
+            view_bandwidth_rad=_SIGMA_V_RAD,
         )
         sigma_l = inputs.annotated.left_out.sigma_l if isinstance(settings.sigma_l, str) else settings.sigma_l
         return self.compare(settings, inputs.annotated.pairs, bank, sigma_l)

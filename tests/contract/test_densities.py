@@ -11,7 +11,6 @@ from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.density import DensityInputs, ImageSettings, Likelihood, Reads, TargetSettings
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
-from pasdedeux.sampling.proposals import PROPOSALS
 from tasks.chains import DENSITIES, ChainsParameters
 from tests.builders.poses import dancers
 
@@ -78,7 +77,7 @@ def test_a_density_of_annotations_says_which_are_nearest(name: str) -> None:
 
 def test_the_section_has_the_settings_of_every_kind_with_one_meaning_each() -> None:
     section = ChainsParameters.model_fields
-    for kind in (*DENSITIES.values(), *PROPOSALS.values()):
+    for kind in DENSITIES.values():
         for name, field in kind.settings.model_fields.items():
             assert (section[name].default, section[name].description) == (field.default, field.description)
             assert field.description

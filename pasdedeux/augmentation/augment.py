@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.exact_bones import project_to_bones
-from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
+from pasdedeux.augmentation.quality import FRAME_LIMITS, FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.variations import Variation
@@ -131,7 +131,7 @@ class Augmenter:
                 squared_residual=laplacian,
             )
             solver = max((part.solvers[index] for part in parts), key=SOLVERS.index)
-            frame_verdicts = measured.frames.judge(self.settings.frame_limits)
+            frame_verdicts = measured.frames.judge(FRAME_LIMITS)
             variants.append(
                 Variant(
                     variation=variation,
@@ -166,7 +166,7 @@ class Augmenter:
             lengths_m=scaled_lengths(self.source, bone_scale[None])[0],
             squared_residual=np.zeros(self.source.num_frames),
         )
-        return self._judge(measured.quality, measured.frames.judge(self.settings.frame_limits), "")
+        return self._judge(measured.quality, measured.frames.judge(FRAME_LIMITS), "")
 
     def _longest_s(self, rate_hz: float) -> float:
         return min(LONGEST_S, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.quality import FRAME_LIMITS, LIMITS, Limits
+from pasdedeux.augmentation.quality import LIMITS
 from pasdedeux.interaction.known_contacts import Letter
 from pasdedeux.settings import Settings
 
@@ -20,12 +19,12 @@ def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
     return limit
 
 
-def _completed(known: Limits, given: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+def _completed(given: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Return the limits with those that are not given as they are known."""
     for name in given:
-        if name not in known:
-            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(known)}")
-    return {**known, **given}
+        if name not in LIMITS:
+            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(LIMITS)}")
+    return {**LIMITS, **given}
 
 
 Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
@@ -37,12 +36,9 @@ class AugmentationSettings(Settings):
     fixed_person: Letter | None = Field(
         None, description="Person who keeps the source's motion, in takes that have this person"
     )
-    limits: Annotated[dict[str, Limit], AfterValidator(partial(_completed, LIMITS))] = Field(
+    limits: Annotated[dict[str, Limit], AfterValidator(_completed)] = Field(
         dict(LIMITS),
         description="By figure (a column of `variant_quality`): above the first a warning, above the second a failure",
-    )
-    frame_limits: Annotated[dict[str, Limit], AfterValidator(partial(_completed, FRAME_LIMITS))] = Field(
-        dict(FRAME_LIMITS), description="The same for the figures of single frames (columns of `variant_frames`)"
     )
     floor_m: float | None = Field(
         None, description="Height of toe joints that stand, metres; found from everybody's feet where not given"

@@ -6,9 +6,8 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from pasdedeux.learning.torch_settings import TorchSettings
+from pasdedeux.learning.torch_settings import SegmentSettings, TorchSettings
 from pasdedeux.learning.windows import RATE_HZ
-from pasdedeux.settings import Settings
 
 __all__ = [
     "Action2MotionLikeConfig",
@@ -22,16 +21,17 @@ __all__ = [
 _LONGEST_S = 60.0
 
 
-class WindowVaeSettings(TorchSettings):
+class WindowVaeSettings(SegmentSettings):
     """What all variational autoencoders of windows have."""
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
+
+
+class WindowSizes(TorchSettings):
+    """Rate and windows of a step; no study sets them, but for the rate of `paper_cvae`."""
+
+    num_steps: int = Field(2000, ge=1, description="Steps of training")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
-
-
-class WindowSizes(Settings):
-    """Windows of a step; no study sets them."""
-
     window_s: float = Field(2.0, gt=0, le=_LONGEST_S, description="Length of a window, seconds")
     windows_per_step: int = Field(16, ge=1, le=1000, description="Windows of a step, drawn from all takes")
 
@@ -61,6 +61,7 @@ class PaperCvaeSettings(WindowVaeSettings):
     other architectures are those that the text gives its own for (sections 3.1 and 3.2), one choice undone in each.
     """
 
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
     norm: Literal["summed", "averaged"] = Field(
         "averaged", description="Norms of eqs. 6 and 8: summed over frames, joints and axes as printed, or their mean"
     )

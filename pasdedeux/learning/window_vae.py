@@ -186,7 +186,7 @@ class WindowVae(VariantModel):
 
         done = train_segment(
             cls.name,
-            settings,
+            config,
             training.segment,
             training.state,
             lambda: first_values(network.shapes(), generator),

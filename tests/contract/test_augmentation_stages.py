@@ -137,7 +137,7 @@ def test_pairs_get_variants_with_figures(store: Store) -> None:
     assert verdict.value == np.median(quality["contact_drift_m"]) < verdict.baseline
 
 
-def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) -> None:
+def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     (made,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2))
     frames, quality = store.read(made.ref, "variant_frames"), store.read(made.ref, "variant_quality")
     assert frames.num_rows == 2 * FRAMES
@@ -147,8 +147,8 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) ->
         mine = np.array(frames["variant_id"] == quality["variant_id"][row])
         assert (np.array(frames["verdict"])[mine] == "warn").sum() == quality["num_warn_frames"][row]
         assert frames["bone_error_m"][mine].max() == quality["bone_error_m"][row]
-    strict = {"jerk_ratio": (0.0, 0.0)}
-    (other,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), frame_limits=strict)
+    monkeypatch.setattr("pasdedeux.augmentation.augment.FRAME_LIMITS", {"jerk_ratio": (0.0, 0.0)})
+    (other,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), solver="polished")
     assert set(store.read(other.ref, "variant_frames")["verdict"]) == {"fail"}
 
 
@@ -196,10 +196,12 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
     assert counts[3] == counts[0]
 
 
-def test_polished_variants_end_with_descent_and_failures_name_their_frames(store: Store) -> None:
+def test_polished_variants_end_with_descent_and_failures_name_their_frames(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     take = put_take(store, "pair")
-    strict = {"limits": {"jerk_ratio": (0.0, 0.0)}, "frame_limits": {"jerk_ratio": (0.0, 0.0)}}
-    (made,) = augment(store, [take], scales=(0.8,), solver="polished", **strict)
+    monkeypatch.setattr("pasdedeux.augmentation.augment.FRAME_LIMITS", {"jerk_ratio": (0.0, 0.0)})
+    (made,) = augment(store, [take], scales=(0.8,), solver="polished", limits={"jerk_ratio": (0.0, 0.0)})
     quality = store.read(made.ref, "variant_quality")
     assert list(quality["solver"]) == ["polished"]
     assert list(quality["verdict"]) == ["fail"]

@@ -341,7 +341,7 @@ def test_the_result_does_not_depend_much_on_the_frame_rate() -> None:
     [
         ({"fixed_person": "c"}, "fixed_person"),
         ({"limits": {"jerk_ratio": (2.0, 1.0)}}, "0 <= warn <= fail"),
-        ({"frame_limits": {"jerk": (1.0, 2.0)}}, "no figure that is judged; there are: bone_error_m"),
+        ({"limits": {"jerk": (1.0, 2.0)}}, "no figure that is judged; there are: bone_error_m"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, Any], found: str) -> None:

@@ -1,92 +1,83 @@
-"""What a build would cost on any number of workers: shards take what they took, the order is that of a real run."""
+"""What a build would cost on any number of workers: shards take what they took, those with most behind them first."""
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
 from typing import Any
 
 import numpy as np
 
 from flows.planning import Plan, PlanError, StagePlan
 from flows.records import read_last_run, run_record
-from flows.scheduling import Schedule, stages_behind
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import Manifest, Store
 from storage_schema.store import PROCESSOR_S, SHARD_S
 from tasks.graph import Graph
-from tasks.shards import Pool, ShardDone, ShardFailed
-from tasks.stage import Parameters, Shard, stream
 
-__all__ = ["Cost", "Faults", "Work", "estimate_cost", "planned_work", "scaled_to_takes"]
+__all__ = ["Cost", "Job", "Work", "estimate_cost", "planned_work"]
 
 DISPATCH_S = 0.004
 """Of the run's own process for a shard, as shards are handed out one at a time: 2.3 ms were measured in a run of 602
 shards without workers, the rest is assumed for Dask."""
 OVERHEAD_S = 0.004
 """Of a worker for a shard, beside what the shard takes: receiving it, and waiting for the next.  Assumed."""
-_WHOLE = "whole"
 
 
 @dataclass(frozen=True)
-class Faults:
-    """What goes wrong on a cluster.
+class Job:
+    """A shard that has to be computed, or the end of a stage, which takes nothing.
 
     Args:
-        slow_share: Part of all shards that take `slow_factor` times as long: a busy machine, a slow disk.
-        slow_factor: How much longer.
-        losses_per_hour: Of each worker; what it was computing is computed again.
-        restart_s: Until another takes its place.
+        seconds: On a worker.
+        after: Numbers of the jobs that come before it.
+        processor_s: On one core.
+        num_bytes: What it writes.
+        is_shard: It is no end of a stage.
     """
 
-    slow_share: float = 0.0
-    slow_factor: float = 1.0
-    losses_per_hour: float = 0.0
-    restart_s: float = 30.0
+    seconds: float = 0.0
+    after: tuple[int, ...] = ()
+    processor_s: float = 0.0
+    num_bytes: float = 0.0
+    is_shard: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass
 class Work:
-    """Shards that have to be computed, as they are known: what each takes, and which come before it.
+    """What has to be computed, as far as it is known.
 
     Args:
-        shards: Each after those whose keys stand in its `after`.
-        seconds: Of each shard on a worker, by key.
-        processor_s: Of each shard on one core, by key.
-        bytes_each: What each writes, by key.
+        jobs: Each after those that it waits for.
         worker_bytes: The most memory that a process of the last run held; None where that is not on record.
         num_measured: Shards that were measured themselves; others take the mean of their stage.
         unknown: Stages of which nothing is known.
     """
 
-    shards: tuple[Shard, ...]
-    seconds: Mapping[str, float]
-    processor_s: Mapping[str, float]
-    bytes_each: Mapping[str, float]
-    worker_bytes: int | None
-    num_measured: int
-    unknown: tuple[str, ...]
-
-    @property
-    def num_bytes(self) -> float:
-        """Return what they write."""
-        return sum(self.bytes_each.values())
+    jobs: list[Job] = field(default_factory=list)
+    worker_bytes: int | None = None
+    num_measured: int = 0
+    unknown: list[str] = field(default_factory=list)
 
     @property
     def num_shards(self) -> int:
-        """Return the number of shards."""
-        return sum(shard.stage != _WHOLE for shard in self.shards)
+        """Number of shards."""
+        return sum(job.is_shard for job in self.jobs)
+
+    @property
+    def processor_s(self) -> float:
+        """What they take on one core, seconds."""
+        return sum(job.processor_s for job in self.jobs)
+
+    @property
+    def num_bytes(self) -> float:
+        """What they write."""
+        return sum(job.num_bytes for job in self.jobs)
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON values, without the shards one by one."""
-        return {
-            "num_shards": self.num_shards,
-            "processor_s": sum(self.processor_s.values()),
-            "num_bytes": self.num_bytes,
-            "worker_bytes": self.worker_bytes,
-            "num_measured": self.num_measured,
-            "unknown": list(self.unknown),
-        }
+        names = ("num_shards", "processor_s", "num_bytes", "worker_bytes", "num_measured", "unknown")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -102,205 +93,92 @@ class Cost:
 def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None = None) -> Work:
     """Return what a plan has to compute, as far as that was computed once, here or in the store `measured`.
 
+    Of a stage that cannot be planned yet it is what there was last time.
+
     Raises:
         PlanError: Nothing of it was measured.
     """
     measured = measured or store
     last = read_last_run(measured, plan.study)
     refs = [ref for stage in plan.stages for ref in (last.refs(stage.stage.name) if last else ())]
-    had = {
-        ref.key: one
-        for ref in refs
-        if (one := measured.find(ref.stage, ref.key)) is not None and SHARD_S in one.timings
-    }
-    work, unknown = _Collected(had), []
+    found = {ref.key: measured.find(ref.stage, ref.key) for ref in refs}
+    had = {key: one for key, one in found.items() if one is not None and SHARD_S in one.timings}
+    work = Work(worker_bytes=run_record(measured, last.run_id).get("peak_memory_bytes") if last else None)
+    numbers: dict[tuple[str, str, str], int] = {}
+    ends: dict[str, int] = {}
     for stage in plan.stages:
-        if stage.is_selected and not stage.is_fresh and not work.add_stage(stage, graph.upstream[stage.stage.name]):
-            unknown.append(stage.stage.name)
-    if not work.shards:
+        name = stage.stage.name
+        if not stage.is_selected or stage.is_fresh:
+            continue
+        if not any(one.ref.stage == name for one in had.values()):
+            work.unknown.append(name)
+            continue
+        waits = () if stage.stage.early else tuple(ends[other] for other in graph.upstream[name] if other in ends)
+        first = len(work.jobs)
+        _add_stage(work, stage, had, numbers, waits)
+        ends[name] = len(work.jobs)
+        work.jobs.append(Job(after=tuple(range(first, len(work.jobs))), is_shard=False))
+    if not work.jobs:
         raise PlanError(
-            f"what {', '.join(unknown) or 'this'} takes was not measured: build it once, also with fewer takes or "
+            f"what {', '.join(work.unknown) or 'this'} takes was not measured: build it once, also with fewer takes or "
             "variants (--measured STORE says where)"
         )
-    return Work(
-        shards=tuple(work.shards),
-        seconds=work.seconds,
-        processor_s=work.processor_s,
-        bytes_each=work.bytes_each,
-        worker_bytes=run_record(measured, last.run_id).get("peak_memory_bytes") if last else None,
-        num_measured=work.num_measured,
-        unknown=tuple(unknown),
-    )
+    return work
 
 
-def scaled_to_takes(work: Work, graph: Graph, num_takes: int) -> Work:
-    """Return the same for so many takes, each as one of those that are there, of stages whose shards read one take.
-
-    Stages that read many takes at once are left out: what they take for more is not known.
-
-    Raises:
-        PlanError: None of the stages reads single takes.
-    """
-    each = {stage.name for stage in graph.stages if any(early.each and not early.reads for early in stage.early)}
-    single = {name for name in graph.names if name in each or (not graph.upstream[name] and graph.below(name) & each)}
-    takes: dict[str, list[Shard]] = {}
-    for shard in work.shards:
-        if shard.stage in single:
-            takes.setdefault(shard.partition, []).append(shard)
-    if not takes:
-        raise PlanError("none of the stages to be computed works on single takes")
-    chosen = stream(0, "takes").choice(sorted(takes), size=num_takes)
-    shards: list[Shard] = []
-    seconds, processor_s, bytes_each = {}, {}, {}
-    for index, name in enumerate(chosen):
-        new: dict[str, str] = {}
-        for shard in takes[str(name)]:
-            copy = replace(
-                shard, partition=f"{name} {index}", after=tuple(new[key] for key in shard.after if key in new)
-            )
-            new[shard.key] = copy.key
-            shards.append(copy)
-            seconds[copy.key], processor_s[copy.key] = work.seconds[shard.key], work.processor_s[shard.key]
-            bytes_each[copy.key] = work.bytes_each[shard.key]
-    left_out = {shard.stage for shard in work.shards if shard.stage not in {*single, _WHOLE}}
-    return replace(
-        work,
-        shards=tuple(shards),
-        seconds=seconds,
-        processor_s=processor_s,
-        bytes_each=bytes_each,
-        num_measured=len(shards) if work.num_measured == work.num_shards else 0,
-        unknown=(*work.unknown, *sorted(left_out)),
-    )
+def _add_stage(
+    work: Work,
+    stage: StagePlan,
+    had: Mapping[str, Manifest],
+    numbers: dict[tuple[str, str, str], int],
+    waits: tuple[int, ...],
+) -> None:
+    """Add the shards of a stage, by where they stand: their keys are not known before what they read is there."""
+    name = stage.stage.name
+    before = {(one.partition, one.name): one for one in had.values() if one.ref.stage == name}
+    took = {at: (one.timings[SHARD_S], one.timings[PROCESSOR_S], one.num_bytes) for at, one in before.items()}
+    means = np.mean([*took.values()], axis=0).tolist()
+    planned = {(shard.partition, shard.name): shard for shard in stage.todo}
+    places = {shard.key: place for place, shard in planned.items()}
+    for place in planned or before if not stage.is_pending else before:
+        if place in planned:
+            reads = [(name, *places[key]) for key in planned[place].after if key in places]
+        else:
+            reads = [(ref.stage, one.partition, one.name) for ref in before[place].inputs if (one := had.get(ref.key))]
+        seconds, processor_s, num_bytes = took.get(place, means)
+        numbers[name, *place] = len(work.jobs)
+        after = (*waits, *(numbers[at] for at in reads if at in numbers))
+        work.jobs.append(Job(seconds, after, processor_s, num_bytes))
+        work.num_measured += place in took
 
 
-def estimate_cost(work: Work, graph: Graph, num_workers: int, faults: Faults | None = None) -> Cost:
+def estimate_cost(work: Work, num_workers: int) -> Cost:
     """Return what the work takes on so many workers as fast as those measured, by going through it shard by shard."""
-    pool = _ImaginedWorkers(num_workers, work.seconds, faults or Faults())
-    schedule = Schedule(pool, {**stages_behind(graph), _WHOLE: len(graph.stages) + 1})
-
-    def computes(shard: Shard, store: Store) -> ArtifactRef:
-        raise AssertionError("imagined shards are not computed")
-
-    for shards in _by_stage(work.shards).values():
-        schedule.add(computes, shards)
-    while not schedule.is_idle:
-        schedule.start()
-        schedule.next()
-    at_work = pool.busy_s / (num_workers * pool.now_s) if pool.now_s else 0.0
-    return Cost(num_workers, pool.now_s, pool.now_s * num_workers / 3600, at_work)
-
-
-class _Collected:
-    """Shards that are to be computed, by where they stand: their keys are not known before what they read is there.
-
-    Args:
-        had: What was measured, by key.
-    """
-
-    def __init__(self, had: Mapping[str, Manifest]) -> None:
-        self.shards: list[Shard] = []
-        self.seconds: dict[str, float] = {}
-        self.processor_s: dict[str, float] = {}
-        self.bytes_each: dict[str, float] = {}
-        self.num_measured = 0
-        self._had = had
-        self._there: dict[tuple[str, str, str], str] = {}
-        self._whole: dict[str, str] = {}
-
-    def add_stage(self, stage: StagePlan, upstream: Sequence[str]) -> bool:
-        """Add the shards of a stage, those planned, or where it cannot be planned yet those it had; False: unknown."""
-        name = stage.stage.name
-        before = {(one.partition, one.name): one for one in self._had.values() if one.ref.stage == name}
-        if not before:
-            return False
-        took = [(one.timings[SHARD_S], one.timings[PROCESSOR_S], one.num_bytes) for one in before.values()]
-        means = [float(mean) for mean in np.mean(took, axis=0)]
-        waits = () if stage.stage.early else tuple(self._whole[other] for other in upstream if other in self._whole)
-        planned = {(shard.partition, shard.name): shard for shard in stage.todo}
-        own = {shard.key: place for place, shard in planned.items()}
-        for place in planned or before if not stage.is_pending else before:
-            one = before.get(place)
-            if place in planned:
-                reads = [(name, *own[key]) for key in planned[place].after if key in own]
-            else:
-                reads = [(r.stage, m.partition, m.name) for r in before[place].inputs if (m := self._had.get(r.key))]
-            self._add(
-                Shard(
-                    name,
-                    0,
-                    *place,
-                    Parameters(),
-                    after=(*waits, *(self._there[at] for at in reads if at in self._there)),
-                ),
-                *((one.timings[SHARD_S], one.timings[PROCESSOR_S], one.num_bytes) if one else means),
-            )
-            self.num_measured += one is not None
-        keys = tuple(shard.key for shard in self.shards if shard.stage == name)
-        whole = Shard(_WHOLE, 0, name, _WHOLE, Parameters(), after=keys)
-        self._add(whole, 0.0, 0.0, 0.0)
-        self._whole[name] = whole.key
-        return True
-
-    def _add(self, shard: Shard, seconds: float, processor_s: float, num_bytes: float) -> None:
-        self._there[shard.stage, shard.partition, shard.name] = shard.key
-        self.seconds[shard.key], self.processor_s[shard.key] = seconds, processor_s
-        self.bytes_each[shard.key] = num_bytes
-        self.shards.append(shard)
-
-
-class _ImaginedWorkers(Pool):
-    """Workers on a clock of their own, which moves from the end of one shard to that of the next."""
-
-    def __init__(self, num_workers: int, seconds: Mapping[str, float], faults: Faults) -> None:
-        self.num_workers = num_workers
-        self.now_s = self.busy_s = 0.0
-        self._seconds, self._faults = seconds, faults
-        self._ends: list[tuple[float, int, Shard]] = []
-        self._num_started = 0
-        self._handed_out_s = 0.0
-        self._random = stream(0, "faults")
-
-    def has_room(self, shard: Shard) -> bool:
-        """Tell whether a worker is free; what only marks the end of a stage needs none."""
-        return len(self._ends) < self.num_workers or shard.stage == _WHOLE
-
-    def start(self, run_shard: object, shard: Shard) -> None:
-        """Give a shard to a worker."""
-        takes_s = waits_s = 0.0
-        if shard.stage != _WHOLE:
-            self._handed_out_s = max(self._handed_out_s, self.now_s) + DISPATCH_S
-            waits_s = self._handed_out_s - self.now_s
-            takes_s = self._draw(self._seconds[shard.key])
-            self.busy_s += self._seconds[shard.key]
-            takes_s += OVERHEAD_S
-        self._num_started += 1
-        heapq.heappush(self._ends, (self.now_s + waits_s + takes_s, self._num_started, shard))
-
-    def next(self) -> ShardDone | ShardFailed | None:
-        """Go to the end of the shard that ends first."""
-        self.now_s, _, shard = heapq.heappop(self._ends)
-        return ShardDone(shard, ArtifactRef(shard.stage, shard.key, ""), self._seconds[shard.key])
-
-    def give_up(self) -> None:
-        """Nothing is on its way."""
-
-    def _draw(self, seconds: float) -> float:
-        """Return how long a shard takes where things go wrong."""
-        faults, lost_s = self._faults, 0.0
-        if faults.slow_share and self._random.random() < faults.slow_share:
-            seconds *= faults.slow_factor
-        while faults.losses_per_hour and seconds:
-            until_lost_s = self._random.exponential(3600 / faults.losses_per_hour)
-            if until_lost_s >= seconds:
-                break
-            lost_s += until_lost_s + faults.restart_s
-        return lost_s + seconds
-
-
-def _by_stage(shards: Sequence[Shard]) -> dict[str, list[Shard]]:
-    """Return shards as they can be added: each stage's together, and what marks its end after it."""
-    found: dict[str, list[Shard]] = {}
-    for shard in shards:
-        found.setdefault(shard.stage if shard.stage != _WHOLE else f"{_WHOLE} {shard.partition}", []).append(shard)
-    return found
+    jobs, left = work.jobs, [len(job.after) for job in work.jobs]
+    followers: list[list[int]] = [[] for _ in jobs]
+    for number, job in enumerate(jobs):
+        for before in job.after:
+            followers[before].append(number)
+    behind_s = [0.0] * len(jobs)
+    for number in reversed(range(len(jobs))):
+        behind_s[number] = jobs[number].seconds + max((behind_s[one] for one in followers[number]), default=0.0)
+    ready = [(-behind_s[number], number) for number, count in enumerate(left) if not count]
+    heapify(ready)
+    running: list[tuple[float, int]] = []
+    now_s = handed_out_s = 0.0
+    while ready or running:
+        while ready and len(running) < num_workers:
+            number = heappop(ready)[1]
+            ends_s = now_s
+            if jobs[number].is_shard:
+                handed_out_s = max(handed_out_s, now_s) + DISPATCH_S
+                ends_s = handed_out_s + OVERHEAD_S + jobs[number].seconds
+            heappush(running, (ends_s, number))
+        now_s, ended = heappop(running)
+        for number in followers[ended]:
+            left[number] -= 1
+            if not left[number]:
+                heappush(ready, (-behind_s[number], number))
+    busy_s = sum(job.seconds for job in jobs)
+    at_work = busy_s / (num_workers * now_s) if now_s else 0.0
+    return Cost(num_workers, now_s, now_s * num_workers / 3600, at_work)

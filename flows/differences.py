@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from flows.reasons import changed_leaves, shorten
-from flows.recorded import Recorded, environment_changes
+from flows.recorded import Place, Recorded, environment_changes
 from storage_schema import Manifest, Store
+from storage_schema.comparison import Difference, compare_artifacts
 
-__all__ = ["Changes", "Figure", "ScoreChange", "changelog", "differences"]
+__all__ = ["Changes", "Comparison", "Figure", "ScoreChange", "changelog", "compare", "differences"]
 
 _WHICH = ("same", "other", "only_a", "only_b")
 
@@ -128,6 +129,71 @@ def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
         scores=sorted(scores, key=lambda score: -_size(score)),
         num_scores=len(names),
     )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What two builds of one study differ by.
+
+    Args:
+        num_same: Artifacts with the same bytes.
+        only_one: Places that only one has.
+        differing: What others differ by, each after what it reads.
+        beyond: The first place where that is more than rounding; None where it is nowhere.
+    """
+
+    num_same: int
+    only_one: tuple[Place, ...]
+    differing: Mapping[Place, Sequence[Difference]]
+    beyond: Place | None
+
+    @property
+    def is_same(self) -> bool:
+        """Whether nothing differs by more than rounding."""
+        return self.beyond is None and not self.only_one
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return {
+            "is_same": self.is_same,
+            "num_same_bytes": self.num_same,
+            "only_in_one": [" ".join(place) for place in self.only_one],
+            "first_beyond_rounding": None if self.beyond is None else " ".join(self.beyond),
+            "differing": {" ".join(place): [str(one) for one in found] for place, found in self.differing.items()},
+        }
+
+    def lines(self) -> list[str]:
+        """Return it as lines for people."""
+        lines = [f"same bytes: {self.num_same} of {self.num_same + len(self.differing)} artifacts"]
+        lines += [f"only in one of the two: {' '.join(place)}" for place in self.only_one[:3]]
+        first = self.beyond or next(iter(self.differing), None)
+        if first is not None:
+            lines.append(f"first {'beyond rounding' if self.beyond else 'that differs'}: {' '.join(first)}")
+            lines += [f"    {one}" for one in sorted(self.differing[first], key=lambda one: -one.excess)[:5]]
+        return lines
+
+
+def compare(
+    one_store: Store, one: Mapping[Place, Manifest], other_store: Store, other: Mapping[Place, Manifest]
+) -> Comparison:
+    """Compare two builds artifact by artifact; of those with the same digest nothing is read.
+
+    Attached files (pages, pictures, weights) have no tolerance: other bytes of theirs count as rounding where a table
+    before them, or beside them, was rounded otherwise; one that is missing never does.
+
+    Raises:
+        CorruptArtifact, SchemaError: A table cannot be read.
+    """
+    both = [place for place in one if place in other]
+    compared = {place: compare_artifacts(one_store, one[place], other_store, other[place]) for place in both}
+    differing = {place: found for place, found in compared.items() if found}
+    beyond, is_rounded = None, False
+    for place, found in differing.items():
+        is_rounded = is_rounded or any(not one.is_attachment for one in found)
+        if any(one.is_beyond and (one.is_missing or not (is_rounded and one.is_attachment)) for one in found):
+            beyond = place
+            break
+    return Comparison(len(compared) - len(differing), tuple(sorted(one.keys() ^ other.keys())), differing, beyond)
 
 
 def changelog(changes: Changes) -> str:

@@ -10,7 +10,6 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
-from flows.renamed import renamed_key
 from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_tree, unknown
 from pasdedeux.settings import Settings
 from tasks.graph import Graph
@@ -154,10 +153,7 @@ def study_from_tree(
     sections = tuple(tree.values)
     problems = tree.override(settings, os.environ if environment is None else environment, here)
     known = (HEAD, PUBLISH, *graph.shared, *graph.names)
-    for name in tree.values:
-        if name not in known:
-            renamed = renamed_key([name])
-            problems.append(unknown(name, known) if renamed is None else f"{name}: {renamed}")
+    problems += [unknown(name, known) for name in tree.values if name not in known]
     head = _validate(StudyHead, tree.values.get(HEAD, {}), HEAD, problems)
     shared = {name: _validate(model, tree.values.get(name, {}), name, problems) for name, model in graph.shared.items()}
     parameters: dict[str, Parameters] = {}
@@ -169,9 +165,7 @@ def study_from_tree(
             if settings_of is not None and isinstance(values, dict):
                 taken = shared_keys(stage.parameters, [type(settings_of)])
                 moved = sorted(taken.intersection(values))
-                problems += [
-                    f"{stage.name}.{key}: {renamed_key([stage.name, key]) or f'say {name}.{key}'}" for key in moved
-                ]
+                problems += [f"{stage.name}.{key}: one value serves every stage: say {name}.{key}" for key in moved]
                 values = {**values, **settings_of.model_dump(include=taken)}
         section = _validate(stage.parameters, values, stage.name, problems)
         if section is not None:
@@ -238,9 +232,6 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
     """Say one validation error as a sentence with the full path of the key."""
     location = [str(step) for step in item["loc"]]
     path = ".".join([section, *location])
-    renamed = renamed_key([section, *item["loc"]], item["input"])
-    if renamed is not None:
-        return f"{path}: {renamed}"
     if item["type"] == "extra_forbidden":
         return unknown(path, _known_names(model, item["loc"][:-1]), location[-1])
     if item["type"] == "missing" and path == f"{HEAD}.name":
@@ -249,9 +240,7 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
         return f"{path}: missing, a value is needed"
     message = str(item["msg"]).removeprefix("Value error, ")
     if message.startswith(f"{section}."):
-        key = message.partition(":")[0]
-        renamed = renamed_key(key.split("."))
-        return message if renamed is None else f"{key}: {renamed}"
+        return message
     if message.startswith("Input should"):
         message = message.replace("Input should", "should", 1)
     if item["type"] in ("model_type", "dict_type"):

@@ -12,8 +12,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from flows.renamed import RENAMED_STUDIES
-
 __all__ = ["HEAD", "PUBLISH", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "study_text", "unknown"]
 
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
@@ -159,8 +157,6 @@ def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path,
     path = folder / Path(said).expanduser()
     looks_like_path = said.endswith(".toml") or "/" in said or os.sep in said
     if not looks_like_path and not path.is_file():
-        if said in RENAMED_STUDIES:
-            raise StudyError([f"{context}study '{said}': {RENAMED_STUDIES[said]}"])
         raise StudyError([unknown(f"{context}study '{said}'", tuple(shipped), said) + "; or give a .toml file"])
     try:
         return path.read_text(encoding="utf-8"), path.resolve().parent, str(path.resolve())

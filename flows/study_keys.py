@@ -121,9 +121,6 @@ def _bounds(field: FieldInfo) -> str:
 
 
 def _unit(name: str, meaning: str) -> str:
-    rate = re.search(r"_m_s(\d?)$", name)
-    if rate:
-        return f"m/s^{rate.group(1)}" if rate.group(1) else "m/s"
     last = name.rsplit("_", 1)[-1]
     if last in _UNITS and last != name:
         return _UNITS[last]

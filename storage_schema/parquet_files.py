@@ -15,7 +15,6 @@ from storage_schema.durable import HashingFile
 from storage_schema.encoding import encode
 from storage_schema.errors import CorruptArtifact, SchemaError
 from storage_schema.manifest import TableFile
-from storage_schema.renamed import RENAMED_COLUMNS
 from storage_schema.table_data import TableData
 
 __all__ = ["ROW_GROUP_ROWS", "TableWriter", "iter_table", "read_table"]
@@ -147,9 +146,6 @@ def _wanted(table: Table, columns: Sequence[str] | None) -> list[str]:
         return known
     unknown = [name for name in columns if name not in known]
     if unknown:
-        renamed = RENAMED_COLUMNS.get(f"{table.name}.{unknown[0]}")
-        if renamed is not None:
-            raise SchemaError(f"table '{table.name}', column '{unknown[0]}': {renamed}")
         raise SchemaError(f"table '{table.name}' has no column '{unknown[0]}'; known columns: {', '.join(known)}")
     return [name for name in known if name in columns]
 

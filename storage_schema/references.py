@@ -19,7 +19,6 @@ from storage_schema.credits import SourceCredit
 from storage_schema.datasets import open_dataset
 from storage_schema.errors import CorruptArtifact, MissingArtifact, UnknownReference
 from storage_schema.manifest import ArtifactRef, Manifest
-from storage_schema.renamed import RENAMED_TABLES
 from storage_schema.runs import latest_studies, read_latest
 from storage_schema.store import Store
 from storage_schema.table_data import TableData, concatenate
@@ -57,8 +56,6 @@ def parse_reference(text: str) -> Reference:
     if match is None:
         raise UnknownReference(f"'{text}' is not a reference: {_HOW}")
     parts = match.groupdict()
-    if parts["table"] in RENAMED_TABLES:
-        raise UnknownReference(f"'{text}': {RENAMED_TABLES[parts['table']]}")
     if parts["table"] not in TABLES:
         raise UnknownReference(f"'{text}': there is no table '{parts['table']}'; tables: {', '.join(TABLES)}")
     row = None if parts["row"] is None else int(parts["row"])

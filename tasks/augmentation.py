@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,6 @@ from tasks.stage import (
     artifact_fields,
     commit,
     named_refs,
-    stream,
 )
 
 __all__ = [
@@ -107,7 +105,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
     common = parameters.model_dump(exclude={"contacts", "variants_per_shard"})
     size, shards = parameters.variants_per_shard, []
     for take_id, take in takes.items():
-        names = [variation.variant_id for variation in _variations(take, parameters, inputs.seed)]
+        names = [variation.variant_id for variation in _variations(take, parameters)]
         if not names:
             asked = tuple(sorted({who for chosen in parameters.sets or (parameters,) for who in chosen.persons}))
             nobody = NobodyParameters(persons=asked, num_persons=num_persons(take))
@@ -162,7 +160,7 @@ def batch_of(manifest: Manifest) -> BatchParameters:
 def planned_variations(manifest: Manifest) -> list[Variation]:
     """Return the variations of a batch of variants, from its manifest alone; no data is read."""
     batch = batch_of(manifest)
-    known = _variations(manifest, batch, manifest.seed)
+    known = _variations(manifest, batch)
     return [variation for variation in known if variation.variant_id in set(batch.variants)]
 
 
@@ -178,10 +176,8 @@ def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shar
     )
 
 
-def _variations(take: Manifest, settings: VariationSettings, seed: int) -> list[Variation]:
-    facts = take.facts
-    streams = partial(stream, seed, "augmentation", facts["take_id"])
-    return make_variations(settings, streams, num_persons(take))
+def _variations(take: Manifest, settings: VariationSettings) -> list[Variation]:
+    return make_variations(settings, num_persons(take))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -203,7 +199,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
     """Solve a batch of variants and stream them to the store."""
     manifest = store.manifest(shard.ref("take"))
     take_id = manifest.facts["take_id"]
-    known = {v.variant_id: v for v in _variations(manifest, parameters, shard.seed)}
+    known = {v.variant_id: v for v in _variations(manifest, parameters)}
     take = read_take(store, manifest.ref)
     started = time.monotonic()
     augmenter = Augmenter(take.source, parameters, user_contacts=parameters.contacts)
@@ -217,7 +213,6 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         "rate_hz": take.source.rate_hz,
         "is_held_out": bool(manifest.facts.get("is_held_out", False)),
         "closest_m": take.source.closest_m,
-        "girth": parameters.girth,
     }
     verdicts: list[Verdict] = []
     with store.writer(**artifact_fields(shard, store), facts=facts) as writer:

@@ -29,6 +29,14 @@ __all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", 
 VERSION = 5
 
 
+_RATE_HZ = 24.0
+"""Frames per second of the database (Yiannakides et al. 2019)."""
+NUM_YAWS = 30
+"""Yaw steps over the full turn, of 12 degrees (Yiannakides et al. 2019)."""
+_DENSITY = "ic"
+"""Density whose draws enter: the one that compares with annotations."""
+
+
 class ViewsOfPoses(Parameters):
     """How the poses of a database are seen: yaw steps over the full turn, and the cameras in a study's words."""
 
@@ -52,12 +60,8 @@ class ViewsOfPoses(Parameters):
 
 
 class ProjectionsParameters(Parameters):
-    """Which poses enter the database, at which rate, and what cameras see them."""
+    """Which poses enter the database, and what cameras see them."""
 
-    rate_hz: float = Field(24.0, gt=0, le=240, description="Frames per second of the database")
-    yaw_step_deg: float = Field(
-        12.0, ge=1, le=360, description="Degrees between the directions that every pose is seen from; they divide 360"
-    )
     camera: Literal["orthographic", "pinhole"] = Field(
         "orthographic", description="Rays of the camera: parallel, or through a pinhole distance_m from the mid-hip"
     )
@@ -82,13 +86,10 @@ class ProjectionsParameters(Parameters):
         description="Poses of the variants enter the database; to search 14 million projections a worker needs 3 GB "
         "(--worker-memory 4)",
     )
-    densities: tuple[str, ...] = Field(("ic",), description="Densities whose draws enter")
 
     @model_validator(mode="after")
     def _check_views(self) -> Self:
-        """Refuse steps that do not close the turn, and cameras that cannot be."""
-        if abs(360.0 / self.yaw_step_deg - self.num_yaws) > 1e-6:
-            raise ValueError(f"yaw_step_deg is {self.yaw_step_deg:g}; a full turn must be a whole number of steps")
+        """Refuse cameras that cannot be."""
         try:
             cameras_of(self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m)
         except InputError as error:
@@ -96,14 +97,9 @@ class ProjectionsParameters(Parameters):
         return self
 
     @property
-    def num_yaws(self) -> int:
-        """Yaw steps over the full turn."""
-        return round(360.0 / self.yaw_step_deg)
-
-    @property
     def views(self) -> ViewsOfPoses:
         """How the poses are seen."""
-        return self.part(ViewsOfPoses, num_yaws=self.num_yaws)
+        return self.part(ViewsOfPoses, num_yaws=NUM_YAWS)
 
 
 class PoseShard(Parameters):
@@ -129,11 +125,11 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
             facts = manifest.facts
             if facts.get("is_held_out", False):
                 continue
-            if origin == "draw" and facts["density"] not in parameters.densities:
+            if origin == "draw" and facts["density"] != _DENSITY:
                 continue
             options = PoseShard(
                 origin=origin,
-                rate_hz=parameters.rate_hz,
+                rate_hz=_RATE_HZ,
                 views=parameters.views,
                 source_rate_hz=None if origin == "draw" else facts.get("rate_hz"),
             )

@@ -23,7 +23,6 @@ from pasdedeux.reconstruction.reconstruct import (
     Reconstruction,
     ReconstructionOptions,
     Searcher,
-    TrackSettings,
 )
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
@@ -41,20 +40,16 @@ MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 
 
-class SequenceSettings(TrackSettings, Parameters):
+class SequenceSettings(Parameters):
     """How the people of a sequence are reconstructed."""
 
     methods: tuple[Method, ...] = Field(
         (Method.NEAREST, Method.VITERBI, Method.FIT),
         min_length=1,
-        description="Methods, each gives a motion; the last one is cleaned up and written as BVH",
+        description="Methods, each gives a motion; the last one is cleaned up (planted feet still, nothing below "
+        "the floor), as one more motion `<method>_clean`, and written as BVH",
     )
-    exact_up_to: int = Field(
-        EXACT_UP_TO,
-        ge=0,
-        description="Projections (poses times yaws) up to which the search is exact; of more it may miss some of the "
-        "nearest, and its recall is measured",
-    )
+    has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
     has_pairs: bool = Field(
         True,
         description="Pairs of the database that look like two partners say how far apart they are, beside the floor, "
@@ -66,11 +61,6 @@ class SequenceSettings(TrackSettings, Parameters):
         le=100,
         description="Height of the camera over the floor where it is known, which gives people their true size (as "
         "exactly as pitches_deg of [projections] has the true pitch); else people are about 1.68 m tall",
-    )
-    has_clean_up: bool = Field(
-        True,
-        description="The last method gives one more motion, `<method>_clean`: planted feet still, nothing below the "
-        "floor",
     )
 
 
@@ -197,7 +187,7 @@ def _reconstruct(
 ) -> tuple[list[dict[str, Any]], dict[str, bytes], dict[str, Verdict]]:
     """Return the rows of `motions` of every method and person, and of each person files and how good it is."""
     sequence_id = parameters.sequence_id
-    options = ReconstructionOptions(**parameters.model_dump(include=set(TrackSettings.model_fields)))
+    options = ReconstructionOptions(has_own_proportions=parameters.has_own_proportions)
     if all(store.manifest(ref).tables["projections"].rows == 0 for ref in database_refs):
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}, {}
@@ -206,14 +196,13 @@ def _reconstruct(
     databases = [replace(level, camera=camera) for camera in views.cameras]
     pitch = choose_camera(databases, [person.track for person in people], options)
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
-    chosen = Searcher.of(suited, exact_up_to=parameters.exact_up_to)
+    chosen = Searcher.of(suited, exact_up_to=EXACT_UP_TO)
     is_paired = parameters.has_pairs and len(people) > 1
     found = reconstruct_people(
         [chosen],
         people,
         parameters.methods,
         options,
-        has_clean_up=parameters.has_clean_up,
         pairs_m=read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None,
         camera_height_m=parameters.camera_height_m,
         pitch=pitch,

@@ -30,7 +30,6 @@ from flows.console import (
 )
 from flows.console.context import Context
 from flows.planning import PlanError
-from flows.renamed import RENAMED_COMMANDS
 from flows.study import StudyError
 from pasdedeux.errors import InputError, PasdedeuxError
 from storage_schema import StorageError
@@ -105,16 +104,6 @@ def _sentence(error: BaseException) -> str:
     return f"{type(error).__name__}: {error} (run `pasdedeux --debug ...` for the traceback)"
 
 
-class _Commands(typer.core.TyperGroup):
-    """The commands; an old name is answered with the new one."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that is meant."""
-        if args and args[0] in RENAMED_COMMANDS:
-            raise typer.BadParameter(f"{args[0]}: {RENAMED_COMMANDS[args[0]]}")
-        return super().resolve_command(ctx, args)
-
-
 def _say_version(is_asked: bool) -> None:
     if is_asked:
         typer.echo(f"pasdedeux {code_version()}")
@@ -123,9 +112,7 @@ def _say_version(is_asked: bool) -> None:
 
 def command_line() -> typer.Typer:
     """Return the commands, put together."""
-    app = typer.Typer(
-        cls=_Commands, help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
-    )
+    app = typer.Typer(help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
     @app.callback()
     def options(

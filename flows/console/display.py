@@ -247,11 +247,10 @@ def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
         )
         for cost in costs
     ]
-    total = sum(work.processor_s.values())
     lines = format_table(("workers", "wall time", "core hours", "at work", "memory"), rows, text_columns=())
     lines.append(
-        f"{counted(work.num_shards, 'shard')}, {duration_text(total)} of one core, {work.num_bytes / 1e6:.1f} MB"
-        + (f", at most {gigabytes} GB per process" if gigabytes else "")
+        f"{counted(work.num_shards, 'shard')}, {duration_text(work.processor_s)} of one core, "
+        f"{work.num_bytes / 1e6:.1f} MB" + (f", at most {gigabytes} GB per process" if gigabytes else "")
     )
     if work.num_measured < work.num_shards:
         lines.append(f"{work.num_measured} of them were measured themselves; others take what these did")

@@ -16,13 +16,13 @@ from flows.console.context import (
     open_store,
     print_json,
 )
-from flows.console.display import counted, outcome_lines
+from flows.console.display import outcome_lines
 from flows.console.run import build
+from flows.differences import compare
 from flows.machine import cluster_settings
-from flows.planning import PlanError, Selection, make_plan
-from flows.recorded import artifacts_by_place, read_environment, read_recorded
-from flows.records import environment
-from flows.rerunning import compare, environment_lines, refuse_changed_inputs, why_it_differs
+from flows.planning import Plan, PlanError, Selection, make_plan
+from flows.reasons import shorten
+from flows.recorded import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
 from flows.study import study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import in_use
@@ -37,10 +37,9 @@ _RERUN = """Build a finished run, or a version of a dataset, once more elsewhere
   pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again
   pasdedeux rerun salsa@2 --from /data/store --store /tmp/again --json
 
-The study is the one on record, with every key as it was.  Before anything is computed it is said what of program,
-packages, processor and settings is different now, and files from outside are compared with their digests.  On one
-platform the bytes are the same.  Where they are not, the first table and column that differ are named, how much, and
-what may be why: within the tolerances of the data dictionary that is rounding, beyond them the exit code is 1.
+The study is the one on record, with every key as it was; files from outside have to be what they were.  On one platform
+the bytes are the same.  Where they are not, the first table and column that differ by more than the tolerances of the
+data dictionary are named, with how much (exit code 1), and what of program, packages and processor is different now.
 """
 
 
@@ -67,30 +66,38 @@ def rerun(
             plan = make_plan(study, graph, origin)
         except InputError as error:
             raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
-        refuse_changed_inputs(old, plan)
-        if not as_json:
-            pending = [stage.stage.name for stage in plan.stages if stage.is_pending]
-            late = sum(name.split()[0] in pending for name in old.sources)
-            words = f"{counted(len(old.sources) - late, 'file')} from outside, as they were"
-            words += f"; {counted(late, 'file')} of stages that are planned later" if late else ""
-            typer.echo(f"{old.label}: {counted(len(old.artifacts), 'artifact')}; {words}")
-            for line in environment_lines(old.environment, environment()) or ["as it was"]:
-                typer.echo(f"environment: {line}")
+        _refuse_changed_files(old, plan)
         outcome, made = build(study, graph, target, Selection(), cluster, is_quiet=as_json)
         named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
         new = artifacts_by_place(target, named)
         found = compare(origin, old.artifacts, target, new)
-        reasons = why_it_differs(old, new, read_environment(target, outcome.run_id)) if found.differs else []
-    stale = [f"{store} had results of other sources, which were compared; --store names an empty folder"] * bool(
-        made.warnings
-    )
+    changes = environment_changes(old.environment, read_environment(target, outcome.run_id))
+    changes |= {
+        f"version of stage {place[0]}": (str(was.version), str(new[place].version))
+        for place, was in old.artifacts.items()
+        if place in new and was.version != new[place].version
+    }
+    stale = f"{store} had results of other sources, which were compared; --store names an empty folder"
+    warnings = [stale] if made.warnings else []
     if as_json:
-        print_json(
-            {"name": old.label, "run_id": outcome.run_id, **found.to_json(), "reasons": reasons, "warnings": stale}
-        )
+        answer = {"name": old.label, "run_id": outcome.run_id, **found.to_json()}
+        print_json({**answer, "changes": changes, "warnings": warnings})
     else:
-        lines = (*(f"warning: {words}" for words in stale), *(f"why it may be: {reason}" for reason in reasons))
-        for line in (*outcome_lines(outcome), *found.lines(), *lines):
+        for line in (*outcome_lines(outcome), *found.lines(), *(f"warning: {words}" for words in warnings)):
             typer.echo(line)
+        for what, (was, now) in changes.items():
+            typer.echo(f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}")
     if not found.is_same:
         raise typer.Exit(1)
+
+
+def _refuse_changed_files(old: Recorded, plan: Plan) -> None:
+    """Refuse files from outside that are not what they were; `plan` is of the old study in the store that has it."""
+    for shard in (item.shard for stage in plan.stages for item in stage.shards):
+        before = old.artifacts.get((shard.stage, shard.partition, shard.name))
+        for file in shard.files:
+            if before is not None and (Path(file.path).name, file.sha256) not in before.files:
+                raise PlanError(
+                    f"{file.path} is not what {old.label} read ({shard.stage} {shard.partition}): its sha256 is "
+                    f"{file.sha256[:12]}; put the old file there, or run the study itself for the new one"
+                )

@@ -21,7 +21,6 @@ from flows.console.run import build_and_report
 from flows.machine import cluster_settings
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
-from flows.renamed import is_to_leave_out
 from flows.study import study_from_tree
 from flows.study_files import PUBLISH, StudyTree
 from storage_schema import Store, latest_studies
@@ -114,11 +113,8 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
 
 
 def _restarted(sections: dict[str, Any], chosen: DrawSeed, name: str, path: Path) -> dict[str, Any]:
-    """Return a study's settings with the draw as its only seed, without recorded defaults of what is gone since."""
-    tree: dict[str, Any] = {
-        section: {key: value for key, value in values.items() if not is_to_leave_out([section, key])}
-        for section, values in sections.items()
-    }
+    """Return a study's settings with the draw as its only seed."""
+    tree: dict[str, Any] = {section: dict(values) for section, values in sections.items()}
     tree["study"] |= {"name": name, "title": f"Restart from draws@{chosen.key[:12]}#{chosen.row}"}
     if tree["study"].get("stages") is None:
         tree["study"].pop("stages", None)

@@ -27,7 +27,7 @@ With --model a trained model gives the motion in place of the solver: NAME, or N
 several of that name, or a .safetensors file that `export` wrote.
 
 \b
-  pasdedeux retarget a.bvh b.bvh --to 02.asf --model start_net@models/cross_interaction --out b_as_02
+  pasdedeux retarget a.bvh b.bvh --to 02.asf --model ridge_adapted@models/cross_interaction --out b_as_02
 
 A BVH and an npz file a person are written, as by `export`, with UNITS.txt and CREDITS.txt.
 """

@@ -27,7 +27,7 @@ from flows.console.context import (
     print_json,
 )
 from flows.console.display import cost_lines, counted, make_listener, outcome_lines, plan_lines, summary_lines
-from flows.costs import Faults, estimate_cost, planned_work, scaled_to_takes
+from flows.costs import estimate_cost, planned_work
 from flows.execution import outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, nearest_folder
 from flows.outcomes import Outcome, Run
@@ -48,8 +48,6 @@ MIN_FREE_BYTES = 64 * 1024**2
 PREVIEW_S = 4.0
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
 """That `plan --cost` tells of where nothing is said."""
-SLOW_FACTOR = 5.0
-"""How much longer a slow shard takes in `plan --cost --slow`."""
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
 
@@ -209,28 +207,17 @@ def plan(
     measured: Annotated[
         Path | None, typer.Option("--measured", metavar="DIR", help="With --cost: store that has a build of the study.")
     ] = None,
-    takes: Annotated[
-        int | None, typer.Option("--takes", min=1, help="With --cost: for so many takes like those measured.")
-    ] = None,
-    slow: Annotated[
-        float, typer.Option("--slow", min=0, max=1, help="With --cost: part of the shards that take 5 times as long.")
-    ] = 0.0,
-    losses: Annotated[
-        float, typer.Option("--losses", min=0, max=10, help="With --cost: times an hour that a worker is lost, each.")
-    ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
     """Say what a run would compute and why."""
-    if not cost and (workers or measured or takes or slow or losses):
-        raise PlanError("--workers, --measured, --takes, --slow and --losses are for --cost; give that too")
+    if not cost and (workers or measured):
+        raise PlanError("--workers and --measured are for --cost; give that too")
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     made = make_plan(chosen, graph, open_store(store), selection)
     if cost and not made.is_fresh:
         work = planned_work(made, graph, open_store(store), open_store(measured or store))
-        work = work if takes is None else scaled_to_takes(work, graph, takes)
-        faults = Faults(slow, SLOW_FACTOR if slow else 1.0, losses)
-        costs = [estimate_cost(work, graph, count, faults) for count in workers or NUMBERS_OF_WORKERS]
+        costs = [estimate_cost(work, count) for count in workers or NUMBERS_OF_WORKERS]
         if as_json:
             print_json({"work": work.to_json(), "costs": [asdict(one) for one in costs]})
             return

@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.exact_bones import project_to_bones
-from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
+from pasdedeux.augmentation.quality import FRAME_LIMITS, FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
-from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
+from pasdedeux.augmentation.windows import LONGEST_S, OVERLAP_S, blend_weights, plan_windows
 from pasdedeux.interaction.known_contacts import UserContact, check_contacts
-from pasdedeux.plausibility import JointLimits
 from pasdedeux.verdict import Level, Verdict
 
 __all__ = ["Augmenter", "Variant"]
@@ -98,14 +97,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
-        joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
-        self._meter = QualityMeter(
-            source,
-            girth=self.settings.girth,
-            touch_m=self.settings.touch_m,
-            user_contacts=user_contacts,
-            joint_limits=joint_limits,
-        )
+        self._meter = QualityMeter(source, user_contacts=user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
@@ -139,7 +131,7 @@ class Augmenter:
                 squared_residual=laplacian,
             )
             solver = max((part.solvers[index] for part in parts), key=SOLVERS.index)
-            frame_verdicts = measured.frames.judge(self.settings.frame_limits)
+            frame_verdicts = measured.frames.judge(FRAME_LIMITS)
             variants.append(
                 Variant(
                     variation=variation,
@@ -174,10 +166,10 @@ class Augmenter:
             lengths_m=scaled_lengths(self.source, bone_scale[None])[0],
             squared_residual=np.zeros(self.source.num_frames),
         )
-        return self._judge(measured.quality, measured.frames.judge(self.settings.frame_limits), "")
+        return self._judge(measured.quality, measured.frames.judge(FRAME_LIMITS), "")
 
     def _longest_s(self, rate_hz: float) -> float:
-        return min(self.settings.window_s, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
+        return min(LONGEST_S, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
 
     def _solver(self, number: int) -> WindowSolver:
         if number not in self._ready:

@@ -36,6 +36,7 @@ from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import build_targets, right_hand_side
+from pasdedeux.augmentation.weights import GIRDLE, LAPLACIAN
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["BulkResult", "BulkSolver"]
@@ -55,6 +56,8 @@ _CLEARANCE_PENALTY = 0.12
 """Penalty of near bones per unit of their weight."""
 _RELAXATION = 1.4
 """Over-relaxation, 1 (none) to 1.8."""
+_MOST_ITERATIONS = 300
+"""Iterations at most; settled variants end sooner."""
 _COARSE_HZ = 10.0
 """Rate at which most of the work is done."""
 _FEWEST_COARSE = 8
@@ -149,7 +152,7 @@ class _Level:
             near=pairs[0],
             contacts=pairs[1],
             directions=self._narrow(problem.contact_direction[self._contacts]),
-            constants=self._narrow([_RELAXATION, _CLEARANCE_PENALTY, problem.weights.girdle, _TINY_M]),
+            constants=self._narrow([_RELAXATION, _CLEARANCE_PENALTY, GIRDLE, _TINY_M]),
         )
 
     def _narrow(self, values: npt.ArrayLike) -> AnyFloat:
@@ -328,7 +331,7 @@ class BulkSolver:
 
     def solve(self, targets: Targets) -> BulkResult:
         """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
-        most = self.problem.settings.num_iterations
+        most = _MOST_ITERATIONS
         ended = self._solve_coarse(targets.bone_scale, most)
         estimate, iterations = _GAP_PER_COARSE_CHANGE * ended.change_m, ended.num_iterations
         if self._thinning is not None:
@@ -425,4 +428,4 @@ def _edge_penalties(problem: Problem, edges: npt.NDArray[np.int64]) -> Array:
     at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), at_ends)
     stiffness = contact[:, edges[:, 0]] + contact[:, edges[:, 1]]
-    return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)
+    return np.asarray(_PENALTY * LAPLACIAN + _CONTACT_PENALTY * stiffness)

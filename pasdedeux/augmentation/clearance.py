@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
+from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged, packer, stencil_vectors
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.plausibility import capsule_model
@@ -49,7 +49,7 @@ class Clearance:
         points: Both ends of the first bone and of the second (T, M, 4), as points 0 to n - 1.
         shares: What the ends contribute to the vector w between the nearest points (T, M, 4).
         normals: Unit direction of w in the source (T, M, 3).
-        limits_m: Smallest distance n . w allowed where nobody is thicker than in the source (T, M), metres.
+        limits_m: Smallest distance n . w allowed (T, M), metres.
         weights: (T, M).
         is_within: Both bones are of one person (T, M).
     """
@@ -62,10 +62,8 @@ class Clearance:
     is_within: npt.NDArray[np.bool_]
 
 
-def find_clearance(
-    source: Source, weight_between: float, weight_within: float, girth: Girths = (1.0, 1.0)
-) -> Clearance:
-    """Find the pairs of bones that are near each other in the source, or would be with their new girth."""
+def find_clearance(source: Source, weight_between: float, weight_within: float) -> Clearance:
+    """Find the pairs of bones that are near each other in the source."""
     model = capsule_model(BODY22)
     radii = source.radii_m.reshape(-1)
     parents = parents_of(BODY22, source.num_people)
@@ -78,13 +76,9 @@ def find_clearance(
     pairs, weight, is_within = (values[weight > 0] for values in (pairs, weight, is_within))
     points = np.ascontiguousarray(points_of(source.positions_m))
     along, gaps = nearest_on_bones(points, pairs, parents, radii)
-    grown = radii * (np.repeat(girths_of(() if girth == "follow" else girth, len(first)), joints) - 1.0)
-    # One's own thicker limbs come nearer whatever the motion does: only the partner has to keep away from them.
-    added = np.where(is_within, 0.0, grown[pairs].sum(axis=1))
-    nearest = gaps - np.maximum(added, 0.0)
     follows = np.maximum(standing_out(pairs, along, gaps, BODY22), _FOLLOWING)
-    nearness = fade(nearest, *_NEAR_M) * np.where(is_within, 1.0, follows)
-    is_near = nearest.min(axis=0, initial=np.inf) < _NEAR_M[1]
+    nearness = fade(gaps, *_NEAR_M) * np.where(is_within, 1.0, follows)
+    is_near = gaps.min(axis=0, initial=np.inf) < _NEAR_M[1]
     pairs, weight, is_within = (values[is_near] for values in (pairs, weight, is_within))
     along, gaps, nearness = (values[:, is_near] for values in (along, gaps, nearness))
     sigma = _SMOOTHING_S * source.rate_hz
@@ -115,15 +109,11 @@ def separations(clearance: Clearance, points_m: Array) -> Array:
     return np.asarray((vectors * clearance.normals).sum(axis=-1))
 
 
-def clearance_limits(
-    clearance: Clearance, reference_m: Array, source: Source, girth: Girths, bone_scale: Array
-) -> Array:
+def clearance_limits(clearance: Clearance, reference_m: Array) -> Array:
     """Return the smallest n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, n, 3).
 
-    Bones of one person are allowed what the new proportions do by themselves: limbs that shrink keep their girth.
+    Bones of one person are allowed what the new proportions do by themselves: limbs that shrink stay as thick.
     """
-    wide = widened_m(clearance.limits_m, clearance.points[..., 1::2], source, girth, bone_scale)
-    if girth != "follow":
-        wide = np.where(clearance.is_within, clearance.limits_m, wide)
-    limits = wide - separations(clearance, reference_m)
+    allowed = np.where(clearance.is_within, clearance.limits_m, np.maximum(clearance.limits_m, 0.0))
+    limits = allowed - separations(clearance, reference_m)
     return np.asarray(np.where(clearance.is_within, np.minimum(limits, 0.0), limits))

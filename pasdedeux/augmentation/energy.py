@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.contacts import ContactTerm
 from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import right_hand_side
@@ -33,7 +34,7 @@ Array = npt.NDArray[np.float64]
 def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
     """Return L x - L_c (s q - r) (variant, T, n, 3), metres, of offsets x = p - r (variant, T, n, 3)."""
     kept = np.matmul(problem.mesh.laplacian[None], offsets)
-    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.across))
+    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
 
 
 def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
@@ -54,7 +55,7 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     girdle = DistanceTerm(
         pairs=girdle_pairs(problem.source.num_people),
         lengths_m=one.girdle_m[0],
-        weights=np.array(problem.weights.girdle),
+        weights=np.array(weights.GIRDLE),
     )
     near = problem.clearance
     clearance = HalfSpaceTerm(
@@ -73,10 +74,10 @@ def _constant(problem: Problem, one: Targets) -> float:
     """Return what the quadratic terms weigh at x = 0, where nothing is left of them but their targets."""
     difference = one.difference[0]
     parts = (
-        problem.weights.laplacian * laplacian_residual(problem, one, np.zeros((1, *difference.shape))) ** 2,
+        weights.LAPLACIAN * laplacian_residual(problem, one, np.zeros((1, *difference.shape))) ** 2,
         problem.floor * one.height[0] ** 2,
         problem.stance[..., None] * np.diff(difference, axis=0)[..., [0, 2]] ** 2,
-        (problem.anchor - problem.weights.reference)[:, None] * difference**2,
+        (problem.anchor - weights.REFERENCE)[:, None] * difference**2,
     )
     return float(sum(part.sum() for part in parts))
 

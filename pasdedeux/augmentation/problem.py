@@ -12,9 +12,8 @@ import numpy.typing as npt
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import Clearance
 from pasdedeux.augmentation.mesh import InteractionMesh
-from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
-from pasdedeux.augmentation.weights import Weights
+from pasdedeux.augmentation.weights import CONTACT_DIRECTION
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.skeletons import BODY22
 
@@ -50,7 +49,6 @@ class Problem:
 
     Args:
         source: The template, T frames.
-        settings: Settings used.
         mesh: Interaction mesh of the source.
         matrix: Quadratic form within a frame (group=2, T, n, n), temporal terms included.
         lag1: Coupling of each point at frames t and t+1 (group=2, T-1, n).
@@ -66,7 +64,6 @@ class Problem:
     """
 
     source: Source
-    settings: AugmentationSettings
     mesh: InteractionMesh
     matrix: Array
     lag1: Array
@@ -81,11 +78,6 @@ class Problem:
     coupling: Array
 
     @property
-    def weights(self) -> Weights:
-        """Weights of the terms."""
-        return self.settings.weights
-
-    @property
     def num_frames(self) -> int:
         """Number of frames."""
         return self.source.num_frames
@@ -93,9 +85,8 @@ class Problem:
     @property
     def contact_direction(self) -> Array:
         """Share of each contact's weight that keeps its direction (T, M): all of it where a hand holds an object."""
-        least = self.weights.contact_direction
         holds = np.where(self.contacts.objects >= 0, self.contacts.hand[..., 0], 0.0)
-        return np.asarray(least + (1.0 - least) * holds)
+        return np.asarray(CONTACT_DIRECTION + (1.0 - CONTACT_DIRECTION) * holds)
 
     @cached_property
     def free_matrix(self) -> Array:
@@ -114,18 +105,16 @@ class Targets:
         bone_scale: Scales (variant, P, 22).
         reference: r (variant, T, n, 3), metres.
         difference: d = q - r (variant, T, n, 3), metres.
-        across: s q - r, with s the size of bodies whose girth follows their bones, otherwise d.
         height: Target of the vertical part of x for the floor term (variant, T, n), metres.
         lengths_m: New bone lengths (variant, n), metres; 0 for the roots.
         girdle_m: Distances of the girdle pairs in r (variant, T, pair), metres.
         clearance_m: Least n . B x of near bones (variant, T, M), metres.
-        contact_m: Vectors of the contacts as in the source, stretched to the wanted length (variant, T, M, 3), metres.
+        contact_m: Vectors of the contacts as in the source (variant, T, M, 3), metres.
     """
 
     bone_scale: Array
     reference: Array
     difference: Array
-    across: Array
     height: Array
     lengths_m: Array
     girdle_m: Array

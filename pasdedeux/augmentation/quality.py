@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
+from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.augmentation.support import stance_weights
-from pasdedeux.interaction.contacts import TOUCH_M
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import JointLimits, capsule_model
-from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22, PAIR17, JointMap
+from pasdedeux.plausibility import capsule_model
+from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["FrameLimits", "FrameQuality", "Measured", "Quality", "QualityLimits", "QualityMeter"]
+__all__ = ["FRAME_LIMITS", "LIMITS", "FrameQuality", "Limits", "Measured", "Quality", "QualityMeter"]
 
 Array = npt.NDArray[np.float64]
 
@@ -32,61 +28,42 @@ _SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
 """Units of figures by the ending of their name, as reasons say them."""
 _STILL_M = 1e-9
 """A source with less jerk than this, in metres of third difference, is still."""
-_LIMITED = JointMap(
-    name="joint limits of body22",
-    target=PAIR17,
-    table={**{name: name for name in PAIR17.joint_names}, "spine": "spine1", "chest": "spine3"},
-)
-"""Which joints of body22 stand for those of pair17, on which the ranges of the joints are defined."""
 _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
 
 
-def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
-    if not 0 <= limit[0] <= limit[1]:
-        raise ValueError(f"warn {limit[0]:g}, fail {limit[1]:g}: allowed is 0 <= warn <= fail")
-    return limit
+Limits = Mapping[str, tuple[float, float]]
+"""By figure: above the first it is a warning, above the second a failure."""
 
+LIMITS: Limits = {
+    "bone_error_m": (1e-6, 1e-4),
+    "contact_drift_extremity_m": (0.005, 0.02),
+    "contact_drift_mixed_m": (0.005, 0.02),
+    "contact_drift_body_m": (0.01, 0.04),
+    "contact_drift_p95_m": (0.015, 0.05),  # no contact may be lost for a while
+    "stance_excursion_m": (0.01, 0.03),  # a third of a foot's width
+    "floor_penetration_m": (0.02, 0.06),
+    "penetration_m": (0.01, 0.1),
+    "self_penetration_m": (0.05, 0.2),
+    "spine_bend_rad": (0.6, 1.2),
+    "jerk_ratio": (1.2, 2.0),
+}
+"""Limits of the figures of a variant; one that fails is nothing to train on.
 
-Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
-"""A figure above the first is a warning, above the second a failure."""
+Warnings begin at what converged variants of well captured takes keep to; failures where an eye sees that something is
+wrong: a hand in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
+"""
 
-
-class QualityLimits(Settings):
-    """Limits of the figures of a variant; one that fails is nothing to train on.
-
-    Warnings begin at what converged variants of well captured takes keep to; failures where an eye sees that something
-    is wrong: a hand in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
-    """
-
-    bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
-    contact_drift_extremity_m: Limit = Field((0.005, 0.02), description="Drift of hands and feet, metres")
-    contact_drift_mixed_m: Limit = Field((0.005, 0.02), description="Drift of a hand or foot on a body, metres")
-    contact_drift_body_m: Limit = Field((0.01, 0.04), description="Drift of body on body, metres")
-    contact_drift_p95_m: Limit = Field(
-        (0.015, 0.05), description="95th percentile of all contacts' drift, metres: no contact may be lost for a while"
-    )
-    stance_excursion_m: Limit = Field(
-        (0.01, 0.03), description="Wandering of a joint in a stance, worst stance, metres: a third of a foot's width"
-    )
-    floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
-    penetration_m: Limit = Field((0.01, 0.1), description="Depth in the partner, summed over bones, metres")
-    self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, summed over bones, metres")
-    spine_bend_rad: Limit = Field((0.6, 1.2), description="Change of the spine's bends, radians")
-    jerk_ratio: Limit = Field((1.2, 2.0), description="Jerk over the source's")
-    invalid_angles: Limit = Field((0.2, 2.0), description="Joint angles out of range in a frame, mean")
-
-
-class FrameLimits(Settings):
-    """Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
-
-    bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
-    contact_drift_m: Limit = Field((0.02, 0.06), description="Mean over the frame's contacts, metres")
-    stance_excursion_m: Limit = Field((0.01, 0.03), description="Distance from the median place in the stance, metres")
-    floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
-    penetration_m: Limit = Field((0.02, 0.12), description="Depth in the partner, metres")
-    self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, metres")
-    spine_bend_rad: Limit = Field((0.8, 1.4), description="Change of the spine's bends, radians")
-    jerk_ratio: Limit = Field((2.0, 5.0), description="Jerk over the greater of the source's, there or over the take")
+FRAME_LIMITS: Limits = {
+    "bone_error_m": (1e-6, 1e-4),
+    "contact_drift_m": (0.02, 0.06),
+    "stance_excursion_m": (0.01, 0.03),
+    "floor_penetration_m": (0.02, 0.06),
+    "penetration_m": (0.02, 0.12),
+    "self_penetration_m": (0.05, 0.2),
+    "spine_bend_rad": (0.8, 1.4),
+    "jerk_ratio": (2.0, 5.0),
+}
+"""Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +72,6 @@ class Quality:
 
     Contact drifts are means of the change of distance of the surfaces over contacts of the source: over all of them
     (NaN without any), over those of two hands or feet, of one, and of body on body; None where there is no such one.
-    `invalid_angles` counts joint angles of a frame that are out of range and beyond what the source does, in the mean;
-    None where no ranges were asked for.
     """
 
     num_contact_pairs: int
@@ -114,9 +89,8 @@ class Quality:
     self_penetration_m: float
     spine_bend_rad: float
     jerk_ratio: float
-    invalid_angles: float | None = None
 
-    def judge(self, limits: QualityLimits, *, is_alone: bool = False) -> Verdict:
+    def judge(self, limits: Limits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
 
         Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
@@ -124,7 +98,7 @@ class Quality:
         level, reasons = Level.PASS, []
         if not self.num_contact_pairs and not is_alone:
             level, reasons = Level.WARN, ["nothing is in contact in the source, so contact drift is not known"]
-        for name, (warn, fail) in limits:
+        for name, (warn, fail) in limits.items():
             value = getattr(self, name)
             if value is None or value <= warn:
                 continue
@@ -165,10 +139,10 @@ class FrameQuality:
     spine_bend_rad: Array
     jerk_ratio: Array
 
-    def judge(self, limits: FrameLimits) -> npt.NDArray[np.int64]:
+    def judge(self, limits: Limits) -> npt.NDArray[np.int64]:
         """Return the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
         verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
-        for name, (warn, fail) in limits:
+        for name, (warn, fail) in limits.items():
             values = getattr(self, name)
             verdicts = np.maximum(verdicts, (values > warn).astype(np.int64) + (values > fail))
         return verdicts
@@ -189,15 +163,12 @@ class QualityMeter:
         self,
         source: Source,
         *,
-        girth: Girths = (1.0, 1.0),
-        touch_m: tuple[float, float] = TOUCH_M,
         user_contacts: Sequence[UserContact] = (),
-        joint_limits: JointLimits | None = None,
     ) -> None:
         points = points_of(source.positions_m)
         self._num_frames = len(points)
-        self._source, self._girth = source, girth
-        self._contacts = source.contacts(touch_m, user_contacts)
+        self._source = source
+        self._contacts = source.contacts(user_contacts)
         self._held = np.nonzero(self._contacts.is_held)
         self._frames = self._held[0]
         self._class = self._contacts.num_hands[self._held]
@@ -208,10 +179,7 @@ class QualityMeter:
         self._floor = source.floor_m
         self._below = np.maximum(self._floor - points[..., 1], 0.0)
         self._model = capsule_model(BODY22)
-        self._penetration = self._penetrate(points, self._radii(np.ones(source.radii_m.shape)))
-        self._limits = joint_limits and joint_limits.widened(
-            _LIMITED.positions(source.positions_m, BODY22.joint_names), name=source.name, percentile=0.0
-        )
+        self._penetration = self._penetrate(points)
         self._bends = _spine_bends(points)
 
     @property
@@ -231,18 +199,15 @@ class QualityMeter:
             lengths_m: Bone lengths (n,), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres.
         """
-        bones = self._contacts.bones()[self._held]
-        wanted = widened_m(self._distance, bones, self._source, self._girth, bone_scale[None])[0]
-        drift = np.abs(self._contact_distances(points) - wanted)
-        drift_fk = np.abs(self._contact_distances(reference) - wanted)
+        drift = np.abs(self._contact_distances(points) - self._distance)
+        drift_fk = np.abs(self._contact_distances(reference) - self._distance)
         people = self._people(points)
         bone_error = np.abs(bone_lengths(BODY22, people) - lengths_m.reshape(bone_scale.shape)).max(axis=(1, 2))
         excursion, by_stance = self._excursions(points)
         below = np.maximum(self._floor - points[..., 1], 0.0)
-        radii = self._radii(bone_scale)
-        depths = self._penetrate(points, radii)
+        depths = self._penetrate(points)
         extra = np.maximum(depths[:, -1] - self._penetration[:, -1], 0.0)
-        by_proportions = self._penetrate(reference, radii, is_within=True)
+        by_proportions = self._penetrate(reference, is_within=True)
         within = (depths - np.maximum(self._penetration, by_proportions))[:, :-1].sum(axis=-1)
         within = np.maximum(within, 0.0)
         bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
@@ -279,24 +244,14 @@ class QualityMeter:
             spine_bend_rad=float(np.percentile(bends, _PERCENTILE)),
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
             jerk_ratio=jerk / self._jerk if self._jerk > _STILL_M else 1.0 + jerk,
-            invalid_angles=self._invalid_angles(people),
         )
         return Measured(quality=quality, frames=frames)
 
     def _people(self, points: Array) -> Array:
         return points.reshape(-1, *self._source.positions_m.shape[1:])
 
-    def _invalid_angles(self, people: Array) -> float | None:
-        if self._limits is None:
-            return None
-        return float(self._limits.num_invalid(_LIMITED.positions(people, BODY22.joint_names)).sum(axis=-1).mean())
-
     def _contact_distances(self, points: Array) -> Array:
         return np.asarray(np.linalg.norm(self._contacts.vectors(points)[self._held], axis=-1))
-
-    def _radii(self, bone_scale: Array) -> Array:
-        wide = bone_scale if self._girth == "follow" else girths_of(self._girth, len(bone_scale))[:, None]
-        return np.asarray(self._source.radii_m * wide)
 
     def _excursions(self, points: Array) -> tuple[Array, list[float]]:
         """Return how far joints that stand are from their median place in that stance: by frame, by stance.
@@ -312,9 +267,9 @@ class QualityMeter:
             worst.append(float(away.max()))
         return frames, worst
 
-    def _penetrate(self, points: Array, radii: Array, *, is_within: bool = False) -> Array:
+    def _penetrate(self, points: Array, *, is_within: bool = False) -> Array:
         model = replace(self._model, between=self._model.between[:0]) if is_within else self._model
-        return model.penetration(self._people(points), radii)
+        return model.penetration(self._people(points), self._source.radii_m)
 
 
 def _jerk(points: Array) -> tuple[float, Array]:

@@ -6,22 +6,28 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
-from pasdedeux.augmentation.weights import Weights
-from pasdedeux.augmentation.windows import OVERLAP_S
-from pasdedeux.interaction.contacts import TOUCH_M
+from pasdedeux.augmentation.quality import LIMITS
 from pasdedeux.interaction.known_contacts import Letter
 from pasdedeux.settings import Settings
 
 __all__ = ["AugmentationSettings"]
 
-Girth = Annotated[float, Field(ge=0.2, le=5.0)]
+
+def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
+    if not 0 <= limit[0] <= limit[1]:
+        raise ValueError(f"warn {limit[0]:g}, fail {limit[1]:g}: allowed is 0 <= warn <= fail")
+    return limit
 
 
-def _check_fade(fade: tuple[float, float]) -> tuple[float, float]:
-    if not 0 <= fade[0] < fade[1]:
-        raise ValueError(f"({fade[0]:g}, {fade[1]:g}): the fade must end beyond its start, both from 0")
-    return fade
+def _completed(given: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Return the limits with those that are not given as they are known."""
+    for name in given:
+        if name not in LIMITS:
+            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(LIMITS)}")
+    return {**LIMITS, **given}
+
+
+Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
 
 
 class AugmentationSettings(Settings):
@@ -30,31 +36,13 @@ class AugmentationSettings(Settings):
     fixed_person: Letter | None = Field(
         None, description="Person who keeps the source's motion, in takes that have this person"
     )
-    weights: Weights = Field(Weights(), description="Weights of the terms")
-    limits: QualityLimits = Field(QualityLimits(), description="Limits of pass, warn and fail")
-    frame_limits: FrameLimits = Field(FrameLimits(), description="The same for single frames")
-    girth: tuple[Girth, ...] | Literal["follow"] = Field(
-        (1.0, 1.0),
-        description="Thickness of A's, B's, ... body over the source's; 1, as for who is not stated, leaves it as it "
-        "was, whatever the bones do; follow: bones are as thick as they are long",
+    limits: Annotated[dict[str, Limit], AfterValidator(_completed)] = Field(
+        dict(LIMITS),
+        description="By figure (a column of `variant_quality`): above the first a warning, above the second a failure",
     )
     floor_m: float | None = Field(
         None, description="Height of toe joints that stand, metres; found from everybody's feet where not given"
     )
-    is_joint_limited: bool = Field(
-        False, description="Check joint angles against the published ranges, widened by what the source does"
-    )
-    touch_m: Annotated[tuple[float, float], AfterValidator(_check_fade)] = Field(
-        TOUCH_M, description="Distance of surfaces in contact: full weight up to, none from; metres"
-    )
     solver: Literal["bulk", "polished"] = Field(
         "bulk", description="bulk, or polished (every variant ends with guaranteed descent)"
-    )
-    num_iterations: int = Field(
-        300, ge=1, description="Most iterations of the bulk solver; settled variants end sooner"
-    )
-    window_s: float = Field(
-        30.0,
-        gt=2.0 * OVERLAP_S,
-        description="Longer takes are solved in overlapping windows of this length, seconds, at most 1,200 frames",
     )

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import TOUCH_M, Contacts, find_contacts
+from pasdedeux.interaction.contacts import Contacts, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
@@ -23,23 +22,17 @@ from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
-    "Girths",
     "Source",
     "complete_scales",
-    "girths_of",
     "points_of",
     "reference_motion",
     "scaled_lengths",
     "variant_rotations",
-    "widened_m",
 ]
 
 Array = npt.NDArray[np.float64]
 
-Girths = tuple[float, ...] | Literal["follow"]
-
 _LONGEST_JOINT_DISTANCE_M = 1e4
-_THINNEST_M = 1e-6
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _WAIST = BODY22.index("spine1")
 _TOES = BODY22.indices(["left_toe", "right_toe"])
@@ -158,12 +151,11 @@ class Source:
         radii[:, BODY22.root] = radii[:, _WAIST]
         return radii
 
-    def contacts(self, touch_m: tuple[float, float] = TOUCH_M, stated: Sequence[UserContact] = ()) -> Contacts:
+    def contacts(self, stated: Sequence[UserContact] = ()) -> Contacts:
         """Find where people touch; see `find_contacts`."""
         return find_contacts(
             *(self.positions_m, self.radii_m, BODY22),
             rate_hz=self.rate_hz,
-            touch_m=touch_m,
             stated=stated,
             own=_own_touch() if self.num_people == 1 else None,
             objects=self.objects,
@@ -188,11 +180,6 @@ def _own_touch() -> npt.NDArray[np.int64]:
 def points_of(people: Array) -> Array:
     """See people (*batch, P, 22, 3) as their points (*batch, n, 3)."""
     return people.reshape(*people.shape[:-3], people.shape[-3] * people.shape[-2], people.shape[-1])
-
-
-def girths_of(girth: tuple[float, ...], num_people: int) -> Array:
-    """Return everybody's thickness over the source's (P,): 1 for who has none stated."""
-    return np.array([*girth, *np.ones(num_people)])[:num_people]
 
 
 def complete_scales(source: Source, bone_scale: Array) -> Array:
@@ -235,31 +222,6 @@ def scaled_lengths(source: Source, bone_scale: Array) -> Array:
     lengths = source.lengths_m * bone_scale
     lengths[..., source.skeleton.root] = 0.0
     return np.asarray(lengths.reshape(len(bone_scale), source.num_points))
-
-
-def widened_m(
-    lengths_m: Array, bones: npt.NDArray[np.int64], source: Source, girth: Girths, bone_scale: Array
-) -> Array:
-    """Return distances of points of bones in bodies of another girth (variant, *batch), metres.
-
-    Args:
-        lengths_m: Distances in the source (*batch,).
-        bones: Child joints of the two bones (*batch, 2), numbered through; -1, -2, ... for objects, which never change.
-        source: The template.
-        girth: Thickness of A, B, ... over the source's: distances of surfaces stay.  Or "follow": bones are as thick as
-            they are long, and distances follow their radii, so that people of half the size are half as far apart.
-        bone_scale: Scales (variant, P, 22).
-    """
-    things = np.ones(0) if source.objects is None else source.objects.radii_m[::-1]
-    radii = np.concatenate([source.radii_m.ravel(), things])[bones]
-    same = np.ones(len(things))
-    if girth == "follow":
-        scales = (np.concatenate([scale.ravel(), same])[bones] for scale in bone_scale)
-        wide = np.stack([(radii * scale).sum(axis=-1) for scale in scales])
-        return np.asarray(lengths_m * wide / np.maximum(radii.sum(axis=-1), _THINNEST_M))
-    wider = np.concatenate([np.repeat(girths_of(girth, source.num_people), BODY22.num_joints), same])
-    added = (radii * (wider[bones] - 1.0)).sum(axis=-1)
-    return np.broadcast_to(np.maximum(lengths_m + added, 0.0), (len(bone_scale), *lengths_m.shape))
 
 
 def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, source_world_unitquat: Array) -> Array:

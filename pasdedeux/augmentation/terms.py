@@ -26,6 +26,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.mesh import build_mesh
@@ -37,7 +38,6 @@ from pasdedeux.augmentation.source import (
     points_of,
     reference_motion,
     scaled_lengths,
-    widened_m,
 )
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.augmentation.variations import persons_of
@@ -69,33 +69,31 @@ def build_problem(
 
     Args:
         source: The template.
-        settings: Weights, girths, contacts and who is held fixed.
+        settings: Who is held fixed.
         user_contacts: Contacts that replace what is found.
     """
-    settings = settings or AugmentationSettings()
-    weights = settings.weights
     mesh = build_mesh(source, smoothing_s=_MESH_SMOOTHING_S)
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 
-    contacts = source.contacts(settings.touch_m, user_contacts)
+    contacts = source.contacts(user_contacts)
     contact_weights = weights.of_contacts(contacts)
     standing = stance_weights(source, user_contacts).reshape(frames, -1)
     stands = np.sqrt(standing[1:] * standing[:-1])
     stiff = np.clip(lasting_s(stands, source.rate_hz), *_STANCE_S) / _STANCE_S[0]
-    stance = weights.stance * rate**2 * stiff**2 * stands
-    floor = weights.floor * floor_weights(source, user_contacts).reshape(frames, -1)
+    stance = weights.STANCE * rate**2 * stiff**2 * stands
+    floor = weights.FLOOR * floor_weights(source, user_contacts).reshape(frames, -1)
     count = source.num_points
-    anchor = np.full(count, weights.reference)
-    if settings.fixed_person is not None:
-        anchor.reshape(source.num_people, -1)[persons_of(settings.fixed_person, source.num_people)] += weights.fixed
-    smoothness = weights.smoothness * rate**4
+    anchor = np.full(count, weights.REFERENCE)
+    if settings is not None and settings.fixed_person is not None:
+        anchor.reshape(source.num_people, -1)[persons_of(settings.fixed_person, source.num_people)] += weights.FIXED
+    smoothness = weights.SMOOTHNESS * rate**4
 
     laplacian = mesh.laplacian
-    shared = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ laplacian
+    shared = weights.LAPLACIAN * np.swapaxes(laplacian, -1, -2) @ laplacian
     add_stencils(contacts.points, contacts.shares, contact_weights, shared)
     bends = bending_rows(source)
-    shared += weights.bending * bends.T @ bends
+    shared += weights.BENDING * bends.T @ bends
     shared[:, range(count), range(count)] += anchor
     matrix = np.stack([shared, shared])
     diagonal, lag1, lag2 = temporal_couplings(stance, smoothness, frames)
@@ -103,7 +101,6 @@ def build_problem(
     matrix[..., range(count), range(count)] += diagonal
     return Problem(
         source=source,
-        settings=settings,
         mesh=mesh,
         matrix=matrix,
         lag1=lag1,
@@ -114,8 +111,8 @@ def build_problem(
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
-        clearance=find_clearance(source, weights.clearance, weights.clearance_self, settings.girth),
-        coupling=weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
+        clearance=find_clearance(source, weights.CLEARANCE, weights.CLEARANCE_SELF),
+        coupling=weights.LAPLACIAN * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
     )
 
 
@@ -160,31 +157,23 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
     points = points_of(reference)
     difference = points_of(source.positions_m)[None] - points
     pairs = points[:, :, girdle_pairs(source.num_people)]
-    girth, contacts = problem.settings.girth, problem.contacts
-    across = difference
-    if girth == "follow":
-        size = bone_scale[:, :, 1:].mean(axis=(1, 2))[:, None, None, None]
-        across = size * points_of(source.positions_m)[None] - points
-    vectors = contacts.vectors(points_of(source.positions_m))
-    lengths = np.linalg.norm(vectors, axis=-1)
-    wanted = widened_m(lengths, contacts.bones(), source, girth, bone_scale) / np.maximum(lengths, 1e-6)
+    vectors = problem.contacts.vectors(points_of(source.positions_m))
     return Targets(
         bone_scale=bone_scale,
         reference=points,
         difference=difference,
-        across=across,
         height=_floor_heights(source, bone_scale, reference),
         lengths_m=scaled_lengths(source, bone_scale),
         girdle_m=np.linalg.norm(pairs[..., 0, :] - pairs[..., 1, :], axis=-1),
-        clearance_m=clearance_limits(problem.clearance, points, source, girth, bone_scale),
-        contact_m=wanted[..., None] * vectors,
+        clearance_m=clearance_limits(problem.clearance, points),
+        contact_m=np.repeat(vectors[None], len(bone_scale), axis=0),
     )
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
     """Return b (variant, T, n, axis=3) of the normal equations K x = b of the quadratic terms."""
-    rhs = np.matmul(problem.coupling, targets.across)
-    rhs += (problem.anchor - problem.weights.reference)[:, None] * targets.difference
+    rhs = np.matmul(problem.coupling, targets.difference)
+    rhs += (problem.anchor - weights.REFERENCE)[:, None] * targets.difference
     if problem.num_frames > 1:
         change = problem.stance[..., None] * np.diff(targets.difference, axis=1)
         change[..., 1] = 0.0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
@@ -18,19 +18,15 @@ from pasdedeux.skeletons import BODY22, Skeleton
 __all__ = [
     "LIMB_GROUPS",
     "PAPER_SCALES",
-    "DrawnBodies",
-    "DrawnScales",
     "Variation",
     "VariationSet",
     "VariationSettings",
     "bone_variations",
     "check_bone_scales",
-    "drawn_variations",
     "group_variations",
     "leg_ratio",
     "make_variations",
     "persons_of",
-    "population_variations",
     "uniform_variations",
 ]
 
@@ -58,21 +54,6 @@ LIMB_GROUPS: Mapping[Group, tuple[str, ...]] = {
 }
 """Bones (named by their child joint) that scale together; left and right always do, so a body stays symmetric."""
 
-DEVIATIONS: Mapping[str, float] = {
-    **dict.fromkeys(("spine1", "spine2", "spine3", "neck", "head"), 35.69 / 918.29),
-    **dict.fromkeys(("left_collar", "left_shoulder"), 19.16 / 415.68),
-    "left_elbow": 17.48 / 335.24,
-    "left_wrist": 15.42 / 267.88,
-    "left_hip": 24.16 / 345.73,
-    "left_knee": 30.58 / 617.95,
-    "left_ankle": 28.12 / 488.39,
-    "left_toe": 13.10 / 271.18,
-}
-"""Standard deviation of a bone's length over its mean among adults: 4,082 men of the US Army (Gordon et al. 2014,
-"2012 Anthropometric Survey of U.S. Army Personnel", NATICK/TR-15/007).  Measures that stand for bones: sitting height
-(spine), biacromial breadth (collar, shoulder), acromion-radiale and radiale-stylion length (arm), hip breadth,
-buttock-knee length (thigh), mid-patella height (shank), foot length."""
-
 _LEG_BONES = ("left_knee", "left_ankle", "right_knee", "right_ankle")
 _SMALLEST_SCALE, _LARGEST_SCALE = 0.05, 20.0
 
@@ -83,33 +64,11 @@ PAPER_SCALES = (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
 """Without 1, the template itself (Li et al. 2024, section 4)."""
 
 
-class DrawnScales(Settings):
-    """Scales drawn per bone, left and right alike."""
-
-    count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
-    low: Scale = Field(0.75, description="Smallest scale of a bone")
-    high: Scale = Field(1.25, description="Greatest scale of a bone")
-
-    @model_validator(mode="after")
-    def _rises(self) -> DrawnScales:
-        if self.high < self.low:
-            raise ValueError(f"scales drawn from {self.low:g} to {self.high:g}: high is below low")
-        return self
-
-
-class DrawnBodies(Settings):
-    """Bodies drawn as adults differ, overall size and proportions."""
-
-    count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
-    correlation: float = Field(0.8, ge=0, le=1, description="Correlation of a bone's length with overall size")
-    spread: float = Field(1.0, ge=0, le=3, description="Deviations over those of the published survey")
-
-
 class VariationSet(Settings):
     """One set of variations; the scales are those of the stage."""
 
-    kinds: tuple[Literal["uniform", "groups", "bones", "drawn", "population"], ...] = Field(
-        ("uniform",), min_length=1, description="uniform, groups, bones, drawn, population"
+    kinds: tuple[Literal["uniform", "groups", "bones"], ...] = Field(
+        ("uniform",), min_length=1, description="uniform, groups, bones"
     )
     persons: tuple[Persons, ...] = Field(
         ("A",),
@@ -125,8 +84,6 @@ class VariationSettings(VariationSet):
 
     scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
     sets: tuple[VariationSet, ...] = Field((), description="Several sets in place of the one of kinds, persons, groups")
-    drawn: DrawnScales = Field(DrawnScales(), description="Scales of kind drawn")
-    population: DrawnBodies = Field(DrawnBodies(), description="Bodies of kind population")
 
 
 @dataclass(frozen=True)
@@ -189,10 +146,8 @@ def check_bone_scales(
         )
 
 
-def make_variations(
-    settings: VariationSettings, generator_of: Callable[..., np.random.Generator], num_people: int = 2
-) -> list[Variation]:
-    """Return the variations asked for, each once; those drawn take the generator `generator_of(*labels)`.
+def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Variation]:
+    """Return the variations asked for, each once.
 
     Where a take has nobody of those asked for, there are none.
     """
@@ -209,10 +164,6 @@ def make_variations(
                         found += group_variations(settings.scales, [who], chosen.groups, num_people)
                     case "bones":
                         found += bone_variations(settings.scales, [who], num_people)
-                    case "drawn":
-                        found += drawn_variations(generator_of(who), settings.drawn, who, num_people)
-                    case "population":
-                        found += population_variations(generator_of(kind, who), settings.population, who, num_people)
     return list({variation.variant_id: variation for variation in found}.values())
 
 
@@ -257,47 +208,6 @@ def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",), nu
             mirrored = BODY22.joint_names[BODY22.mirror[index]]
             bones[name.removeprefix("left_")] = (name,) if name == mirrored else (name, mirrored)
     return _scaled(bones, scales, persons, num_people)
-
-
-def drawn_variations(
-    generator: np.random.Generator, drawn: DrawnScales, persons: str = "AB", num_people: int = 2
-) -> list[Variation]:
-    """Draw variations with every bone's scale uniform in [low, high], left and right alike."""
-    variations = []
-    for index in range(drawn.count):
-        bone_scale = np.ones((num_people, BODY22.num_joints))
-        for person in persons_of(persons, num_people):
-            scales = generator.uniform(drawn.low, drawn.high, BODY22.num_joints)
-            bone_scale[person] = scales[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
-        bone_scale[:, BODY22.root] = _root_scale(bone_scale)
-        variations.append(Variation(f"{persons}-drawn-{index:04d}", bone_scale))
-    return variations
-
-
-def population_variations(
-    generator: np.random.Generator, bodies: DrawnBodies, persons: str = "AB", num_people: int = 2
-) -> list[Variation]:
-    """Draw bodies as they differ among adults: overall size and proportions, left and right alike.
-
-    With z and z_b standard normal, cut at 3, the scale of bone b is 1 + spread c_b (r z + sqrt(1 - r^2) z_b): c_b from
-    `DEVIATIONS`, r the correlation of a length with overall size.  So two lengths correlate by r^2.  The survey's own
-    correlations are not used; 0.8 is a round middle of what long bones have with stature.
-    """
-    names = list(DEVIATIONS)
-    bones = BODY22.indices(names)
-    mirrored = [BODY22.mirror[bone] for bone in bones]
-    deviations = np.array([DEVIATIONS[name] for name in names])
-    r = bodies.correlation
-    variations = []
-    for index in range(bodies.count):
-        bone_scale = np.ones((num_people, BODY22.num_joints))
-        for person in persons_of(persons, num_people):
-            size, each = np.split(np.clip(generator.standard_normal(1 + len(names)), -3.0, 3.0), [1])
-            scale = 1.0 + bodies.spread * deviations * (r * size + np.sqrt(1.0 - r**2) * each)
-            bone_scale[person, bones] = bone_scale[person, mirrored] = scale
-        bone_scale[:, BODY22.root] = _root_scale(bone_scale)
-        variations.append(Variation(f"{persons}-population-{index:04d}", bone_scale))
-    return variations
 
 
 def _letters(who: str, num_people: int) -> str:

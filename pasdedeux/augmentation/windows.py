@@ -7,11 +7,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["OVERLAP_S", "blend_weights", "plan_windows", "quintic"]
+__all__ = ["LONGEST_S", "OVERLAP_S", "blend_weights", "plan_windows", "quintic"]
 
 Array = npt.NDArray[np.float64]
 
 
+LONGEST_S = 30.0
+"""Longer takes are solved in overlapping windows of this length, seconds."""
 OVERLAP_S = 3.0
 """Overlap of neighbouring windows, seconds.
 

@@ -57,6 +57,8 @@ _MIN_ROOT_DISTANCE_M = 0.2
 """Roots closer than this share one place."""
 _MIN_WEIGHT = 1e-3
 """Hypotheses of less weight are dropped."""
+_DEPTH_DEVIATION_M = 0.6
+"""Standard deviation of the relative depth of two roots."""
 USUAL_DISTANCE_M = 4.0
 """Distance of a camera of which nothing is known, metres."""
 
@@ -74,7 +76,6 @@ class ViewOptions(Settings):
         gt=0,
         description="Distance of the cameras, known or assumed; none: apparent size says nothing of depth",
     )
-    depth_deviation_m: float = Field(0.6, gt=0, description="Standard deviation of the relative depth of two roots")
     camera_pitch_deg: float = Field(10.0, ge=-89, le=89, description="Mean elevation of the cameras")
     camera_pitch_deviation_deg: float = Field(12.0, gt=0, description="Standard deviation of the elevation")
     lean_deviation_deg: float = Field(20.0, gt=0, description="Standard deviation of a backbone from the vertical")
@@ -259,7 +260,7 @@ def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Size
     # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
     apparent = np.log(pairs.metres_per_pixel[:, 1] / pairs.metres_per_pixel[:, 0]).mean(axis=-1)
     across = (pairs.root_px[:, 1, :, 0] - pairs.root_px[:, 0, :, 0]).mean(axis=-1)
-    one_frame = options.depth_deviation_m / (options.distance_m or USUAL_DISTANCE_M)
+    one_frame = _DEPTH_DEVIATION_M / (options.distance_m or USUAL_DISTANCE_M)
     ratio, precision = [], []
     for camera in np.unique(cameras):
         mine = cameras == camera
@@ -293,7 +294,7 @@ def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) 
     reach = np.sqrt(np.maximum(_CONTACT_DISTANCE_M**2 - gap**2, 0.0))
     depth[:, _CONTACT_NEAR], depth[:, _CONTACT_FAR] = reach, -reach
     # What is known of the relative depth: normal, mean and variance.
-    mean, variance = np.zeros(len(scale)), np.full(len(scale), options.depth_deviation_m**2)
+    mean, variance = np.zeros(len(scale)), np.full(len(scale), _DEPTH_DEVIATION_M**2)
     if options.distance_m is not None:
         # Depth is proportional to metres per pixel; the two depths have the camera's distance as their mean.
         apparent = 2.0 * options.distance_m * (scale[:, 0] - scale[:, 1]) / scale.sum(axis=1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.completion.fit import FitOptions, fit_people
+from pasdedeux.completion.fit import fit_people
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.joint_limits import JointLimits
@@ -43,7 +43,6 @@ def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLim
     as it takes, until the two do not pass through each other.
     """
     pair = np.asarray(pair_m, dtype=np.float64)
-    options = FitOptions(bone_deviation_m=_DEPTH_DEVIATION_M)
     deviation = np.array([_VALID_DEVIATION_M, _VALID_DEVIATION_M, _VALID_DEVIATION_M])
     image_weight, valid_weight = _IMAGE_DEVIATION_M**-2, _VALID_DEVIATION_M**-2
     is_seen = np.isfinite(image_m).all(axis=-1, keepdims=True)
@@ -55,7 +54,7 @@ def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLim
         width = np.broadcast_to(deviation, targets.shape).copy()
         width[..., :2] = np.where(is_seen, (image_weight + valid_weight) ** -0.5, _VALID_DEVIATION_M)
         targets[..., :2] = np.where(is_seen, blended, targets[..., :2])
-        pair = fit_people(targets, width, pair, lengths_m, options)
+        pair = fit_people(targets, width, pair, lengths_m, bone_deviation_m=_DEPTH_DEVIATION_M)
     return resolve_penetration(pair)
 
 

@@ -7,55 +7,47 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, FitSettings, PointTerm, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["FitOptions", "fit_pair", "fit_people", "pooled_lengths"]
+__all__ = ["fit_pair", "fit_people", "pooled_lengths"]
 
 Array = npt.NDArray[np.float64]
 
 _PARENTS = np.array([parent if parent >= 0 else joint for joint, parent in enumerate(PAIR17.parents)])
 
 
-class FitOptions(Settings):
-    """What is believed of the image and of the retrieved pair."""
-
-    image_deviation_m: float = Field(0.015, gt=0, description="Error of a seen joint in the final fit, metres")
-    bone_deviation_m: float = Field(
-        0.03, gt=0, description="Error of each coordinate of a retrieved bone's vector in the fit, metres"
-    )
-    depth_deviation_m: float = Field(
-        0.1, gt=0, description="Error of the retrieved depth of a joint against the whole pair in the fit, metres"
-    )
-    max_iterations: int = Field(10, ge=1, description="Iterations of the fit, at most")
+_IMAGE_DEVIATION_M = 0.015
+"""Error of a seen joint in the final fit."""
+BONE_DEVIATION_M = 0.03
+"""Error of each coordinate of a retrieved bone's vector."""
+_DEPTH_DEVIATION_M = 0.1
+"""Error of the retrieved depth of a joint against the whole pair."""
+_FIT = FitSettings(max_iterations=10, tolerance=1e-4)
 
 
-def fit_pair(image_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None) -> Array:
+def fit_pair(image_m: Array, pair_m: Array, lengths_m: Array) -> Array:
     """Return the pair (person=2, joint=17, 3), metres, that fits the joints seen, with exact bone lengths.
 
     Args:
         image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
         pair_m: Retrieved pair (2, 17, 3), metres, camera axes; it is also the first guess.
         lengths_m: Bone lengths (2, 17), metres; those of roots are unused.
-        options: What is believed.
 
     Raises:
         InputError: A position or length is not finite.
     """
-    options = options or FitOptions()
     targets = np.concatenate([image_m, pair_m[..., 2:]], axis=-1)
-    deviation = np.array([options.image_deviation_m, options.image_deviation_m, options.depth_deviation_m])
-    return fit_people(targets, deviation, pair_m, lengths_m, options)
+    deviation = np.array([_IMAGE_DEVIATION_M, _IMAGE_DEVIATION_M, _DEPTH_DEVIATION_M])
+    return fit_people(targets, deviation, pair_m, lengths_m)
 
 
 def fit_people(
-    targets_m: Array, deviation_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None
+    targets_m: Array, deviation_m: Array, pair_m: Array, lengths_m: Array, *, bone_deviation_m: float = BONE_DEVIATION_M
 ) -> Array:
     """Return the pair (person=2, joint=17, 3), metres, nearest to targets and to the bone vectors of a pair.
 
@@ -64,24 +56,22 @@ def fit_people(
         deviation_m: Errors of the targets, (2, 17, 3) or what broadcasts to it, metres.
         pair_m: Pair (2, 17, 3), metres, whose bone vectors decide where targets are silent; also the first guess.
         lengths_m: Bone lengths (2, 17), metres, kept exactly; those of roots are unused.
-        options: How far bone vectors are trusted, and when to stop.
+        bone_deviation_m: Error of each coordinate of a bone's vector, metres.
 
     Raises:
         InputError: A position or length is not finite.
     """
-    options = options or FitOptions()
     if not np.isfinite(pair_m).all():
         raise InputError("the pair to be fitted has a position that is not finite")
     weights = np.broadcast_to(np.asarray(deviation_m, dtype=np.float64) ** -2, targets_m.shape)
     bones = pair_m - pair_m[:, _PARENTS]
-    bone_weight = np.array(options.bone_deviation_m**-2)
-    settings = FitSettings(options.max_iterations, 1e-4)
+    bone_weight = np.array(bone_deviation_m**-2)
     fitted = np.empty(pair_m.shape)
     for person in range(2):
         forest = BoneForest((PAIR17,), np.asarray(lengths_m[person], dtype=np.float64))
         one = slice(person, person + 1)
         terms = [PointTerm(targets_m[one], weights[one]), BoneVectorTerm(PAIR17, bones[one], bone_weight)]
-        fitted[person] = fit_bones(forest, forest.state_of(pair_m[one]), terms, settings).positions_m[0]
+        fitted[person] = fit_bones(forest, forest.state_of(pair_m[one]), terms, _FIT).positions_m[0]
     return fitted
 
 

@@ -8,34 +8,28 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, DifferenceTerm, FitSettings, PointTerm, fit_bones
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["InBetweenOptions", "fill_between", "straight_between"]
+__all__ = ["fill_between", "straight_between"]
 
 Array = npt.NDArray[np.float64]
 
 
-class InBetweenOptions(Settings):
-    """What is believed of the line, of draws and of motion."""
-
-    num_nearest: int = Field(16, ge=1, description="Draws that say where pairs lie, for each pair between")
-    line_deviation_m: float = Field(
-        0.05, gt=0, description="Distance of a true pair from the straight line half-way, metres"
-    )
-    draw_deviation_m: float = Field(
-        0.1, gt=0, description="Distance of a true pair from the mean of its nearest draws, metres"
-    )
-    bend_m: float = Field(
-        0.005, gt=0, description="Second difference of a joint's path between neighbouring frames, metres"
-    )
-    num_rounds: int = Field(2, ge=1, description="How often draws are looked up near the path and it is led past them")
+_NUM_NEAREST = 16
+"""Draws that say where pairs lie, for each pair between."""
+_LINE_DEVIATION_M = 0.05
+"""Distance of a true pair from the straight line half-way."""
+_DRAW_DEVIATION_M = 0.1
+"""Distance of a true pair from the mean of its nearest draws."""
+_BEND_M = 0.005
+"""Second difference of a joint's path between neighbouring frames."""
+_NUM_ROUNDS = 2
+"""How often draws are looked up near the path and it is led past them."""
 
 
 def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:
@@ -58,7 +52,6 @@ def fill_between(
     last_m: Array,
     num_between: int,
     draws_m: npt.NDArray[np.floating],
-    options: InBetweenOptions | None = None,
 ) -> Array:
     """Return the pairs between two pairs (person=2, joint=17, 3) of one scene, ends not among them.
 
@@ -67,7 +60,6 @@ def fill_between(
         last_m: Pair after, metres, in the same axes.
         num_between: Pairs wanted, evenly spaced in time.
         draws_m: Draws (draw, 2, 17, 3), metres.
-        options: What is believed.
 
     Returns:
         Pairs (num_between, 2, 17, 3), metres; bone lengths are those of the two ends, from one to the other.
@@ -75,21 +67,18 @@ def fill_between(
     Raises:
         InputError: There is no draw, a position is not finite, or `num_between` is below 1.
     """
-    options = options or InBetweenOptions()
     if not (np.isfinite(first_m).all() and np.isfinite(last_m).all()):
         raise InputError("in-betweens need two pairs with all joints")
     line = straight_between(first_m, last_m, num_between)
     share = np.arange(1, num_between + 1) / (num_between + 1)
     # As a bridge pinned at both ends: the line is surest near them.
-    line_weight = (4.0 * share * (1.0 - share) * options.line_deviation_m**2) ** -1
+    line_weight = (4.0 * share * (1.0 - share) * _LINE_DEVIATION_M**2) ** -1
     ends = np.stack([first_m, last_m])
     lengths = bone_lengths(PAIR17, ends).mean(axis=0)
     path = line
-    for _ in range(options.num_rounds):
-        shown = np.stack([_local_mean(draws_m, pair, options.num_nearest) for pair in path])
-        path = np.stack(
-            [_lead(ends[:, p], line[:, p], shown[:, p], line_weight, lengths[p], options) for p in (0, 1)], 1
-        )
+    for _ in range(_NUM_ROUNDS):
+        shown = np.stack([_local_mean(draws_m, pair, _NUM_NEAREST) for pair in path])
+        path = np.stack([_lead(ends[:, p], line[:, p], shown[:, p], line_weight, lengths[p]) for p in (0, 1)], 1)
     return path
 
 
@@ -102,16 +91,14 @@ def _local_mean(draws_m: npt.NDArray[np.floating], pair_m: Array, count: int) ->
     return np.tensordot(weight / weight.sum(), near.pairs_m, axes=1)
 
 
-def _lead(
-    ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, lengths_m: Array, options: InBetweenOptions
-) -> Array:
+def _lead(ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, lengths_m: Array) -> Array:
     """Return one person's path (frame, joint, 3) between two poses: near line and draws, smooth, bone lengths exact."""
-    draw_weight = options.draw_deviation_m**-2
+    draw_weight = _DRAW_DEVIATION_M**-2
     total = line_weight + draw_weight
     middle = (line_weight[:, None, None] * line_m + draw_weight * shown_m) / total[:, None, None]
     targets = np.concatenate([ends_m[:1], middle, ends_m[1:]])
     weights = np.concatenate([[1e8], total, [1e8]])[:, None, None]
     forest = BoneForest((PAIR17,), lengths_m)
-    smooth = DifferenceTerm(np.zeros(targets.shape), np.array(options.bend_m**-2), 2)
+    smooth = DifferenceTerm(np.zeros(targets.shape), np.array(_BEND_M**-2), 2)
     result = fit_bones(forest, forest.state_of(targets), [PointTerm(targets, weights), smooth], FitSettings(10, 1e-4))
     return result.positions_m[1:-1]

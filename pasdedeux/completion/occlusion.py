@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.completion.fit import FitOptions, fit_people
+from pasdedeux.completion.fit import fit_people
 from pasdedeux.completion.neighbours import Neighbours, nearest_by_interaction
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
@@ -69,7 +69,7 @@ def complete_pair(
     is_visible = np.isfinite(pair_m).all(axis=-1)
     lengths = known_lengths(pair_m, found.pairs_m)
     deviation = np.where(is_visible, _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M)[..., None]
-    fitted = fit_people(blended, deviation, blended, lengths, FitOptions())
+    fitted = fit_people(blended, deviation, blended, lengths)
     return Completion(pair_m=blended, fitted_m=fitted, median_m=median, neighbours=found)
 
 

@@ -10,26 +10,29 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.cameras import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.nearest import image_distances
-from pasdedeux.settings import Settings
 
-__all__ = ["Retrieval", "RetrievalOptions", "image_residual", "nearest_by_image", "nearest_images", "retrieve"]
+__all__ = [
+    "NEIGHBOUR_DEVIATION_M",
+    "NUM_NEIGHBOURS",
+    "Retrieval",
+    "image_residual",
+    "nearest_by_image",
+    "nearest_images",
+    "retrieve",
+]
 
 Array = npt.NDArray[np.float64]
 
 
-class RetrievalOptions(Settings):
-    """How many draws answer for an image, and how much each of them says."""
-
-    num_neighbours: int = Field(8, ge=1, le=1000, description="Near draws that a pair's depth is averaged over")
-    neighbour_deviation_m: float = Field(
-        0.03, gt=0, description="Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws, metres"
-    )
+NUM_NEIGHBOURS = 8
+"""Near draws that a pair's depth is averaged over."""
+NEIGHBOUR_DEVIATION_M = 0.03
+"""Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws."""
 
 
 @dataclass(frozen=True)
@@ -53,22 +56,21 @@ class Retrieval:
         return np.tensordot(self.weight, self.pairs_m, axes=1)
 
 
-def retrieve(index: DrawIndex, image_m: Array, directions: Array, options: RetrievalOptions | None = None) -> Retrieval:
+def retrieve(index: DrawIndex, image_m: Array, directions: Array, *, count: int = NUM_NEIGHBOURS) -> Retrieval:
     """Return the draws nearest to an image, moved to where it saw them.
 
     Args:
         index: Draws.
         image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
-        options: How many draws, and their weights.
+        count: How many draws.
 
     Raises:
         InputError: No view, or fewer than 4 joints seen.
     """
-    options = options or RetrievalOptions()
-    nearest = index.nearest(image_m, directions, count=options.num_neighbours)
+    nearest = index.nearest(image_m, directions, count=count)
     squared = nearest.distance_m**2
-    weight = np.exp(-0.5 * (squared - squared[0]) / options.neighbour_deviation_m**2)
+    weight = np.exp(-0.5 * (squared - squared[0]) / NEIGHBOUR_DEVIATION_M**2)
     pairs = index.placed(nearest.draw, np.asarray(directions)[nearest.view], image_m)
     return Retrieval(pairs_m=pairs, weight=weight / weight.sum(), nearest=nearest)
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pasdedeux.augmentation.energy import fit_terms, total_energy
 from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.quality import QualityMeter
-from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths, widened_m
+from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.terms import build_targets
 from pasdedeux.evaluation.models import generated_errors, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
@@ -67,10 +67,7 @@ class ModelMeter:
 
     @cached_property
     def _quality(self) -> QualityMeter:
-        solving = self._request.solving
-        return QualityMeter(
-            self._request.source, girth=solving.girth, touch_m=solving.touch_m, user_contacts=self._request.contacts
-        )
+        return QualityMeter(self._request.source, user_contacts=self._request.contacts)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -79,7 +76,7 @@ class ModelMeter:
         known = [one for one in request.contacts if one.weight > 0.0 and not one.is_of_floor]
         if known:
             return stated_contacts(known, source.num_frames, BODY22, source.objects)
-        return source.contacts(request.solving.touch_m)
+        return source.contacts()
 
     @cached_property
     def keys(self) -> Contacts | None:
@@ -124,9 +121,7 @@ class ModelMeter:
             points = points_of(asked.with_exact_bones(motion_m))
             return sum(total_energy(one, points[window]) for window, one in zip(windows, terms, strict=True))
 
-        bones = self.contacts.bones()[self.contacts.is_held]
         before = self._distances(points_of(source.positions_m))
-        wanted = widened_m(before, bones, source, self._request.solving.girth, scales)[0]
         least = energy(true_m)
         found: dict[str, dict[str, float]] = {}
         for name, motion in {**predicted_m, SOLVER: true_m}.items():
@@ -139,7 +134,7 @@ class ModelMeter:
                 squared_residual=np.zeros(len(points)),
             ).quality
             errors = {} if name == SOLVER else model_errors(motion, true_m, self.keys)
-            drift = np.abs(self._distances(points) - wanted)
+            drift = np.abs(self._distances(points) - before)
             found[name] = errors | {
                 "contact_error": _MM * float(drift.mean()) if len(drift) else np.nan,
                 "contact_error_p95": _MM * float(np.percentile(drift, 95.0)) if len(drift) else np.nan,

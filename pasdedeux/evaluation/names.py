@@ -13,7 +13,6 @@ _METHODS = {
     "copy": ("copy of the source", "answers with the source, as if nobody had another size"),
     "ridge_scale": ("ridge regression on scales", "linear in the bone scales, fitted for each take"),
     "ridge_adapted": ("adapted ridge regression", "the same, fitted to a few near sizes of the very take asked for"),
-    "start_net": ("starting network", "a small network that answers at once, from which a fit can go on"),
     "solver": ("the solver", "the converged variant itself, which models are asked for: a bound"),
     "with_augmentation": ("with augmentation", "learned from takes and their variants"),
     "without_augmentation": ("without augmentation", "learned from the same takes alone"),

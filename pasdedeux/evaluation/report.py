@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,12 @@ from markupsafe import Markup
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import figure_words
-from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Verdict
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["PLAYER", "Picture", "Report", "Section", "fit_pictures", "fit_rows", "render_report"]
+__all__ = ["PLAYER", "Picture", "Report", "Section", "render_report"]
 
 PLAYER = ".player.json"
 """Ending of what a player shows."""
@@ -40,11 +39,6 @@ class Picture:
     def is_player(self) -> bool:
         """It is made of moving people."""
         return self.name.endswith(PLAYER)
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes that it takes within the page."""
-        return len(self.content) if self.is_player else len(self.content) * 4 // 3
 
     @property
     def is_broad(self) -> bool:
@@ -91,48 +85,6 @@ class Report:
     description: str
     summary: Summary
     sections: Sequence[Section] = field(default_factory=tuple)
-
-
-def fit_pictures(sections: Sequence[Section], max_bytes: int) -> tuple[list[Section], int]:
-    """Leave out pictures until all fit; gives how many went, which lie beside the page all the same.
-
-    The first ones of every section are taken in turn, then others, evenly in every section.
-    """
-    left = max_bytes
-    kept: list[set[int]] = [set() for _ in sections]
-
-    def take(number: int, at: int) -> None:
-        nonlocal left
-        size = sections[number].pictures[at].num_bytes
-        if size <= left:
-            left -= size
-            kept[number].add(at)
-
-    first = [min(section.num_shown, len(section.pictures)) for section in sections]
-    for rank in range(max(first, default=0)):
-        for number, count in enumerate(first):
-            if rank < count:
-                take(number, rank)
-    more = sum(one.num_bytes for section in sections for one in section.pictures[section.num_shown :])
-    share = min(1.0, left / max(more, 1))
-    for number, section in enumerate(sections):
-        count = len(section.pictures) - first[number]
-        for at in evenly_spread(count, int(share * count)):
-            take(number, first[number] + int(at))
-    fitted = [
-        replace(section, pictures=tuple(section.pictures[at] for at in sorted(chosen)))
-        for section, chosen in zip(sections, kept, strict=True)
-    ]
-    return fitted, sum(len(section.pictures) for section in sections) - sum(map(len, kept))
-
-
-def fit_rows(sections: Sequence[Section], max_rows: int) -> tuple[list[Section], int]:
-    """Leave out the rows of each table after so many; gives how many went."""
-    fitted = [
-        replace(section, tables=tuple(replace(table, rows=table.rows[:max_rows]) for table in section.tables))
-        for section in sections
-    ]
-    return fitted, sum(max(0, len(table.rows) - max_rows) for section in sections for table in section.tables)
 
 
 def _coded(text: str) -> Markup:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
 
-__all__ = ["Credit", "Made", "Summary", "folded"]
+__all__ = ["Credit", "Made", "Summary", "folded", "listed"]
 
 _NUM_SAID = 8
 """Sentences on what was left out among the last lines of the console, at most; the report and the card have all."""
@@ -103,9 +103,10 @@ def folded(sentences: Iterable[str]) -> list[str]:
     for sentence in dict.fromkeys(sentences):
         name, colon, said = sentence.partition(": ")
         names.setdefault(colon + said if colon else sentence, []).append(name if colon else "")
-    return [f"{_listed(found)}{said}" for said, found in names.items()]
+    return [f"{listed(found)}{said}" for said, found in names.items()]
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return the first names, and how many more there are."""
     rest = len(names) - _NUM_NAMED
     return ", ".join(names[:_NUM_NAMED]) + (f" and {rest} more" if rest > 0 else "")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.augment import Augmenter
 from pasdedeux.augmentation.settings import AugmentationSettings
-from pasdedeux.augmentation.source import Girths, Source, points_of, reference_motion, widened_m
+from pasdedeux.augmentation.source import Source, points_of, reference_motion
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
@@ -53,7 +53,6 @@ QUALITY_COLUMNS = {
     "self_penetration_m": "m",
     "spine_bend_rad": "rad",
     "jerk_ratio": "",
-    "invalid_angles": "",
 }
 """Columns of a variant's quality that are scored, with their units."""
 
@@ -121,19 +120,16 @@ class ContactDrifts:
         return Items(values, [take_id] * len(times_s), times_s, ("naive_fk",), count)
 
 
-def contact_drifts(
-    contacts: Contacts, source: Source, girth: Girths, variants: Iterable[tuple[Array, Array]]
-) -> ContactDrifts:
+def contact_drifts(contacts: Contacts, source: Source, variants: Iterable[tuple[Array, Array]]) -> ContactDrifts:
     """Return how far contacts of hands and feet, and of bodies, come from their distance, beside plain FK.
 
     Args:
         contacts: Those of the take: known ones where it has such, otherwise those found.
         source: The take.
-        girth: How thick the variants' bodies are.
         variants: Scales (P, 22) and motion (T, P, 22, 3) of each.
     """
     held = np.nonzero(contacts.is_held)
-    is_hand, bones = contacts.num_hands[held] > 0, contacts.bones()[held]
+    is_hand = contacts.num_hands[held] > 0
 
     def distances(points: Array) -> Array:
         return np.asarray(np.linalg.norm(contacts.vectors(points)[held], axis=-1))
@@ -141,10 +137,9 @@ def contact_drifts(
     before = distances(points_of(source.positions_m))
     found: dict[str, list[Array]] = {"interaction_mesh": [], "naive_fk": []}
     for scale, motion in variants:
-        wanted = widened_m(before, bones, source, girth, scale[None])[0]
         plain = reference_motion(source, scale[None])[0]
         for method, moved in zip(found, (motion, plain), strict=True):
-            found[method].append(np.abs(distances(points_of(moved)) - wanted))
+            found[method].append(np.abs(distances(points_of(moved)) - before))
     drifts = {method: np.array(rows).reshape(len(rows), len(is_hand)) for method, rows in found.items()}
     return ContactDrifts(is_hand, held[0], drifts)
 

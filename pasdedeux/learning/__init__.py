@@ -24,9 +24,8 @@ from pasdedeux.learning.registry import (
     model_class,
 )
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
-from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
-from pasdedeux.learning.start_net import StartNetModel
 from pasdedeux.learning.topology import mapped_item, mapped_source
 from pasdedeux.learning.torch_settings import has_torch
 from pasdedeux.learning.weights import Weights, read_weights, write_weights
@@ -45,10 +44,8 @@ __all__ = [
     "NoSettings",
     "RidgeAdaptedModel",
     "RidgeScaleModel",
-    "RidgeSettings",
     "Split",
     "SplitName",
-    "StartNetModel",
     "Trained",
     "Training",
     "TrainingItem",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
-from pasdedeux.learning.paper_settings import Action2MotionLikeSettings, ActorLikeSettings
+from pasdedeux.learning.paper_settings import Action2MotionLikeConfig, ActorLikeConfig
 from pasdedeux.learning.torch_layers import (
     Shapes,
     Tensors,
@@ -35,7 +35,7 @@ __all__ = ["Action2MotionNetworks", "ActorNetworks"]
 class ActorNetworks(WindowNetworks):
     """Transformers that encode and decode a window."""
 
-    settings: ActorLikeSettings
+    settings: ActorLikeConfig
     num_classes: int
     num_joints: int
 
@@ -88,7 +88,7 @@ class ActorNetworks(WindowNetworks):
 class Action2MotionNetworks(WindowNetworks):
     """Recurrent networks that encode and decode frame after frame."""
 
-    settings: Action2MotionLikeSettings
+    settings: Action2MotionLikeConfig
     num_classes: int
     num_joints: int
 

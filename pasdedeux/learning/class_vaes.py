@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.learning.paper_settings import Action2MotionLikeSettings, ActorLikeSettings
+from pasdedeux.learning.paper_settings import Action2MotionLikeConfig, ActorLikeConfig
 from pasdedeux.learning.window_vae import WindowNetworks, WindowVae
 
 __all__ = ["Action2MotionLikeModel", "ActorLikeModel"]
@@ -44,7 +44,7 @@ class ActorLikeModel(_ClassVae):
     """A transformer whose z is of a whole window."""
 
     name = "actor_like"
-    settings = ActorLikeSettings
+    config_kind = ActorLikeConfig
     sizes = ("width", "num_blocks")
 
     def networks(self) -> WindowNetworks:
@@ -59,7 +59,7 @@ class Action2MotionLikeModel(_ClassVae):
     """A recurrent network whose z is of a frame."""
 
     name = "action2motion_like"
-    settings = Action2MotionLikeSettings
+    config_kind = Action2MotionLikeConfig
     sizes = ("hidden", "latent_size")
 
     def networks(self) -> WindowNetworks:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from pasdedeux.learning.paper_settings import PaperCvaeSettings
+from pasdedeux.learning.paper_settings import PaperCvaeConfig
 from pasdedeux.learning.torch_layers import (
     NUM_SINES,
     Shapes,
@@ -53,7 +53,7 @@ class InteractionCvae(WindowNetworks):
     The condition is standardised scales (W, 22).
     """
 
-    settings: PaperCvaeSettings
+    settings: PaperCvaeConfig
     skeleton: Skeleton = BODY22
     latent_of_scales: ClassVar[int] = _MLP2[0]
 

@@ -15,7 +15,7 @@ from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.source import Source, complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
-from pasdedeux.augmentation.windows import blend_weights, plan_windows
+from pasdedeux.augmentation.windows import LONGEST_S, blend_weights, plan_windows
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import FitSettings
 from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest, check_arrays
@@ -110,7 +110,7 @@ class MeshRefineModel(VariantModel):
 def window_problems(request: VariantRequest) -> tuple[list[slice], list[Problem]]:
     """Return the windows in which the solver solves a take, and the problem of each."""
     source = request.source
-    windows = plan_windows(source.num_frames, source.rate_hz, request.solving.window_s)
+    windows = plan_windows(source.num_frames, source.rate_hz, LONGEST_S)
     problems = []
     for window in windows:
         part: Source = source if len(windows) == 1 else source.take_frames(window)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.learning.paper_settings import PaperCvaeSettings
+from pasdedeux.learning.paper_settings import PaperCvaeConfig, PaperCvaeSettings
 from pasdedeux.learning.window_vae import WindowVae
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class PaperCvaeModel(WindowVae):
 
     name = "paper_cvae"
     settings = PaperCvaeSettings
+    config_kind = PaperCvaeConfig
     sizes = ("width", "hidden", "latent_size", "num_blocks", "kernel", "architecture")
 
     def networks(self) -> InteractionCvae:

@@ -6,16 +6,29 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from pasdedeux.learning.torch_settings import TorchSettings
+from pasdedeux.learning.torch_settings import SegmentSettings, TorchSettings
 from pasdedeux.learning.windows import RATE_HZ
 
-__all__ = ["Action2MotionLikeSettings", "ActorLikeSettings", "PaperCvaeSettings", "WindowVaeSettings"]
+__all__ = [
+    "Action2MotionLikeConfig",
+    "ActorLikeConfig",
+    "PaperCvaeConfig",
+    "PaperCvaeSettings",
+    "WindowSizes",
+    "WindowVaeSettings",
+]
 
 _LONGEST_S = 60.0
 
 
-class WindowVaeSettings(TorchSettings):
+class WindowVaeSettings(SegmentSettings):
     """What all variational autoencoders of windows have."""
+
+    num_steps: int = Field(2000, ge=1, description="Steps of training")
+
+
+class WindowSizes(TorchSettings):
+    """Rate and windows of a step; no study sets them, but for the rate of `paper_cvae`."""
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
@@ -48,6 +61,7 @@ class PaperCvaeSettings(WindowVaeSettings):
     other architectures are those that the text gives its own for (sections 3.1 and 3.2), one choice undone in each.
     """
 
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
     norm: Literal["summed", "averaged"] = Field(
         "averaged", description="Norms of eqs. 6 and 8: summed over frames, joints and axes as printed, or their mean"
     )
@@ -56,6 +70,11 @@ class PaperCvaeSettings(WindowVaeSettings):
         description="As published, or with ST-GCNs that know the time for G-GRUs, without the template's first and "
         "last frame, motion itself in place of its change, or A given B's scales in place of B's motion",
     )
+
+
+class PaperCvaeConfig(WindowSizes, PaperCvaeSettings):
+    """The settings with the sizes of the networks, which no study sets."""
+
     width: int = Field(32, ge=1, le=1024, description="Features of ST-GCN1, 2 and 3")
     num_blocks: int = Field(3, ge=1, le=12, description="Blocks of each of them")
     kernel: int = Field(5, ge=1, le=99, description="Frames that a block's convolution over time spans; odd")
@@ -70,7 +89,7 @@ class PaperCvaeSettings(WindowVaeSettings):
         return kernel
 
 
-class ActorLikeSettings(WindowVaeSettings):
+class ActorLikeConfig(WindowSizes, WindowVaeSettings):
     """ACTOR (Petrovich et al. 2021) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
 
     From ACTOR: a transformer whose first two outputs, for tokens of the class, are mean and variance of z; a decoder
@@ -86,7 +105,7 @@ class ActorLikeSettings(WindowVaeSettings):
     divergence_weight: float = Field(1e-5, ge=0, le=1, description="Weight of the divergence from the prior")
 
 
-class Action2MotionLikeSettings(WindowVaeSettings):
+class Action2MotionLikeConfig(WindowSizes, WindowVaeSettings):
     """Action2motion (Guo et al. 2020) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
 
     From Action2motion: z of every frame, whose prior is a recurrent network's of the frames so far, gated recurrent

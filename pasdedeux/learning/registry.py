@@ -15,7 +15,6 @@ from pasdedeux.learning.model import Arrays, VariantModel
 from pasdedeux.learning.paper_cvae import PaperCvaeModel
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
-from pasdedeux.learning.start_net import StartNetModel
 
 __all__ = ["BASELINES", "DEFAULT_MODELS", "MODELS", "load_model", "model_arrays", "model_class"]
 
@@ -27,7 +26,6 @@ MODELS: dict[str, type[VariantModel]] = {
         RidgeScaleModel,
         RidgeAdaptedModel,
         MeshRefineModel,
-        StartNetModel,
         PaperCvaeModel,
         ActorLikeModel,
         Action2MotionLikeModel,

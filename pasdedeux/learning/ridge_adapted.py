@@ -7,10 +7,10 @@ Bones are exact: the quadratic says where they point.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.variations import Group, group_variations
@@ -24,26 +24,22 @@ from pasdedeux.learning.model import (
     VariantRequest,
     check_arrays,
 )
-from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
+from pasdedeux.learning.ridge_scale import RIDGE, RidgeScaleModel
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["RidgeAdaptedModel", "RidgeAdaptedSettings"]
+__all__ = ["RidgeAdaptedModel"]
 
 Array = npt.NDArray[np.float64]
 
 _GROUPS: tuple[Group, ...] = ("torso", "arms", "legs")
 """Limbs that are scaled alone; the others are told from whole bodies."""
+_REACH = 0.15
+"""How far from scale 1 the variants of an unseen take are that are solved, either way.
 
-
-class RidgeAdaptedSettings(RidgeSettings):
-    """Which variants of an unseen take are solved.
-
-    With the default reach the quadratic is fitted to variants at 0.85 and 1.15, which splits across scales test.  At
-    0.75 and 1.25 it errs by 0.69 cm on hug and 0.53 on judo, takes that the study `models` learns from (variants of
-    `models_small`, no take known); with a reach of 0.1 by 1.12 and 0.81, with 0.05 by 2.33 and 1.33.
-    """
-
-    reach: float = Field(0.15, gt=0, le=0.5, description="How far from scale 1 the solved variants are, either way")
+The quadratic is fitted to variants at 0.85 and 1.15, which splits across scales test.  At 0.75 and 1.25 it errs by
+0.69 cm on hug and 0.53 on judo, takes that the study `models` learns from (variants of `models_small`, no take known);
+with a reach of 0.1 by 1.12 and 0.81, with 0.05 by 2.33 and 1.33.
+"""
 
 
 @dataclass
@@ -52,17 +48,12 @@ class RidgeAdaptedModel(VariantModel):
 
     Args:
         seen: `ridge_scale`, for the takes that were trained on.
-        reach: How far from scale 1 variants of other takes are solved.
-        ridge: Ridge of their quadratics.
     """
 
     name = "ridge_adapted"
-    settings = RidgeAdaptedSettings
     has_exact_bones = True
 
     seen: RidgeScaleModel
-    reach: float
-    ridge: float
     _adapted: tuple[Source, bool, RidgeScaleModel] | None = field(default=None, repr=False)
 
     @property
@@ -71,7 +62,7 @@ class RidgeAdaptedModel(VariantModel):
         return self.seen
 
     @classmethod
-    def start(cls, settings: RidgeAdaptedSettings) -> str:
+    def start(cls, settings: Any) -> str:
         """Return `ridge_scale`, which knows the takes trained on."""
         return RidgeScaleModel.name
 
@@ -79,12 +70,11 @@ class RidgeAdaptedModel(VariantModel):
     def train(cls, training: Training) -> Trained:
         """Take what `ridge_scale` learned; nothing else is learned before a take is asked for."""
         assert isinstance(training.start, RidgeScaleModel)
-        settings = training.options(RidgeAdaptedSettings)
-        return Trained(cls(training.start, settings.reach, settings.ridge))
+        return Trained(cls(training.start))
 
     def arrays(self) -> dict[str, Array]:
         """Return how takes are adapted to."""
-        return {"adaptation": np.array([self.reach, self.ridge])}
+        return {"adaptation": np.array([_REACH, RIDGE])}
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
@@ -92,12 +82,9 @@ class RidgeAdaptedModel(VariantModel):
         check_arrays(cls.name, arrays, {"adaptation": (2,)})
         if not isinstance(built_on, RidgeScaleModel):
             raise InputError("ridge_adapted: the ridge_scale that it builds on is missing")
-        reach, ridge = map(float, arrays["adaptation"])
-        try:
-            RidgeAdaptedSettings(reach=reach, ridge=ridge)
-        except ValueError:
-            raise InputError(f"ridge_adapted: reach {reach} or ridge {ridge} is out of range") from None
-        return cls(built_on, reach=reach, ridge=ridge)
+        if arrays["adaptation"].tolist() != [_REACH, RIDGE]:
+            raise InputError(f"ridge_adapted: reach and ridge {arrays['adaptation']} are not {_REACH:g} and {RIDGE:g}")
+        return cls(built_on)
 
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion by the take's quadratic; the first request for an unseen take solves its near variants."""
@@ -110,7 +97,7 @@ class RidgeAdaptedModel(VariantModel):
         """Return the quadratic of an unseen take; that of the last one is kept."""
         if self._adapted is not None and self._adapted[0] is request.source and self._adapted[1] == is_by_group:
             return self._adapted[2]
-        near = (1.0 - self.reach, 1.0 + self.reach)
+        near = (1.0 - _REACH, 1.0 + _REACH)
         variations = uniform_variations(near, ["A", "B", "AB"])
         if is_by_group:
             variations += group_variations(near, ["A", "B"], _GROUPS)
@@ -123,8 +110,7 @@ class RidgeAdaptedModel(VariantModel):
             )
             for variant in solver.solve(variations)
         ]
-        settings = RidgeSettings(ridge=self.ridge)
-        model = RidgeScaleModel.train(Training(lambda: iter(items), settings=settings)).model
+        model = RidgeScaleModel.train(Training(lambda: iter(items))).model
         assert isinstance(model, RidgeScaleModel)
         self._adapted = (request.source, is_by_group, model)
         return model

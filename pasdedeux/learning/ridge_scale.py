@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.augmentation import LIMB_GROUPS, reference_motion
 from pasdedeux.augmentation.source import complete_scales
@@ -28,25 +27,20 @@ from pasdedeux.learning.model import (
     check_arrays,
 )
 from pasdedeux.learning.topology import check_topology, skeleton_of
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = ["RidgeScaleModel", "RidgeSettings"]
+__all__ = ["RIDGE", "RidgeScaleModel"]
 
 Array = npt.NDArray[np.float64]
 
+RIDGE = 3e-3
+"""Ridge of a take's quadratic, as a share of the mean diagonal.
+
+Two training scales 5 % off fix the square term exactly, and with it every millimetre the solver left, 16 to 25 times
+magnified at 0.75; this shrinks the square term by a fifth and the linear one not at all.
+"""
 _MIX_RIDGE = 1e-4
 """Ridge of the mix for unseen takes, as a share of the mean diagonal."""
-
-
-class RidgeSettings(Settings):
-    """How much the quadratic of a take is held back.
-
-    Two training scales 5 % off fix the square term exactly, and with it every millimetre the solver left, 16 to 25
-    times magnified at 0.75; the default shrinks the square term by a fifth and the linear one not at all.
-    """
-
-    ridge: float = Field(3e-3, gt=0, le=1, description="Ridge of a take's quadratic, as a share of the mean diagonal")
 
 
 @dataclass
@@ -68,7 +62,6 @@ class RidgeScaleModel(VariantModel):
     """
 
     name = "ridge_scale"
-    settings = RidgeSettings
     is_of_any_skeleton = True
 
     is_by_group: bool = False
@@ -83,7 +76,7 @@ class RidgeScaleModel(VariantModel):
     @classmethod
     def train(cls, training: Training) -> Trained:
         """Fit both parts; reads the items three times and holds one at a time."""
-        items, ridge = training.items, training.options(RidgeSettings).ridge
+        items = training.items
         is_by_group, num_items, skeleton = False, 0, BODY22
         for item in items():
             num_items += 1
@@ -101,7 +94,7 @@ class RidgeScaleModel(VariantModel):
             plain, change = _displacements(item)
             gram += np.einsum("tia,tja->ij", plain, plain, optimize=True)
             moment += np.einsum("tia,tja->ij", plain, change, optimize=True)
-        model.coefficients = {take: _ridge(total.gram, total.moment, ridge) for take, total in sums.items()}
+        model.coefficients = {take: _ridge(total.gram, total.moment, RIDGE) for take, total in sums.items()}
         flat = _ridge(gram, moment, _MIX_RIDGE)
         model.mix = np.ascontiguousarray(flat.T)
         squared, count, squared_mix = 0.0, 0, 0.0

@@ -9,23 +9,25 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
 
-__all__ = ["TorchSettings", "has_torch", "require_torch"]
+__all__ = ["SegmentSettings", "TorchSettings", "has_torch", "require_torch"]
 
 
-class TorchSettings(Settings):
-    """How long a model is trained, how fast, and on what."""
+class SegmentSettings(Settings):
+    """How long a model is trained."""
 
     num_steps: int = Field(600, ge=1, description="Steps of training")
     segment_steps: int = Field(200, ge=1, description="Steps of a segment, the unit that is stored and resumed")
-    learning_rate: float = Field(0.05, gt=0, le=1, description="Learning rate of Adam at the start")
-    device: str = Field(
-        "cpu", description="Where torch computes: cpu, or cuda, which was never tried; results differ between the two"
-    )
 
     @property
     def num_segments(self) -> int:
         """In how many segments it is trained."""
         return -(-self.num_steps // self.segment_steps)
+
+
+class TorchSettings(SegmentSettings):
+    """How long a model is trained, and how fast."""
+
+    learning_rate: float = Field(0.05, gt=0, le=1, description="Learning rate of Adam at the start")
 
 
 def has_torch() -> bool:

@@ -55,7 +55,7 @@ def train_segment(
 
     Args:
         name: Name of the model, for messages.
-        settings: Steps, rate, device.
+        settings: Steps and rate.
         segment: Which segment, from 0.
         state: What the segment before left; empty for the first.
         first: Gives the weights to begin with.
@@ -64,25 +64,19 @@ def train_segment(
         validate: Figures of weights on validation items, if there are any; the best weights by the first are kept.
 
     Raises:
-        InputError: A loss is not finite, or the device is not there.
+        InputError: A loss is not finite.
     """
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
-    try:
-        device = torch.device(settings.device)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as problem:
-        raise InputError(f"{name}: device '{settings.device}' cannot be used: {problem}") from None
     stored = {key.removeprefix("weights/"): state[key] for key in state if key.startswith("weights/")} or first()
     weights: Tensors = {
-        key: torch.tensor(values, device=device, dtype=torch.float32).requires_grad_(True)
-        for key, values in sorted(stored.items())
+        key: torch.tensor(values, dtype=torch.float32).requires_grad_(True) for key, values in sorted(stored.items())
     }
     optimiser = torch.optim.Adam(weights.values(), lr=settings.learning_rate, foreach=False)
     begin = segment * settings.segment_steps
     if begin:
         for key, tensor in weights.items():
-            moments = {moment: torch.tensor(state[f"{moment}/{key}"], device=device) for moment in _MOMENTS}
+            moments = {moment: torch.tensor(state[f"{moment}/{key}"]) for moment in _MOMENTS}
             optimiser.state[tensor] = {"step": torch.tensor(float(begin)), **moments}
     end = min(begin + settings.segment_steps, settings.num_steps)
     total = 0.0
@@ -90,7 +84,7 @@ def train_segment(
         for group in optimiser.param_groups:
             group["lr"] = settings.learning_rate * max(1.0 - step / settings.num_steps, _LEAST_RATE)
         batch = draw()
-        value = loss(weights, {key: torch.tensor(values, device=device) for key, values in batch.arrays.items()})
+        value = loss(weights, {key: torch.tensor(values) for key, values in batch.arrays.items()})
         optimiser.zero_grad()
         value.backward()
         is_finite = all(tensor.grad is None or bool(torch.isfinite(tensor.grad).all()) for tensor in weights.values())
@@ -99,7 +93,7 @@ def train_segment(
             raise InputError(f"{name}: step {step} came to a number that is not finite on {batch.what}{kept}")
         optimiser.step()
         total += float(value.detach())
-    now: dict[str, Narrow] = {key: tensor.detach().cpu().numpy() for key, tensor in weights.items()}
+    now: dict[str, Narrow] = {key: tensor.detach().numpy() for key, tensor in weights.items()}
     figures = validate(now)
     error = next(iter(figures.values()), np.nan)
     before = float(state["best_error"][0]) if begin else np.inf
@@ -110,7 +104,7 @@ def train_segment(
     left: dict[str, npt.NDArray[Any]] = {"best_error": np.array([error if is_best else before])}
     for key, tensor in weights.items():
         left |= {f"weights/{key}": now[key], f"best/{key}": best[key]}
-        left |= {f"{moment}/{key}": optimiser.state[tensor][moment].cpu().numpy() for moment in _MOMENTS}
+        left |= {f"{moment}/{key}": optimiser.state[tensor][moment].numpy() for moment in _MOMENTS}
     return TrainedSegment(best, log, left)
 
 

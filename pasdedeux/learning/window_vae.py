@@ -26,7 +26,7 @@ from pasdedeux.learning.model import (
     VariantRequest,
     check_arrays,
 )
-from pasdedeux.learning.paper_settings import WindowVaeSettings
+from pasdedeux.learning.paper_settings import WindowSizes, WindowVaeSettings
 from pasdedeux.learning.topology import check_topology, skeleton_of
 from pasdedeux.learning.torch_settings import require_torch
 from pasdedeux.learning.windows import Window, blend, cut, gather_windows, scaled_persons
@@ -98,8 +98,11 @@ class WindowVae(VariantModel):
 
     needs_torch = True
     is_of_any_skeleton = True
+    settings = WindowVaeSettings
+    config_kind: ClassVar[type[Any]]
+    """Its settings with the sizes of the networks."""
     sizes: ClassVar[tuple[str, ...]]
-    """Settings that the networks' shapes depend on: whole numbers and choices."""
+    """What the networks' shapes depend on: whole numbers and choices."""
 
     config: Any
     length: int
@@ -142,8 +145,9 @@ class WindowVae(VariantModel):
 
         settings = training.settings or cls.settings()
         assert isinstance(settings, WindowVaeSettings)
+        config = cls.config_kind.model_validate(settings.model_dump())
         generator = training.generator
-        windows = gather_windows(training.items, settings.length)
+        windows = gather_windows(training.items, config.length)
         if not windows:
             raise InputError(
                 f"{cls.name}: there is no variant of one scaled person to train on; check split and scales"
@@ -152,18 +156,18 @@ class WindowVae(VariantModel):
         longest = max(len(window.frames) for window in windows)
         whole = [window for window in windows if len(window.frames) == longest]
         scales = np.concatenate([window.bone_scale for window in whole])
-        model = cls(settings, settings.length, cls.learned_scales(scales), {})
+        model = cls(config, config.length, cls.learned_scales(scales), {})
         network = model.networks()
 
         def draw() -> Batch:
-            found = [whole[index] for index in generator.integers(len(whole), size=settings.windows_per_step)]
+            found = [whole[index] for index in generator.integers(len(whole), size=config.windows_per_step)]
             batch = model.batch(found, [int(generator.integers(len(window.variants_m))) for window in found])
             batch |= model._noise(len(found), longest, generator)
             takes = ", ".join(sorted({window.take_id for window in found}))
             return Batch(batch, f"takes {takes}")
 
         fixed = np.random.default_rng(0)
-        seen = [one for one in gather_windows(training.validation, settings.length) if len(one.frames) == longest]
+        seen = [one for one in gather_windows(training.validation, config.length) if len(one.frames) == longest]
         judged = [seen[index] for index in fixed.integers(max(len(seen), 1), size=_VALIDATED if seen else 0)]
         chosen = [int(fixed.integers(len(window.variants_m))) for window in judged]
 
@@ -182,7 +186,7 @@ class WindowVae(VariantModel):
 
         done = train_segment(
             cls.name,
-            settings,
+            config,
             training.segment,
             training.state,
             lambda: first_values(network.shapes(), generator),
@@ -208,12 +212,13 @@ class WindowVae(VariantModel):
         length, *numbers = (int(size) for size in arrays["sizes"])
         try:
             told = {
-                name: _from_number(cls.settings, name, number) for name, number in zip(cls.sizes, numbers, strict=True)
+                name: _from_number(cls.config_kind, name, number)
+                for name, number in zip(cls.sizes, numbers, strict=True)
             }
-            config = cls.settings.model_validate(told)
+            config = cls.config_kind.model_validate(told)
         except (ValueError, IndexError):
             raise InputError(f"{cls.name}: sizes {numbers} are out of range") from None
-        if not (1 <= length <= WindowVaeSettings.longest() and count and cls._are_scales(arrays["known_scales"])):
+        if not (1 <= length <= WindowSizes.longest() and count and cls._are_scales(arrays["known_scales"])):
             raise InputError(f"{cls.name}: a window of {length} frames, or scales that are not positive")
         model = cls(config, length, arrays["known_scales"].astype(np.float32), {})
         shapes = model.networks().shapes()

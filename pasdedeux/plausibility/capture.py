@@ -9,26 +9,23 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from string import ascii_uppercase
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
 
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from pasdedeux.interaction.floor import StandingSettings, find_standing
 from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["CaptureLimits", "PersonCapture", "check_capture", "judge_capture"]
+__all__ = ["LIMITS", "Limits", "PersonCapture", "check_capture", "complete_limits", "judge_capture"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,58 +44,43 @@ _NECK = BODY22.index("neck")
 _TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
 _STANDING = StandingSettings(away_share=1.0)
 
-Limit = tuple[float, float]
 _FALLING = ("upright_share", "trunk_m", "twin_m")
 """Figures that are worse the smaller they are."""
 
 
-class CaptureLimits(Settings):
-    """Limits of the figures of a capture: past the first number is a warning, past the second a failure.
+Limits = Mapping[str, tuple[float, float]]
+"""By figure: past the first it is a warning, past the second a failure."""
 
-    Past means above; of `upright_share`, `trunk_m` and `twin_m`, below.
+LIMITS: Limits = {
+    "stature_factor": (1.3, 2.0),  # stature (by the legs) over 1.7 m, or 1.7 m over it: 1.31 to 2.21 m are grown people
+    "speed_m_s": (15.0, 25.0),  # of the fastest joint; the best throws and kicks reach 25
+    "jerk_m_s3": (2000.0, 5000.0),  # of the worst joint, 95th percentile; capture has 30-500, noisy up to 1,600
+    "jump_m": (0.25, 0.4),  # step in 1/30 s that the speed before and after does not explain; fast dance has up to 0.2
+    "skate_m_s": (0.3, 0.6),  # median speed of the stiller of the feet that carry; capture has 0.22 at most
+    "sunk_m": (0.1, 0.25),  # depth of the lowest joint under the floor, 95th percentile
+    "floating_share": (0.25, 0.5),  # of the time, in the air and not held by the partner
+    "floor_spread_m": (0.2, 0.4),  # between the lowest and the highest ankles that stand, 5th to 95th percentile
+    "upright_share": (0.05, 0.01),  # of the time in which somebody is upright; push-ups on a partner have 0.6
+    "distance_m": (1.0, 5.0),  # least of the partners' closest joints, of who is furthest from others
+    "trunk_m": (0.12, 0.08),  # least of the partners' spines; close dance has 0.15, a hug 0.25
+    "twin_m": (0.03, 0.015),  # the partners' poses, turned and made 1.7 m tall, 95th percentile; duets have 0.05
+}
+"""What is asked of a capture: past means above; of `upright_share`, `trunk_m` and `twin_m`, below."""
+
+
+def complete_limits(given: Limits) -> dict[str, tuple[float, float]]:
+    """Return all limits, those given in place of `LIMITS`.
+
+    Raises:
+        ValueError: A figure that is not judged, or limits that are negative or in the wrong order.
     """
-
-    stature_factor: Limit = Field(
-        (1.3, 2.0), description="Stature (by the legs) over 1.7 m, or 1.7 m over it; 1.31 to 2.21 m are grown people"
-    )
-    speed_m_s: Limit = Field((15.0, 25.0), description="Greatest speed of a joint; the best throws and kicks reach 25")
-    jerk_m_s3: Limit = Field(
-        (2000.0, 5000.0), description="Jerk of the worst joint, 95th percentile; capture has 30-500, noisy up to 1,600"
-    )
-    jump_m: Limit = Field(
-        (0.25, 0.4),
-        description="Greatest step in 1/30 s that the joint's speed before and after does not explain, metres; fast "
-        "dance has up to 0.2",
-    )
-    skate_m_s: Limit = Field((0.3, 0.6), description="Median speed of the stiller of the feet that carry; 0.22 at most")
-    sunk_m: Limit = Field((0.1, 0.25), description="Depth of the lowest joint under the floor, 95th percentile, metres")
-    floating_share: Limit = Field((0.25, 0.5), description="Share of the time in the air and not held by the partner")
-    floor_spread_m: Limit = Field(
-        (0.2, 0.4), description="Between the lowest and the highest ankles that stand (5th to 95th percentile), metres"
-    )
-    upright_share: Limit = Field(
-        (0.05, 0.01), description="Least share of the time in which somebody is upright; push-ups on a partner have 0.6"
-    )
-    distance_m: Limit = Field(
-        (1.0, 5.0), description="Least distance of the partners' closest joints, metres; of who is furthest from others"
-    )
-    trunk_m: Limit = Field(
-        (0.12, 0.08), description="Least distance of the partners' spines, metres; close dance has 0.15, a hug 0.25"
-    )
-    twin_m: Limit = Field(
-        (0.03, 0.015),
-        description="Difference of the partners' poses, turned and made 1.7 m tall, 95th percentile, metres; duets "
-        "have 0.05 at least",
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for name in CaptureLimits.model_fields:
-            warn, fail = getattr(self, name)
-            if not min(warn, fail) >= 0 or (warn < fail if name in _FALLING else fail < warn):
-                order = "fail <= warn" if name in _FALLING else "warn <= fail"
-                raise ValueError(f"{name} has warn {warn:g}, fail {fail:g}: allowed is 0 <= {order}")
-        return self
+    for name, (warn, fail) in given.items():
+        if name not in LIMITS:
+            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(LIMITS)}")
+        if not min(warn, fail) >= 0 or (warn < fail if name in _FALLING else fail < warn):
+            order = "fail <= warn" if name in _FALLING else "warn <= fail"
+            raise ValueError(f"{name} has warn {warn:g}, fail {fail:g}: allowed is 0 <= {order}")
+    return {**LIMITS, **given}
 
 
 _WORDS = {
@@ -147,11 +129,10 @@ class PersonCapture:
         """How many times the stature is larger or smaller than usual."""
         return max(self.stature_m / USUAL_HEIGHT_M, USUAL_HEIGHT_M / max(self.stature_m, 1e-9))
 
-    def complaints(self, limits: CaptureLimits) -> list[Complaint]:
+    def complaints(self, limits: Limits) -> list[Complaint]:
         """Return what is said of the figures that are past their limits."""
         found = []
-        for name in CaptureLimits.model_fields:
-            warn, fail = getattr(limits, name)
+        for name, (warn, fail) in limits.items():
             value, sign = getattr(self, name), -1.0 if name in _FALLING else 1.0
             if sign * value > sign * warn:
                 level = Level.FAIL if sign * value > sign * fail else Level.WARN
@@ -176,7 +157,7 @@ class JudgedCapture:
     people: tuple[Verdict, ...]
 
 
-def judge_capture(people: Sequence[PersonCapture], limits: CaptureLimits, names: Sequence[str] = ()) -> JudgedCapture:
+def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequence[str] = ()) -> JudgedCapture:
     """Return the verdicts on a take; what is said of the whole take stands in the verdict of each of its people.
 
     Args:

@@ -33,7 +33,6 @@ __all__ = [
     "Reconstruction",
     "ReconstructionOptions",
     "Searcher",
-    "TrackSettings",
     "bone_deviation_m",
     "match_track",
     "odd_window",
@@ -76,17 +75,13 @@ class Method(StrEnum):
     FIT = "fit"
 
 
-class TrackSettings(TemporalWeights):
+class ReconstructionOptions(TemporalWeights):
     """How a track is reconstructed."""
 
     num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
     min_joints: int = Field(4, ge=3, le=14, description="Frames with fewer joints seen are bridged")
     smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
-
-
-class ReconstructionOptions(TrackSettings):
-    """The same with what no study chooses."""
 
     num_placements: int = Field(4, ge=1, description="Rounds of search that scale and place are refined in")
     scale_window_s: float = Field(1.5, gt=0, description="Length of the window that a track's scale is the median of")

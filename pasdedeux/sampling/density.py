@@ -91,6 +91,13 @@ class ImageLikelihood(Likelihood, Protocol):
         ...
 
 
+_MAX_APART_M = 2.0
+"""Greatest distance of the mid-hips of the two, metres, or the seed's where that is more: the terms of eq. 2 do not
+bound it, so the prior alone would have no integral."""
+_SIGMA_V_RAD = 0.5
+"""Bandwidth of the view density, radians (Yin et al. 2018, eq. 5)."""
+
+
 class TargetSettings(PriorSettings):
     """What every density is made with: the physical prior, and how far round the seed it reaches."""
 
@@ -98,12 +105,6 @@ class TargetSettings(PriorSettings):
         default="none",
         description="c of eq. 11: the density is cut below f0 / c and above c f0, f0 the seed's (published: 100); "
         "none: it is sampled as it is",
-    )
-    max_apart_m: float = Field(
-        default=2.0,
-        gt=0,
-        description="Greatest distance of the mid-hips of the two, metres, or the seed's where that is more: the terms "
-        "of eq. 2 do not bound it, so the prior alone would have no integral",
     )
 
 
@@ -143,6 +144,7 @@ class PairDensity:
         prior: Physical prior.
         likelihood: Likelihood; None samples the prior alone.
         settings: How far round the seed it reaches; that of studies by default.
+        max_apart_m: Greatest distance of the mid-hips, metres, or the seed's where that is more.
 
     Raises:
         InputError: The seed's density is 0, with the term that made it so.
@@ -154,6 +156,8 @@ class PairDensity:
         prior: PhysicalPrior,
         likelihood: Likelihood | None,
         settings: TargetSettings | None = None,
+        *,
+        max_apart_m: float = _MAX_APART_M,
     ) -> None:
         settings = settings or TargetSettings()
         self.chart = chart
@@ -161,7 +165,7 @@ class PairDensity:
         self._likelihood = likelihood
         seed = chart.seed_parameters()
         pair_m = chart.positions_fast(seed)
-        self._max_apart_m = max(settings.max_apart_m, _apart_m(pair_m))
+        self._max_apart_m = max(max_apart_m, _apart_m(pair_m))
         terms = prior.terms(seed, pair_m)
         log_likelihood = 0.0 if likelihood is None else likelihood.log_likelihood(pair_m)
         self.log_seed = terms.log_prior + log_likelihood
@@ -315,7 +319,6 @@ class ImageSettings(Settings):
 
     num_views: int = Field(default=20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
     num_candidates: int = Field(default=500, ge=1, description="Annotations compared with each view, nearest by view")
-    num_hypotheses: int = Field(default=4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
     sigma_l: Annotated[float, Field(gt=0)] | Literal["left_out"] = Field(
         default=LEFT_OUT,
         description="Bandwidth of the likelihood, 2 sigma_l^2 in metres (eq. 9; published: 0.01); left_out: where "
@@ -326,7 +329,6 @@ class ImageSettings(Settings):
         description="What the views of a pair say together: every_view, the mean of their logarithms, or mean, that of "
         "their likelihoods, as published (eq. 6)",
     )
-    sigma_v_rad: float = Field(default=0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
 
 
 I = TypeVar("I", bound=ImageSettings)  # noqa: E741
@@ -340,12 +342,12 @@ class ImageKind(DensityKind[I]):
     def likelihood(self, settings: I, inputs: DensityInputs) -> ImageLikelihood:
         """Return the likelihood over a bank of views that are drawn once from the view density (eq. 5)."""
         assert inputs.annotated is not None
-        views = inputs.annotated.view_density(deviation_rad=settings.sigma_v_rad)
+        views = inputs.annotated.view_density(deviation_rad=_SIGMA_V_RAD)
         bank = build_bank(
             views.sample(inputs.rng, settings.num_views),
             inputs.annotated.pairs,
             num_candidates=settings.num_candidates,
-            view_bandwidth_rad=settings.sigma_v_rad,
+            view_bandwidth_rad=_SIGMA_V_RAD,
         )
         sigma_l = inputs.annotated.left_out.sigma_l if isinstance(settings.sigma_l, str) else settings.sigma_l
         return self.compare(settings, inputs.annotated.pairs, bank, sigma_l)

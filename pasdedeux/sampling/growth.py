@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.cameras import pair_frame, project_pair
 from pasdedeux.errors import InputError
@@ -29,10 +28,9 @@ from pasdedeux.sampling.growth_kernels import LANES, fill_residuals, keep_neares
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["Growth", "GrowthOptions", "ViewedImages", "grow"]
+__all__ = ["FARTHEST_M", "Growth", "ViewedImages", "grow"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -47,24 +45,20 @@ for _child, _parent in enumerate(PAIR17.parents):
         _TREE[[_child, _parent], [_parent, _child]] -= 1.0
 
 
-class GrowthOptions(Settings):
-    """How annotations are lifted from lifted pairs."""
-
-    image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
-    depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
-    farthest_m: float = Field(
-        0.25, gt=0, description="Annotations farther than this from everything lifted are left, metres"
-    )
-    num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over, at most")
-    neighbour_deviation_m: float = Field(
-        0.03, gt=0, description="Width of their weights, by how much farther they are than the nearest, metres"
-    )
-    num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
-
-    @property
-    def tightness(self) -> float:
-        """Weight of a squared depth error against a squared image error."""
-        return (self.image_deviation_m / self.depth_deviation_m) ** 2
+_IMAGE_DEVIATION_M = 0.02
+"""Error of an annotated joint."""
+_DEPTH_DEVIATION_M = 0.05
+"""Error of a bone's depth taken from lifted pairs."""
+_TIGHTNESS = (_IMAGE_DEVIATION_M / _DEPTH_DEVIATION_M) ** 2
+"""Weight of a squared depth error against a squared image error."""
+FARTHEST_M = 0.25
+"""Annotations farther than this from everything lifted are left."""
+_NUM_NEIGHBOURS = 8
+"""Lifted pairs that a depth is averaged over, at most."""
+_NEIGHBOUR_DEVIATION_M = 0.03
+"""Width of their weights, by how much farther they are than the nearest."""
+_NUM_SWEEPS = 3
+"""How often grown neighbours agree on their depths."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,6 @@ def grow(
     limits: JointLimits,
     *,
     num_grown: int,
-    options: GrowthOptions | None = None,
     prior: PriorSettings | None = None,
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
@@ -112,10 +105,10 @@ def grow(
     Raises:
         InputError: There is no seed, or one with a position that is not finite.
     """
-    options, prior = options or GrowthOptions(), prior or PriorSettings()
+    prior = prior or PriorSettings()
     if not len(seeds_m) or not np.isfinite(seeds_m).all():
         raise InputError("growth needs at least one seed, all of its positions finite")
-    frontier = _Frontier(annotated, options)
+    frontier = _Frontier(annotated)
     for seed in seeds_m:
         frontier.add(np.asarray(seed, dtype=np.float64), entry=-1, parent=-1, image_distance_m=0.0)
     num_refused = 0
@@ -129,7 +122,7 @@ def grow(
             continue
         nearest, distance_m = int(frontier.which[entry, 0]), float(frontier.distance_m[entry, 0])
         frontier.add(pair, entry=entry, parent=nearest, image_distance_m=distance_m)
-    for _ in range(options.num_sweeps):
+    for _ in range(_NUM_SWEEPS):
         frontier.agree(len(seeds_m))
     return frontier.growth(len(seeds_m), limits, num_refused, prior)
 
@@ -175,9 +168,8 @@ class ViewedImages:
 class _Frontier:
     """Everything lifted so far, and for each entry the lifted pairs that look most like it."""
 
-    def __init__(self, annotated: AnnotatedPairs, options: GrowthOptions) -> None:
+    def __init__(self, annotated: AnnotatedPairs) -> None:
         points = annotated.centred_m
-        self.options = options
         self.images = np.ascontiguousarray(np.swapaxes(points, 1, 2))
         self.is_seen = annotated.is_seen.reshape(len(points), _NUM_POINTS)
         self.directions = annotated.directions
@@ -192,7 +184,7 @@ class _Frontier:
         self.lengths: list[Array] = []
 
     def _nobody(self, count: int) -> tuple[Array, Indices]:
-        shape = (count, self.options.num_neighbours)
+        shape = (count, _NUM_NEIGHBOURS)
         return np.full(shape, np.inf), np.full(shape, -1, dtype=np.int64)
 
     def add(self, pair: Array, *, entry: int, parent: int, image_distance_m: float) -> None:
@@ -209,7 +201,7 @@ class _Frontier:
         """Return the entry nearest to anything lifted, and close its annotation; -1 when none is near enough."""
         distance = np.where(self.is_done, np.inf, self.distance_m[:, 0])
         entry = int(np.argmin(distance))
-        if not distance[entry] <= self.options.farthest_m:
+        if not distance[entry] <= FARTHEST_M:
             return -1
         self.is_done |= self.annotation == self.annotation[entry]
         return entry
@@ -222,7 +214,7 @@ class _Frontier:
     def _placed(self, entry: int, distance_m: Array, which: Indices, lengths: Array) -> Array:
         is_there = which >= 0
         squared = distance_m[is_there] ** 2
-        weight = np.exp(-0.5 * (squared - squared[0]) / self.options.neighbour_deviation_m**2)
+        weight = np.exp(-0.5 * (squared - squared[0]) / _NEIGHBOUR_DEVIATION_M**2)
         weight = weight / weight.sum()
         pairs = np.stack([self.pairs[index] for index in which[is_there]])
         points = pairs.reshape(len(pairs), _NUM_POINTS, 3)
@@ -236,7 +228,7 @@ class _Frontier:
             seen = project_pair(pairs, self.directions[entry]).reshape(len(pairs), _NUM_POINTS, 2)
             image = _completed(shown, np.einsum("k,knx->nx", weight, align_plane(seen, shown)))
         # Where nothing is seen the image knows no more than the depth.
-        tightness = np.where(is_seen, self.options.tightness, 1.0).reshape(2, -1)
+        tightness = np.where(is_seen, _TIGHTNESS, 1.0).reshape(2, -1)
         image = image.reshape(2, PAIR17.num_joints, 2)
         place_bones(image, depth.reshape(2, -1), lengths, _ORDER, _PARENTS, tightness, placed)
         return placed

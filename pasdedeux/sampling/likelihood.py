@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
@@ -30,7 +29,6 @@ from pasdedeux.sampling.kernels import BankTables, best_per_view
 __all__ = [
     "InteractionKind",
     "InteractionLikelihood",
-    "InteractionSettings",
     "plain_log_likelihood",
 ]
 
@@ -53,7 +51,6 @@ def plain_log_likelihood(
     *,
     table: EdgeTable | None = None,
     sigma_l: float = PUBLISHED_SIGMA_L,
-    beta_m: float = BETA_M,
     pooling: Pooling = Pooling.MEAN,
 ) -> Match:
     """Return the log likelihood of a pair (2, 17, 3) by the definition, vectorised over the candidates of a view.
@@ -62,7 +59,7 @@ def plain_log_likelihood(
     `is_exact` gives the same.
     """
     if table is None:
-        table = edge_table(pairs.points_m.reshape(len(pairs.points_m), -1, 2), beta_m=beta_m)
+        table = edge_table(pairs.points_m.reshape(len(pairs.points_m), -1, 2))
     images = project_pair(pair_m, bank.directions).reshape(len(bank.directions), -1, 2)
     best = np.full(len(images), np.inf)
     entry = np.full(len(images), -1, dtype=np.int64)
@@ -75,7 +72,7 @@ def plain_log_likelihood(
         edges = delaunay_edges(image)
         along = difference[:, edges[:, 1]] - difference[:, edges[:, 0]]
         lengths, is_kept = np.linalg.norm(along, axis=-1), np.isfinite(along).all(axis=-1)
-        weights = np.where(is_kept, edge_weights(image, edges, beta_m=beta_m), 0.0)
+        weights = np.where(is_kept, edge_weights(image, edges), 0.0)
         total = np.where(is_kept, weights * lengths, 0.0).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
         start, end = np.moveaxis(table.edges[own], -1, 0)[..., None]
         along = np.take_along_axis(difference, end, axis=1) - np.take_along_axis(difference, start, axis=1)
@@ -108,7 +105,6 @@ class InteractionLikelihood:
         pairs: Annotated pairs.
         bank: Views and their candidates.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres (the paper divides d_I, not its square).
-        beta_m: Edge length below which weights stop growing, metres.
         pooling: How the views are pooled.
         min_ratio: Smallest ratio of d_I to its estimate that is reckoned with.
         min_own_ratio: The same for the side of eq. 8 over the pair's own edges and half the estimate.
@@ -124,7 +120,6 @@ class InteractionLikelihood:
         bank: ViewBank,
         *,
         sigma_l: float = PUBLISHED_SIGMA_L,
-        beta_m: float = BETA_M,
         pooling: Pooling = Pooling.MEAN,
         min_ratio: float = MIN_RATIO,
         min_own_ratio: float = MIN_OWN_RATIO,
@@ -132,14 +127,14 @@ class InteractionLikelihood:
     ) -> None:
         if not sigma_l > 0.0:
             raise InputError(f"sigma_l must be positive, found {sigma_l}")
-        self._pairs, self._bank, self.sigma_l, self._beta_m = pairs, bank, sigma_l, beta_m
+        self._pairs, self._bank, self.sigma_l = pairs, bank, sigma_l
         self.directions, self._pooling = bank.directions, pooling
         # Only the entries that some view may meet are kept.
         used = np.unique(bank.candidates[bank.candidates >= 0])
         self._used = used
         is_seen = pairs.is_seen[used].reshape(len(used), -1)
         points = np.ascontiguousarray(pairs.centred_m[used])
-        table: EdgeTable = edge_table(pairs.points_m[used].reshape(len(used), -1, 2), beta_m=beta_m)
+        table: EdgeTable = edge_table(pairs.points_m[used].reshape(len(used), -1, 2))
         slots = np.searchsorted(used, np.maximum(bank.candidates, used[0])).astype(np.int32)
         springs, factors = _springs(points, is_seen, table, slots, bank.counts)
         # Tables of the estimate, a candidate per lane: (view, joint, candidate).
@@ -171,7 +166,7 @@ class InteractionLikelihood:
             is_whole=np.asarray(is_seen.all(axis=1)),
             has_partial=not bool(is_seen.all()),
             offsets=jitter(points.shape[1]),
-            beta_m=beta_m,
+            beta_m=BETA_M,
             min_ratio=0.0 if is_exact else min_ratio,
             min_own_ratio=0.0 if is_exact else min_own_ratio,
             scale=2.0 * sigma_l**2,
@@ -208,14 +203,13 @@ class InteractionLikelihood:
             self._bank,
             table=table,
             sigma_l=self.sigma_l,
-            beta_m=self._beta_m,
             pooling=self._pooling,
         )
         return match.log_likelihood
 
     @cached_property
     def _plain_table(self) -> EdgeTable:
-        return edge_table(self._pairs.points_m.reshape(len(self._pairs.points_m), -1, 2), beta_m=self._beta_m)
+        return edge_table(self._pairs.points_m.reshape(len(self._pairs.points_m), -1, 2))
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Return the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
@@ -237,24 +231,18 @@ class InteractionLikelihood:
         return float(value)
 
 
-class InteractionSettings(ImageSettings):
-    """Settings of the likelihood by interaction coordinates."""
-
-    beta_m: float = Field(BETA_M, gt=0, description="Edge length below which weights stop growing (eq. 8), metres")
-
-
-class InteractionKind(ImageKind[InteractionSettings]):
+class InteractionKind(ImageKind[ImageSettings]):
     """The published density: interaction coordinates of the images (eqs. 6, 8 and 9)."""
 
     name = "ic"
     meaning = "interaction coordinates"
-    settings = InteractionSettings
+    settings = ImageSettings
 
     def compare(
-        self, settings: InteractionSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
+        self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
     ) -> InteractionLikelihood:
         """Return the likelihood of a bandwidth over a bank of views."""
-        return InteractionLikelihood(pairs, bank, sigma_l=sigma_l, beta_m=settings.beta_m, pooling=settings.pooling)
+        return InteractionLikelihood(pairs, bank, sigma_l=sigma_l, pooling=settings.pooling)
 
 
 def _springs(

@@ -118,11 +118,6 @@ VARIANT_QUALITY = Table(
             is_nullable=True,
         ),
         float64("jerk_ratio", "Root mean square jerk over that of the source"),
-        float64(
-            "invalid_angles",
-            "Joint angles out of range in a frame beyond the source's, mean; null where limits were not asked for",
-            is_nullable=True,
-        ),
         integer("num_warn_frames", "Frames with a figure that is a warning and none that is a failure"),
         integer("num_fail_frames", "Frames with a figure that is a failure"),
         float64(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, Literal, TypeVar
@@ -9,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, create_model, model_validator
 
 from pasdedeux.sampling.density import PRIOR_ONLY, DensityKind, TargetSettings
-from pasdedeux.sampling.proposals import PROPOSALS, ProposalKind
+from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.settings import Settings
 from tasks.chains.densities import DENSITIES
 from tasks.stage import Parameters
@@ -50,12 +51,9 @@ class RunSettings(Settings):
         ge=0,
         description="Draws before the first kept one, in which step sizes are learned; they are dropped",
     )
-    target_acceptance: float = Field(
-        default=0.234, gt=0, lt=1, description="Accepted share that step sizes are learned for"
-    )
 
 
-def _with_settings_of(kinds: Sequence[DensityKind[Any] | ProposalKind[Any]]) -> Callable[[type[P]], type[P]]:
+def _with_settings_of(kinds: Sequence[DensityKind[Any]]) -> Callable[[type[P]], type[P]]:
     """Return what adds the settings of kinds to a section; a name that several kinds have is one setting."""
 
     def extended(section: type[P]) -> type[P]:
@@ -71,9 +69,9 @@ def _with_settings_of(kinds: Sequence[DensityKind[Any] | ProposalKind[Any]]) -> 
     return extended
 
 
-@_with_settings_of([*DENSITIES.values(), *PROPOSALS.values()])
+@_with_settings_of([*DENSITIES.values()])
 class ChainsParameters(Parameters, RunSettings, TargetSettings):
-    """What is sampled, how much, and with which steps; with the settings of every density and every proposal."""
+    """What is sampled, how much, and with which steps; with the settings of every density."""
 
     densities: tuple[DensityName, ...] = Field(
         ("ic", PRIOR_ONLY),
@@ -103,7 +101,6 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
             raise ValueError("chains.densities names a density twice")
         for density in self.densities:
             self.settings_of(DENSITIES[density])
-        self.settings_of(PROPOSALS[self.proposal])
         return self
 
     @model_validator(mode="after")
@@ -114,8 +111,8 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
             self.variant(name)
         return self
 
-    def settings_of(self, kind: DensityKind[Any] | ProposalKind[Any]) -> Settings:
-        """Return the settings of a density or a proposal out of this section.
+    def settings_of(self, kind: DensityKind[Any]) -> Settings:
+        """Return the settings of a density out of this section.
 
         Raises:
             ValueError: They do not go together.
@@ -134,7 +131,9 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         own = dict(self.variants[name])
         unknown = sorted(set(own) - set(type(self).model_fields) - {"density"} | set(own) & {"variants", "densities"})
         if unknown:
-            raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting")
+            near = difflib.get_close_matches(unknown[0], type(self).model_fields, n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting{hint}")
         density = own.pop("density", self.densities[0])
         if density not in DENSITIES:
             raise ValueError(
@@ -162,7 +161,6 @@ class SegmentParameters(Parameters):
     target: TargetSettings
     density_settings: SerializeAsAny[Settings]
     proposal: str
-    proposal_settings: SerializeAsAny[Settings]
 
 
 class SummaryParameters(Parameters):

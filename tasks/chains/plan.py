@@ -98,7 +98,6 @@ def _plan_seed(
                     target=own.part(TargetSettings),
                     density_settings=own.settings_of(density),
                     proposal=proposal.name,
-                    proposal_settings=own.settings_of(proposal),
                 ),
                 inputs=refs,
                 after=previous,

@@ -37,6 +37,8 @@ from tasks.stage import Shard, commit, merge_takes, stream
 __all__ = ["ChainProblem", "SeedRow", "chain_problem", "read_seed_row", "run_shard"]
 
 Refs = tuple[ArtifactRef, ...]
+_NUM_HYPOTHESES = 4
+"""Likeliest view hypotheses of an annotation that are used."""
 _ONE_VIEW_RAD = float(np.deg2rad(15.0))
 """Views that spread less are one view: guesses of a view are some 10 degrees off."""
 
@@ -67,7 +69,6 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             target,
             propose,
             num_steps=options.run.num_warm_up * options.run.thin,
-            target_acceptance=options.run.target_acceptance,
             gauge=chart.gauge_fixed,
         )
     else:
@@ -199,7 +200,7 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
     except InputError as error:
         raise InputError(f"seed {options.seed_index} ({seed.origin}): {error}") from None
     nearest = likelihood.nearest if isinstance(likelihood, ImageLikelihood) else None
-    propose = kind.build(options.proposal_settings, ProposalInputs(chart, nearest, evidence.speeds))
+    propose = kind.build(ProposalInputs(chart, nearest, evidence.speeds))
     return ChainProblem(seed, chart, target, propose, evidence)
 
 
@@ -268,7 +269,7 @@ def _image_evidence(
     This reads every annotation; the segments that one worker runs in a row mostly share it.
     """
     assert isinstance(settings, ImageSettings)
-    placed = _gathered(store, annotations, views, settings.num_hypotheses)
+    placed = _gathered(store, annotations, views)
     pairs = placed.gathered.pairs
     rng = stream(study_seed, "chains", "views", seed_index)
     inputs = DensityInputs(read_seed_row(store, seed, seed_index).pair_m, rng, annotated=placed.gathered)
@@ -289,9 +290,9 @@ def _image_evidence(
 
 
 @lru_cache(maxsize=1)
-def _gathered(store: Store, annotations: Refs, views: Refs, num_hypotheses: int) -> PlacedPairs:
+def _gathered(store: Store, annotations: Refs, views: Refs) -> PlacedPairs:
     """Return the annotated pairs: the same for all seeds, and with what is found out about them once."""
-    return gather(store, annotations=annotations, views=views, num_hypotheses=num_hypotheses)
+    return gather(store, annotations=annotations, views=views, num_hypotheses=_NUM_HYPOTHESES)
 
 
 @dataclass(frozen=True)

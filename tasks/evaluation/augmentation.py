@@ -66,7 +66,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     source = read_take(store, take).source
     solved = batch_of(store.manifest(parts[0]))
     held = tuple(contact for contact in solved.contacts if contact.weight > 0 and not contact.is_of_floor)
-    contacts = source.contacts(solved.touch_m, solved.contacts)
+    contacts = source.contacts(solved.contacts)
     if held:
         contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
     if contacts.weights.size:
@@ -75,7 +75,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             is_known = solved.contacts == known_contacts(store.manifest(take))
             whose = "known of the take" if is_known else "stated by the study"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
-    drifts = contact_drifts(contacts, source, solved.girth, _motions(store, parts, tables))
+    drifts = contact_drifts(contacts, source, _motions(store, parts, tables))
     kept = contact_scores(drifts, item=take_id)
     scales = np.concatenate([table["bone_scale"] for table in tables]).astype(np.float64)
     scales = scales.reshape(-1, source.num_people, BODY22.num_joints)

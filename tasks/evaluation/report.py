@@ -10,10 +10,10 @@ from pydantic import Field
 
 from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.names import meanings
-from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pictures, fit_rows, render_report
+from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, render_report
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
-from pasdedeux.evaluation.summary import Summary, folded
+from pasdedeux.evaluation.summary import Summary, folded, listed
 from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
@@ -27,6 +27,10 @@ __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 PARTITION = "report"
 _MAX_NOTES = 60
 """Sentences of a section, at most; tables have the rest."""
+_MAX_PICTURES = 24
+"""Pictures of a section within the page, at most, of up to 160 kB each; all of them lie beside it."""
+_MAX_ROWS = 500
+"""Rows of a table within the page, at most; `scores` has all."""
 READS = ("takes", "take_quality", "joint_limits", "training_log")
 """Tables that the page and the card read beside those of the topics; of a take that is left out only its quality is."""
 
@@ -37,12 +41,6 @@ class PageSettings(Parameters):
     title: str = Field(
         "A dataset of close two-person motion",
         description="Title of the report and the card; that of the study by default",
-    )
-    max_page_mb: float = Field(
-        4.5,
-        ge=0.2,
-        le=50,
-        description="The report's page is never larger, in megabytes; pictures that do not fit lie beside it",
     )
     description: str = Field(
         "Made with pasdedeux from the takes and annotations named in the study.",
@@ -90,7 +88,6 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
         Report(settings.title, settings.description, summary, [one for one in every if one is not None]),
         [*summary.left_out, *_unasked(silent, there)],
         card_tables(card),
-        max_mb=settings.max_page_mb,
     )
     figures = {f"{name}-compared.svg": content for name, (content, _) in drawn.items()}
     return commit(
@@ -107,32 +104,26 @@ def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None
     return next((drawn for one in topic.yardsticks if (drawn := one.picture(scores)) is not None), None)
 
 
-def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable], *, max_mb: float) -> str:
-    """Return the page, at most so large, which says what it leaves out.
+def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> str:
+    """Return the page, which says what it leaves out."""
+    said = [sentence for section in report.sections for sentence in _beyond(section)]
+    left_out = Section(heading="Left out, and why", paragraphs=(*said, *notes) or ("Nothing was left out.",))
+    sections = [*map(_bounded, report.sections), left_out, Section("Sources and licences", tables=tuple(card))]
+    return render_report(replace(report, sections=sections))
 
-    Rows of long tables go where text alone would be more than half of it, then pictures.
-    """
-    limit, every = int(max_mb * 1e6), [*report.sections, Section("Sources and licences", tables=tuple(card))]
 
-    def rendered(max_rows: int, room: int) -> str:
-        cut, num_rows = fit_rows(every, max_rows)
-        (*sections, sources), num_pictures = fit_pictures(cut, room)
-        counts = {"pictures lie beside the page": num_pictures, "rows of its tables are in `scores` alone": num_rows}
-        said = [
-            f"{count:,} {what}; `evaluation.max_page_mb`, {max_mb:g} MB, says how large the page may be."
-            for what, count in counts.items()
-            if count
-        ]
-        left_out = Section(heading="Left out, and why", paragraphs=(*said, *notes) or ("Nothing was left out.",))
-        return render_report(replace(report, sections=[*sections, left_out, sources]))
+def _bounded(section: Section) -> Section:
+    """Return a section with no more pictures and rows than a page can hold."""
+    tables = tuple(replace(table, rows=table.rows[:_MAX_ROWS]) for table in section.tables)
+    return replace(section, tables=tables, pictures=section.pictures[:_MAX_PICTURES])
 
-    max_rows = max((len(table.rows) for one in every for table in one.tables), default=0)
-    while len((page := rendered(max_rows, 0)).encode()) > limit // 2 and max_rows:
-        max_rows //= 2
-    room = limit - len(page.encode())
-    while (excess := len((page := rendered(max_rows, max(room, 0))).encode()) - limit) > 0 and room > 0:
-        room -= excess
-    return page
+
+def _beyond(section: Section) -> list[str]:
+    """Say which pictures and rows of a section the page does not hold."""
+    beside = [picture.name for picture in section.pictures[_MAX_PICTURES:]]
+    found = [f"{len(beside):,} pictures lie beside the page: {listed(beside)}."] if beside else []
+    long = [table for table in section.tables if len(table.rows) > _MAX_ROWS]
+    return found + [f"{one.caption}: {_MAX_ROWS} of {len(one.rows):,} rows; `scores` has all." for one in long]
 
 
 def _unasked(silent: Sequence[Topic], there: Set[str]) -> list[str]:

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle, draw_styles
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.settle import PeopleSettings
-from pasdedeux.plausibility.capture import CaptureLimits
+from pasdedeux.plausibility.capture import LIMITS, complete_limits
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.stage import Parameters, stream
 
@@ -207,66 +207,65 @@ class PairOptions(CommonOptions):
 
 
 class DuetOptions(DuetStyle, Parameters):
-    """A built-in duet."""
+    """A take of a built-in duet."""
 
     num_people: ClassVar[int] = max(dance.style.num_people for dance in DUETS.values())
+
+    name: str
+    id: str | None = None
+
+    @property
+    def take_id(self) -> str:
+        """Name of the take."""
+        return self.id or self.name
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """Everything that is told of the dance."""
+        return self.model_dump(exclude={"id", "name"})
+
+
+class DuetEntry(Parameters):
+    """A built-in duet, or many takes of it that are drawn."""
 
     name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
     id: str | None = Field(
         default=None, pattern=_ID, max_length=100, description="Name of the take; the duet's name by default"
     )
-    style: dict[str, float] = Field(default={}, description="Further parameters of that duet")
-
-    @property
-    def take_id(self) -> str:
-        """Name of the take."""
-        return self.id or (self.name if self.variation == 0 else f"{self.name}_{self.variation}")
-
-    @property
-    def style_model(self) -> type[DuetStyle]:
-        """Model of the dance's style; of any dance where there is none of that name."""
-        return DUETS[self.name].style if self.name in DUETS else DuetStyle
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """Everything that is told of the dance."""
-        return {**self.model_dump(exclude={"id", "name", "style"}), **self.style}
-
-
-class DuetEntry(DuetOptions):
-    """A built-in duet, or many takes of it that are drawn."""
-
+    duration_s: float = Field(default=10.0, ge=0.5, le=600.0, description="Length, seconds")
     count: int | None = Field(
         default=None,
         ge=1,
         le=1000,
-        description="Draw so many takes: variation, speed and everybody's height, no two of the same bodies in one "
-        "entry; their names get -001 and so on, another `variation` draws others",
+        description="Draw so many takes: style, speed and everybody's height, no two of the same bodies in one entry; "
+        "their names get -001 and so on",
     )
-
-    @model_validator(mode="after")
-    def _draws_what_is_not_told(self) -> Self:
-        told = sorted({"heights_m", "speed"} & self.model_fields_set)
-        if self.count is not None and told:
-            raise ValueError(f"{told[0]} is drawn where count is told")
-        return self
 
     def takes(self) -> list[DuetOptions]:
         """Return the takes, each with what was drawn."""
-        plain = DuetOptions(**self.model_dump(exclude={"count"}))
+        plain = DuetOptions(name=self.name, id=self.id, duration_s=self.duration_s)
         if self.count is None:
             return [plain]
-        generator = stream(self.variation, "duets", self.id or self.name)
-        drawn = draw_styles(self.style_model.num_people, self.count, generator)
+        generator = stream(0, "duets", plain.take_id)
+        drawn = draw_styles(num_people_of(self.name), self.count, generator)
         return [
-            plain.model_copy(update={**style, "id": f"{self.id or self.name}-{number:03d}"})
+            plain.model_copy(update={**style, "id": f"{plain.take_id}-{number:03d}"})
             for number, style in enumerate(drawn, start=1)
         ]
 
 
-class CaptureOptions(CaptureLimits, Parameters):
-    """What is asked of the capture of takes: limits, each `[warn, fail]`."""
+def num_people_of(duet: str) -> int:
+    """Return the number of people of a duet; 2 where there is none of that name, which planning refuses."""
+    return DUETS[duet].style.num_people if duet in DUETS else DuetStyle.num_people
 
+
+class CaptureOptions(Parameters):
+    """What is asked of the capture of takes."""
+
+    limits: Annotated[dict[str, tuple[float, float]], AfterValidator(complete_limits)] = Field(
+        default=dict(LIMITS),
+        description="By figure (a column of `take_quality`): past the first a warning, past the second a failure",
+    )
     leave_out_failing: bool = Field(
         default=False, description="Takes whose capture fails have no poses, and no stage uses them; the report says so"
     )
@@ -288,10 +287,6 @@ class VirtualCameras(Parameters):
         default=10.0, ge=0, description="Standard deviation of the elevation; inf for uniform"
     )
     noise_px: float = Field(default=1.0, ge=0, le=200, description="Noise of each coordinate for a person 600 px tall")
-    occlusion: float = Field(default=0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
-    image_size_px: tuple[int, int] | None = Field(
-        default=None, description="Width and height; by default as large as the people need.  Outside is not detected"
-    )
 
 
 class DetectorOptions(Parameters):
@@ -490,7 +485,7 @@ class IngestParameters(Parameters):
 
     def _takes(self) -> list[tuple[str, int]]:
         return [
-            *((duet.take_id, duet.style_model.num_people) for duet in self.resolved_duets()),
+            *((duet.take_id, num_people_of(duet.name)) for duet in self.resolved_duets()),
             *((take.id, len(take.files)) for take in self.takes),
             *(
                 (family.take_id(take), len(family.subjects))

@@ -193,7 +193,7 @@ def _commit(
     captured = [derive_working_poses(person.captured, person.layout).body22_m for person in people]
     found = check_capture(np.stack(captured, axis=1), rate_hz=people[0].captured.rate_hz)
     names = [person.source_name for person in people] if isinstance(parameters, TakeParameters) else []
-    judged = judge_capture(found, parameters.capture, names)
+    judged = judge_capture(found, parameters.capture.limits, names)
     take_id = parameters.take_id
     facts: dict[str, Any] = {
         "kind": "take",

@@ -92,7 +92,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         view = _view(parameters, pair17[frames], angles, index)
         exact = _see(view, pair17[frames], op14[frames])
         shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))
-        occlusion = parameters.detector.occlusion if parameters.detector else parameters.occlusion
+        occlusion = parameters.detector.occlusion if parameters.detector else 0.0
         seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
         if parameters.detector:
             sequence_id += ".detector"
@@ -163,7 +163,6 @@ def _view(parameters: VideoParameters, pair17: np.ndarray, angles: ViewAngles, i
         distance_m=parameters.distance_m,
         yaw_rad=float(angles.yaw_rad[index]),
         pitch_rad=float(angles.pitch_rad[index]),
-        image_size_px=parameters.image_size_px,
     )
 
 
@@ -356,5 +355,5 @@ def _add_camera(cameras: Columns, parameters: VideoParameters, sequence_id: str,
         camera_position_m=[camera.position_m],
         camera_from_world_rotmat=[camera.camera_from_world_rotmat],
         noise_px=[parameters.noise_px],
-        occlusion=[parameters.detector.occlusion if parameters.detector else parameters.occlusion],
+        occlusion=[parameters.detector.occlusion if parameters.detector else 0.0],
     )

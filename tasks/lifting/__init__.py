@@ -16,6 +16,6 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="annotations lifted to 3D by the draws that look like them",
-    needs="annotations of two people ([[ingest.annotations]]), and draws of a density that "
-    "lifting.left_out does not name (chains.densities) or grown seeds (seeds.num_grown)",
+    needs="annotations of two people ([[ingest.annotations]]), and draws of a density "
+    "beside prior_only (chains.densities) or grown seeds (seeds.num_grown)",
 )

@@ -6,22 +6,17 @@ from typing import Literal
 
 from pydantic import Field
 
-from pasdedeux.completion.fit import FitOptions
-from pasdedeux.completion.retrieval import RetrievalOptions
-from pasdedeux.sampling.density import PRIOR_ONLY
 from tasks.stage import Parameters
 
-__all__ = ["VERSION", "LiftingParameters", "LiftingShard"]
+__all__ = ["VERSION", "LiftingParameters"]
 
 VERSION = 7
 
 
-class LiftingShard(RetrievalOptions, FitOptions, Parameters):
+class LiftingParameters(Parameters):
     """Which annotations of a source are lifted, and how."""
 
     max_frames: int = Field(40, ge=1, description="Annotated pairs lifted of each source of annotations, evenly spread")
-    num_hypotheses: int = Field(8, ge=1, description="Likeliest view hypotheses of an annotation that draws compete in")
-    num_completing: int = Field(100, ge=1, description="Draws nearest in D_I that joints not seen are taken from")
     between_frames: int = Field(
         15,
         ge=0,
@@ -32,10 +27,3 @@ class LiftingShard(RetrievalOptions, FitOptions, Parameters):
     baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
         (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"
     )
-    num_naive: int = Field(1000, ge=1, description="Samples round each pair of the baseline naive_sampling")
-
-
-class LiftingParameters(LiftingShard):
-    """Which annotations are lifted, from which draws, and how."""
-
-    left_out: tuple[str, ...] = Field((PRIOR_ONLY,), description="Densities whose draws are left out")

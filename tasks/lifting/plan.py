@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pasdedeux.sampling.density import PRIOR_ONLY
 from storage_schema import Manifest
 from tasks.draw_sets import draw_manifests
-from tasks.lifting.parameters import VERSION, LiftingParameters, LiftingShard
+from tasks.lifting.parameters import VERSION, LiftingParameters
 from tasks.poses import num_persons
 from tasks.stage import Shard, StageInputs, named_refs
 from tasks.torso_bases import shares_takes
@@ -14,7 +15,7 @@ __all__ = ["plan"]
 
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     """Plan a shard per artifact of annotated pairs that has views; none without draws."""
-    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") not in parameters.left_out]
+    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
     if not draws:
         return []
     views = {ref: manifest for manifest in inputs.of("views") for ref in manifest.inputs}
@@ -35,7 +36,7 @@ def _shard(
         version=VERSION,
         partition=annotated.partition,
         name=annotated.name,
-        parameters=parameters.part(LiftingShard),
+        parameters=parameters,
         inputs=named_refs(
             annotations=[annotated],
             views=[views],

@@ -16,14 +16,14 @@ from pasdedeux.completion.expected_error import expected_error
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
-from pasdedeux.completion.retrieval import image_residual, retrieve
+from pasdedeux.completion.retrieval import NEIGHBOUR_DEVIATION_M, NUM_NEIGHBOURS, image_residual, retrieve
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
 from tasks.draw_sets import DrawSet, read_all_draws, reference_to
-from tasks.lifting.parameters import LiftingShard
+from tasks.lifting.parameters import LiftingParameters
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 from tasks.torso_bases import read_torso_basis
@@ -35,15 +35,22 @@ DOUBTFUL_M = 0.15
 """Median expected error above which lifted pairs are doubted."""
 _EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 
+_NUM_HYPOTHESES = 8
+"""Likeliest view hypotheses of an annotation that draws compete in."""
+_NUM_COMPLETING = 100
+"""Draws nearest in D_I that joints not seen are taken from."""
+_NUM_NAIVE = 1000
+"""Samples round each pair of the baseline naive_sampling."""
+
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Lift the chosen pairs of one artifact of annotations and fill in between them."""
-    options = shard.options(LiftingShard)
+    options = shard.options(LiftingParameters)
     annotated = store.manifest(shard.ref("annotations"))
     draws, index = _indexed_draws(store, shard.refs("draws"))
     lifted_from = _lifted_from(store, shard.refs("draws"), draws)
     every, num_skipped = read_seen_pairs(
-        store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=options.num_hypotheses
+        store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
     is_video = annotated.facts.get("purpose") in ("video", "given") and options.between_frames > 0
     stills = annotated.facts.get("why_no_video", {})
@@ -55,7 +62,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
     for place in wanted:
-        found, fitted[place] = _lift(every[place], draws, index, lifted_from.get(place[:3], ()), options)
+        found, fitted[place] = _lift(every[place], draws, index, lifted_from.get(place[:3], ()))
         rows += found
     rows += _baselines(shard, store, [every[place] for place in wanted], every)
     between = [row for span in spans for row in _fill(span, fitted, draws)]
@@ -137,17 +144,15 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     }
 
 
-def _lift(
-    one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int], options: LiftingShard
-) -> tuple[list[Row], np.ndarray]:
+def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int]) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
-    found = retrieve(index, one.image_m, one.directions, options)
+    found = retrieve(index, one.image_m, one.directions)
     known = {
         "draw": draws.reference(int(found.nearest.draw[0])),
         "hypothesis": int(one.hypotheses[found.nearest.view[0]]),
     }
     lengths = pooled_lengths(found.pairs_m, found.weight)
-    fitted = fit_pair(one.image_m, found.mean_m, lengths, options)
+    fitted = fit_pair(one.image_m, found.mean_m, lengths)
     rows = [
         _row(one, "nearest", found.pairs_m[0], **known),
         _row(one, "neighbours", found.mean_m, **known),
@@ -155,11 +160,11 @@ def _lift(
     ]
     if not one.is_seen.all():
         incomplete = np.where(one.is_seen[..., None], fitted, np.nan)
-        count = min(options.num_completing, len(draws.pairs_m))
+        count = min(_NUM_COMPLETING, len(draws.pairs_m))
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
         rows.append(_row(one, "completed", fitted, **known))
     has_own_draw = bool(np.isin(own, found.nearest.draw).any())
-    mean_m = _mean_of_others(one, index, own, options) if has_own_draw else found.mean_m
+    mean_m = _mean_of_others(one, index, own) if has_own_draw else found.mean_m
     expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
@@ -167,18 +172,17 @@ def _lift(
     return rows, fitted
 
 
-def _mean_of_others(one: SeenPair, index: DrawIndex, own: Sequence[int], options: LiftingShard) -> np.ndarray:
+def _mean_of_others(one: SeenPair, index: DrawIndex, own: Sequence[int]) -> np.ndarray:
     """Return the mean of the nearest draws but those lifted from this very image, which agree whatever they are.
 
     The mean of all that are near where there are no others.
     """
-    more = options.model_copy(update={"num_neighbours": options.num_neighbours + len(own)})
-    near = retrieve(index, one.image_m, one.directions, more)
-    others = np.flatnonzero(~np.isin(near.nearest.draw, own))[: options.num_neighbours]
+    near = retrieve(index, one.image_m, one.directions, count=NUM_NEIGHBOURS + len(own))
+    others = np.flatnonzero(~np.isin(near.nearest.draw, own))[:NUM_NEIGHBOURS]
     if not len(others):
         return near.mean_m
     squared = near.nearest.distance_m[others] ** 2
-    weight = np.exp(-0.5 * (squared - squared[0]) / options.neighbour_deviation_m**2)
+    weight = np.exp(-0.5 * (squared - squared[0]) / NEIGHBOUR_DEVIATION_M**2)
     return np.asarray(np.tensordot(weight / weight.sum(), near.pairs_m[others], axes=1))
 
 
@@ -202,7 +206,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
 
 def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[Place, SeenPair]) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
-    options = shard.options(LiftingShard)
+    options = shard.options(LiftingParameters)
     whole = [one.image_m for one in every.values() if one.is_seen.all()]
     if not options.baselines or not whole:
         return []
@@ -223,7 +227,7 @@ def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Ma
             rows.append(_row(one, "lifting_ik", by_ik))
         if "naive_sampling" in options.baselines:
             rng = stream(shard.seed, "lifting", *one.place)
-            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=options.num_naive)
+            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
             rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))
     return rows
 

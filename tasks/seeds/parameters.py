@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from pasdedeux.sampling.growth import GrowthOptions
 from pasdedeux.sampling.prior import PriorSettings
 from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters
@@ -24,7 +23,7 @@ class SeedFrame(Parameters):
     frame: int = Field(ge=0, description="Frame at the study's rate")
 
 
-class SeedsParameters(PriorSettings, GrowthOptions, Parameters):
+class SeedsParameters(PriorSettings, Parameters):
     """How many seeds there are and where they come from."""
 
     num_seeds: int | None = Field(
@@ -84,7 +83,7 @@ class LiftedSeeds(PriorSettings, Parameters):
     num_lifted: int
 
 
-class GrownSeeds(PriorSettings, GrowthOptions, Parameters):
+class GrownSeeds(PriorSettings, Parameters):
     """All seeds grown from the others."""
 
     first_index: int

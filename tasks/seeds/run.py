@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.direct_lifting import lift_seeds
-from pasdedeux.sampling.growth import Growth, grow
+from pasdedeux.sampling.growth import FARTHEST_M, Growth, grow
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
@@ -177,7 +177,6 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
         placed.gathered.pairs,
         limits,
         num_grown=options.num_grown,
-        options=options,
         prior=options.part(PriorSettings),
     )
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
@@ -214,7 +213,7 @@ def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:
         level = Level.WARN if count else Level.FAIL
         reason = (
             f"{count} of {possible} pairs grew: {growth.num_refused} lifted pairs broke the joint limits, and "
-            f"{growth.num_left} annotations lie farther than {options.farthest_m} m from everything lifted"
+            f"{growth.num_left} annotations lie farther than {FARTHEST_M} m from everything lifted"
         )
     share = 100.0 * count / possible if possible else math.nan
     return Verdict(level, reason, "pairs grown of those asked for", share, "%", count=possible or 1, thing="pairs")

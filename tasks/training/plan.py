@@ -89,7 +89,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     ingest, parameters = sections["ingest"], sections["training"]
     duets = {duet.take_id: duet.name for duet in ingest.resolved_duets()}
     takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]
-    known = make_variations(sections["augmentation"], lambda *labels: stream(0, *labels))
+    known = make_variations(sections["augmentation"])
     keys = [
         VariantKey(take_id, one.variant_id, one.bone_scale, duets.get(take_id, ""))
         for take_id in takes

@@ -14,7 +14,6 @@ from pasdedeux.sampling.density import DensityInputs, ImageSettings, Likelihood,
 from pasdedeux.sampling.likelihood import InteractionSettings
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
-from pasdedeux.sampling.proposals import PROPOSALS
 from tasks.chains import DENSITIES, ChainsParameters
 from tests.builders.poses import dancers
 
@@ -97,7 +96,7 @@ def test_the_benchmark_times_what_a_study_samples_that_sets_nothing(monkeypatch:
 
 def test_the_section_has_the_settings_of_every_kind_with_one_meaning_each() -> None:
     section = ChainsParameters.model_fields
-    for kind in (*DENSITIES.values(), *PROPOSALS.values()):
+    for kind in DENSITIES.values():
         for name, field in kind.settings.model_fields.items():
             assert (section[name].default, section[name].description) == (field.default, field.description)
             assert field.description

@@ -87,7 +87,7 @@ def _learn_to_draw(store: Store) -> None:
     told = {
         "splits": ["cross_interaction"],
         "models": ["copy", "naive_fk", "ridge_scale", "actor_like"],
-        "actor_like": {"num_steps": 1, "width": 4, "num_blocks": 1},
+        "actor_like": {"num_steps": 1},
     }
     for shard in training.STAGE.plan(inputs_of(store, training.STAGE), training.STAGE.parameters.model_validate(told)):
         training.STAGE.run_shard(shard, store)
@@ -241,7 +241,7 @@ TOY = Topic(
 def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Path) -> None:
     store = Store(small.copy_store(tmp_path))
     stage = evaluation_stage([topic for topic in TOPICS if topic.name == "takes"] + [TOY])
-    assert set(stage.parameters.model_fields) == {"title", "max_page_mb", "description", "num_toys"}
+    assert set(stage.parameters.model_fields) == {"title", "description", "num_toys"}
     made = evaluate(store, stage, num_toys=3)
     page = page_of(store, made)
     for text in (

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from pasdedeux.choreography import style_of
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from storage_schema import Store
@@ -81,14 +82,14 @@ def test_an_unknown_duet_is_named() -> None:
 @pytest.mark.parametrize(
     ("told", "sentence"),
     [
-        ({"heights_m": [1.7, 1.8, 1.9]}, "duet 'waltz': 3 heights are told for 2 people"),
-        ({"style": {"stried": 0.2}}, "duet 'waltz': parameter 'stried' is not known, did you mean 'stride'?"),
-        ({"style": {"stride": 9.0}}, "duet 'waltz': stride is 9.0: Input should be less than or equal to"),
+        ({"heights_m": (1.7, 1.8, 1.9)}, "duet 'waltz': 3 heights are told for 2 people"),
+        ({"stried": 0.2}, "duet 'waltz': parameter 'stried' is not known, did you mean 'stride'?"),
+        ({"stride": 9.0}, "duet 'waltz': stride is 9.0: Input should be less than or equal to"),
     ],
 )
-def test_a_style_that_a_duet_does_not_have_is_refused_while_planning(told: dict[str, Any], sentence: str) -> None:
+def test_a_style_that_a_duet_does_not_have_is_refused(told: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=re.escape(sentence)):
-        planned(duets=[{"name": "waltz", **told}])
+        style_of("waltz", **told)
 
 
 def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:

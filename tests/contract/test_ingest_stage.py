@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation import STAGE as EVALUATION
-from tasks.ingest import IngestParameters
+from tasks.ingest import IngestParameters, virtual_video
 from tests.builders.ingest_runs import judged, planned, run, write_figure_pair
 from tests.builders.source_samples import AMC, ASF, figure_motion, positions_npz
 
@@ -112,11 +113,12 @@ def test_virtual_video_shows_the_pose_through_its_stored_camera_unmirrored(
 
 def test_the_two_skeletons_share_the_noise_of_their_common_joints(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     store = Store(tmp_path / "store")
+    detector = {"occlusion": 0.2, "num_junk_joints": 0, "passer_by_share": 0.0}
     shards = planned(
         takes=[{"id": "d", "files": list(pair)}],
-        virtual_video={"num_random_views": 0, "noise_px": 5.0, "occlusion": 0.2},
+        virtual_video={"num_random_views": 0, "noise_px": 5.0, "detector": detector},
     )
-    seen = store.read(run(store, shards)["d", "video"].ref, "annotations")
+    seen = store.read(run(store, shards)["d", "detector"].ref, "annotations")
     for name in ("left_wrist", "right_knee"):
         np.testing.assert_array_equal(seen["pair17_px"][:, PAIR17.index(name)], seen["op14_px"][:, OP14.index(name)])
     is_missing = np.isnan(seen["pair17_px"]).any(axis=-1)
@@ -243,14 +245,12 @@ def test_a_study_that_names_nothing_gets_the_built_in_duets_and_others_do_not(pa
 
 def test_a_duet_becomes_a_take(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
-    shards = planned(
-        duets=[{"name": "waltz", "duration_s": 1.0, "variation": 2}], virtual_video={"num_random_views": 2}
-    )
+    shards = planned(duets=[{"name": "waltz", "duration_s": 1.0, "id": "w"}], virtual_video={"num_random_views": 2})
     manifests = run(store, shards)
-    manifest = manifests["waltz_2", "take"]
+    manifest = manifests["w", "take"]
     assert manifest.facts["num_frames"] == 30
     assert list(store.read(manifest.ref, "takes")["source_format"]) == ["duet"] * 2
-    assert manifests["waltz_2", "random_views"].sources == manifest.sources
+    assert manifests["w", "random_views"].sources == manifest.sources
     assert manifest.sources[0].licence == "Apache-2.0"
 
 
@@ -287,7 +287,7 @@ def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     # The figure of the tests slides, and both people are it.
     quiet = {
         "virtual_video": {"num_videos": 0, "num_random_views": 0},
-        "capture": {"skate_m_s": [9, 9], "twin_m": [0, 0]},
+        "capture": {"limits": {"skate_m_s": [9, 9], "twin_m": [0, 0]}},
     }
     takes = [{"id": "two", "files": list(pair)}, {"id": "one", "files": [pair[0]]}]
     found = run(store, planned(takes=takes, **quiet))
@@ -344,12 +344,15 @@ def test_salsa_takes_in_which_a_foot_jumps_fail(tmp_path: Path, data_dir: Path) 
     assert "A: the left_toe jumps by 0.60 m at 5.73 s" in judged(found["04", "take"]).reason
 
 
-def test_a_video_is_judged_by_the_share_of_the_joints_in_its_image(tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    levels = {}
-    for name, size in (("large", None), ("small", [200, 200])):
-        video = {"num_videos": 2, "num_random_views": 0, "image_size_px": size}
-        shards = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video=video)
-        levels[name] = judged(run(Store(tmp_path / name), shards)["d", "video"])
+def test_a_video_is_judged_by_the_share_of_the_joints_in_its_image(
+    tmp_path: Path, pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video = {"num_videos": 2, "num_random_views": 0}
+    shards = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video=video)
+    levels = {"large": judged(run(Store(tmp_path / "large"), shards)["d", "video"])}
+    small = partial(virtual_video.frame_take, image_size_px=(200, 200))
+    monkeypatch.setattr(virtual_video, "frame_take", small)
+    levels["small"] = judged(run(Store(tmp_path / "small"), shards)["d", "video"])
     assert (levels["large"].level, levels["large"].value) == (Level.PASS, 100.0)
     assert levels["small"].level is Level.FAIL
     assert levels["small"].value < 50

@@ -114,9 +114,10 @@ def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any)
     assert shards["completed"].refs("takes") == (takes[1].ref,)
 
 
-def test_hidden_joints_are_completed_and_counted(grown: Any) -> None:
+def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tasks.lifting.run._NUM_COMPLETING", 5)
     store, given = grown
-    table = store.read(lift(store, given, num_completing=5)["one-views"].ref, "lifted_pairs")
+    table = store.read(lift(store, given)["one-views"].ref, "lifted_pairs")
     seen, method = np.asarray(table["num_joints_seen"]), np.asarray(table["method"])
     assert (seen[method == "completed"] == 33).all()
     assert (method == "completed").sum() == 1
@@ -128,9 +129,10 @@ def test_hidden_joints_are_completed_and_counted(grown: Any) -> None:
     assert (expected[answers] < high[answers]).all()
 
 
-def test_baselines_without_draws_stand_beside(grown: Any) -> None:
+def test_baselines_without_draws_stand_beside(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tasks.lifting.run._NUM_NAIVE", 40)
     store, given = grown
-    made = lift(store, given, max_frames=1, num_naive=40, baselines=("lifting", "lifting_ik", "naive_sampling"))
+    made = lift(store, given, max_frames=1, baselines=("lifting", "lifting_ik", "naive_sampling"))
     methods = set(store.read(made["one-views"].ref, "lifted_pairs")["method"])
     assert {"lifting", "lifting_ik", "naive_sampling"} <= methods
 

@@ -27,7 +27,6 @@ from tests.builders.moving_pairs import swaying_pair
 TAKE = Source(swaying_pair(8), 30.0, "sway")
 UNSEEN = Source(swaying_pair(5, seed=9), 30.0, "unseen")
 SMALL = {
-    "start_net": {"num_steps": 12, "segment_steps": 5, "frames_per_step": 4, "variants_per_step": 4},
     "paper_cvae": {"num_steps": 25, "segment_steps": 10, "windows_per_step": 4, "num_blocks": 1, "kernel": 1}
     | {"width": 8, "hidden": 8, "latent_size": 4, "learning_rate": 0.01},
     "actor_like": {"num_steps": 40, "segment_steps": 15, "windows_per_step": 4, "width": 16, "learning_rate": 0.01},
@@ -58,7 +57,7 @@ def trained(variants: list[TrainingItem]) -> Trainer:
 
 def train(kind: type[VariantModel], variants: list[TrainingItem]) -> VariantModel:
     """Train all segments, each from what the one before left as a store would keep it."""
-    settings = kind.settings.model_validate(SMALL.get(kind.name, {}))
+    settings = getattr(kind, "config_kind", kind.settings).model_validate(SMALL.get(kind.name, {}))
     start = kind.start(settings)
     built_on = None if start is None else train(MODELS[start], variants)
     state: Arrays = {}

@@ -249,11 +249,12 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     np.testing.assert_allclose(apart[1] - apart[0], true_apart, atol=0.5)
 
 
-def test_a_search_that_may_miss_says_how_much_it_finds(store: Store) -> None:
+def test_a_search_that_may_miss_says_how_much_it_finds(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     built = build(store, [put_take(store, name) for name in "ab"])
     video, _ = put_video(store, "film", ["held"])
     (exact,) = reconstruct(store, [video], built, methods=("viterbi",), has_pairs=False)
-    (missing,) = reconstruct(store, [video], built, methods=("nearest",), exact_up_to=0)
+    monkeypatch.setattr("tasks.reconstruction.EXACT_UP_TO", 0)
+    (missing,) = reconstruct(store, [video], built, methods=("nearest",))
     facts = [store.manifest(ref).facts for ref in (exact, missing)]
     assert facts[0]["search_slack"] == 0.0
     assert facts[0]["search_recall"] == 1.0
@@ -293,8 +294,11 @@ def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kep
     assert "no projection database" in store.manifest(ref).facts["skipped"][0]
 
 
-def test_yaw_steps_and_cameras_of_a_study_reach_the_database_and_who_reads_it(store: Store) -> None:
-    settings = {"yaw_step_deg": 24.0, "camera": "pinhole", "pitches_deg": (8.5,), "heights_m": (), "distance_m": 4.0}
+def test_yaw_steps_and_cameras_reach_the_database_and_who_reads_it(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(projections, "NUM_YAWS", 15)
+    settings = {"camera": "pinhole", "pitches_deg": (8.5,), "heights_m": (), "distance_m": 4.0}
     built = build(store, [put_take(store, name) for name in "ab"], settings=settings)
     views = projections.read_views(built)
     assert views.num_yaws == 15
@@ -322,7 +326,6 @@ def test_the_default_database_has_steps_of_12_degrees_and_a_camera_at_1_5_metres
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"yaw_step_deg": 7.0}, "whole number of steps"),
         ({"pitches_deg": (), "heights_m": ()}, "needs a camera"),
         ({"heights_m": (6.0,)}, "no camera stands 6.0 m"),
     ],
@@ -332,9 +335,10 @@ def test_views_that_cannot_be_are_refused_with_the_study(settings: dict[str, Any
         projections.ProjectionsParameters(**settings)
 
 
-def test_parts_of_other_views_or_of_none_make_no_database(store: Store) -> None:
+def test_parts_of_other_views_or_of_none_make_no_database(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     built = build(store, [put_take(store, "a")])
-    other = build(store, [put_take(store, "b")], settings={"yaw_step_deg": 10.0})
+    monkeypatch.setattr(projections, "NUM_YAWS", 36)
+    other = build(store, [put_take(store, "b")])
     with pytest.raises(InputError, match="differ in yaw steps or camera"):
         projections.read_views([*built, *other])
     with pytest.raises(InputError, match="build it again"):

@@ -19,7 +19,7 @@ from pasdedeux.sampling.diagnostics import effective_sample_size, invariants
 from pasdedeux.sampling.likelihood import InteractionLikelihood
 from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES, PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
-from pasdedeux.sampling.proposals import PROPOSALS, Context, Correction, Proposal, ProposalInputs, Proposed
+from pasdedeux.sampling.proposals import PROPOSALS, Context, Correction, Proposal, ProposalInputs, Proposed, Steps
 from pasdedeux.sampling.speeds import Speeds
 from pasdedeux.sampling.warm_up import warm_up
 from pasdedeux.skeletons import PAIR17
@@ -75,13 +75,11 @@ def nearest(pair_m: np.ndarray) -> Context:
     return np.array([int(x > 2.5), 4 if z > 0.3 else 6, 2 if knee > KNEE_TO_NECK else 7, -1])
 
 
-def proposal(name: str, **settings: float) -> Proposal:
-    """A registered proposal with large steps of many blocks, as far as it has such settings."""
-    kind = PROPOSALS[name]
-    steps = {"root_rotation_rad": 0.2, "root_position_m": 0.7, "joint_rotation_rad": 0.12, "max_blocks": 34}
-    wanted = {**steps, **settings}
-    own = {key: value for key, value in wanted.items() if key in kind.settings.model_fields}
-    return kind.build(kind.settings(**own), ProposalInputs(CHART, nearest, speeds()))
+def proposal(name: str, **steps: float) -> Proposal:
+    """A registered proposal with large steps of many blocks, as far as it has such."""
+    large = {"root_rotation_rad": 0.2, "root_position_m": 0.7, "joint_rotation_rad": 0.12, "max_blocks": 34}
+    built = PROPOSALS[name].build(ProposalInputs(CHART, nearest, speeds()))
+    return replace(built, steps=Steps(**{**large, **steps})) if hasattr(built, "steps") else built
 
 
 @dataclass(frozen=True)
@@ -215,8 +213,7 @@ def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_un
     watched = []
     for name, scale in (("unbiased", 0.03), ("velocity", 0.015)):
         steps = {"root_rotation_rad": scale, "root_position_m": scale / 2, "joint_rotation_rad": 1e-9}
-        settings = PROPOSALS[name].settings(**steps, length_change=0.0, max_blocks=34)
-        propose = PROPOSALS[name].build(settings, known)
+        propose = replace(PROPOSALS[name].build(known), steps=Steps(**steps, length_change=0.0, max_blocks=34))
         chains = []
         for chain in range(2):
             rng = np.random.default_rng([19, chain])

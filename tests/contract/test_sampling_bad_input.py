@@ -13,6 +13,8 @@ from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
+from pasdedeux.sampling.proposals import GaussianBlocks, Steps
+from pasdedeux.sampling.proposals.blocks import UnbiasedKind
 from pasdedeux.sampling.warm_up import proposal_from_json
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
@@ -144,13 +146,14 @@ def test_a_seed_with_density_zero_is_named_with_the_term_and_the_amount(tmp_path
         sampled(tmp_path, lambda _: None, num_seeds=0, files=[{"path": path}])
 
 
-def test_a_chain_that_cannot_move_is_reported_as_stuck(tmp_path: Path) -> None:
+def test_a_chain_that_cannot_move_is_reported_as_stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path / "store")
     annotations, views = put_annotations(store, "one")
     tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
     given = with_seeds(store, tables, num_seeds=1)
-    far = {"root_rotation_rad": 3.0, "root_position_m": 9.0, "joint_rotation_rad": 3.0, "max_blocks": 34}
-    planned = chains.plan(given, ChainsParameters(**{**QUICK, **far, "num_chains": 1, "densities": ("ic",)}))
+    far = Steps(root_rotation_rad=3.0, root_position_m=9.0, joint_rotation_rad=3.0, max_blocks=34)
+    monkeypatch.setattr(UnbiasedKind, "build", lambda self, inputs: GaussianBlocks(far))
+    planned = chains.plan(given, ChainsParameters(**{**QUICK, "num_chains": 1, "densities": ("ic",)}))
     made = run(planned, chains, store)
     info = store.read(made[-1].ref, "chain_info")
     assert info["verdict"][0] == "fail"

@@ -287,8 +287,6 @@ def test_variants_that_cannot_be_are_refused(variants: dict[str, Any], message: 
 
 
 def test_proposals_that_cannot_be_are_refused_before_anything_runs() -> None:
-    with pytest.raises(ValueError, match="needs positive root_rotation_rad"):
-        ChainsParameters(proposal="velocity", root_position_m=0.0)
     with pytest.raises(ValueError, match="there is no proposal 'faster'; there are: unbiased, velocity"):
         ChainsParameters(proposal="faster")
 

@@ -161,11 +161,6 @@ def test_a_draw_becomes_the_seed_of_new_chains(
         plan = make_plan(study, graph, opened, selection)
         execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
 
-    # A run of before has recorded the defaults of settings that are gone since.
-    (record,) = (store.root / "runs").glob("*/study.json")
-    sections = json.loads(record.read_text())
-    sections["chains"]["num_ranked"] = 30
-    record.write_text(json.dumps(sections))
     monkeypatch.setattr("flows.console.restart.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")
     refused = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--set", "chains.bad=1")

@@ -141,20 +141,24 @@ def test_the_number_of_invalid_angles_that_a_study_allows_decides_whether_a_seed
     assert "at most 0 may be: no chain can start here" in verdict_of(strict).reason
 
 
-def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(inputs: Any) -> None:
+def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(
+    inputs: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store, tables = inputs
-    made = with_seeds(store, tables, num_seeds=1, num_grown=30, farthest_m=1e-6).of("seeds")
+    monkeypatch.setattr("pasdedeux.sampling.growth.FARTHEST_M", 1e-6)
+    made = with_seeds(store, tables, num_seeds=1, num_grown=30).of("seeds")
     verdict = verdict_of(made[-1])
     assert verdict is not None
     assert verdict.level is Level.WARN
     assert "1 of 30 pairs grew" in verdict.reason
-    assert "lie farther than 1e-06 m" in verdict.reason
+    assert "lie farther than 0.25 m" in verdict.reason
 
 
-def test_growth_that_reaches_nothing_has_failed(inputs: Any) -> None:
+def test_growth_that_reaches_nothing_has_failed(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     store, tables = inputs
+    monkeypatch.setattr("pasdedeux.sampling.growth.FARTHEST_M", 1e-12)
     frames = [SeedFrame(take="two", frame=7)]
-    made = with_seeds(store, tables, frames=frames, num_grown=30, farthest_m=1e-12).of("seeds")
+    made = with_seeds(store, tables, frames=frames, num_grown=30).of("seeds")
     verdict = verdict_of(made[-1])
     assert verdict is not None
     assert verdict.level is Level.FAIL

@@ -14,11 +14,11 @@ from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment, step
-from pasdedeux.sampling.density import Evaluation, PairDensity, TargetSettings
+from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
-from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, StepSettings, VelocitySettings
+from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, Steps
 from pasdedeux.sampling.proposals.velocity import VelocityBlocks
 from pasdedeux.sampling.speeds import Speeds
 from pasdedeux.skeletons import PAIR17
@@ -182,7 +182,7 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
     The angle of a uniform rotation has density (1 - cos t) / pi, so its mean is pi / 2 + 2 / pi.
     """
     chart = PairChart(standing_pair())
-    propose = GaussianBlocks(StepSettings(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34))
+    propose = GaussianBlocks(Steps(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34))
 
     def log_density(parameters: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(-0.5 * (parameters[POSITION_INDICES] ** 2).sum() / 0.2**2))
@@ -212,7 +212,7 @@ def test_velocity_steps_that_widen_halfway_sample_a_skewed_target() -> None:
     mean_m, step_m, place = 0.2, 0.2, POSITION_INDICES[0, 0]
     speeds = Speeds(np.zeros((2, NUM_BLOCKS)), np.array([[0.0, 0.0], [8.0, 8.0]]) * step_m**2)
     propose = VelocityBlocks(
-        VelocitySettings(root_position_m=step_m, max_blocks=34),
+        Steps(root_position_m=step_m, max_blocks=34),
         speeds=speeds,
         nearest=lambda parameters: np.array([int(parameters[place] > mean_m)]),
     )
@@ -238,8 +238,8 @@ def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_b
     chart, bound_m = PairChart(standing_pair()), 1.5
     anything = PriorSettings(alpha=0.0, sigma_p_m=1e6, max_invalid_angles=2 * NUM_ANGLES)
     prior = PhysicalPrior(chart, JointLimits.published(), anything)
-    target = PairDensity(chart, prior, None, TargetSettings(max_apart_m=bound_m))
-    propose = GaussianBlocks(StepSettings(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4))
+    target = PairDensity(chart, prior, None, max_apart_m=bound_m)
+    propose = GaussianBlocks(Steps(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4))
     chains = []
     for chain in range(3):
         rng = np.random.default_rng([13, chain])

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.quality import FrameLimits, Measured, QualityLimits, QualityMeter
+from pasdedeux.augmentation.quality import FRAME_LIMITS, LIMITS, Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
-from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from tests.builders.moving_pairs import swaying_pair
@@ -16,8 +15,8 @@ from tests.builders.moving_pairs import swaying_pair
 FRAMES = 20
 
 
-def _measure(source: Source, pair: np.ndarray, *, limits: JointLimits | None = None) -> Measured:
-    return QualityMeter(source, joint_limits=limits).measure(
+def _measure(source: Source, pair: np.ndarray) -> Measured:
+    return QualityMeter(source).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
         bone_scale=np.ones((2, 22)),
@@ -53,17 +52,17 @@ def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
 def test_the_source_itself_passes_in_every_frame() -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
     measured = _measure(source, source.positions_m)
-    assert not measured.frames.judge(FrameLimits()).any()
+    assert not measured.frames.judge(FRAME_LIMITS).any()
     assert measured.frames.jerk_ratio.max() <= 1.0
 
 
 def test_a_figure_beyond_its_limits_is_a_warning_or_a_failure_and_named() -> None:
-    source, limits = Source(swaying_pair(FRAMES), 30.0), QualityLimits()
+    source = Source(swaying_pair(FRAMES), 30.0)
     quality = _measure(source, source.positions_m).quality
-    assert quality.judge(limits).level is Level.PASS
-    for name, (warn, fail) in limits:
+    assert quality.judge(LIMITS).level is Level.PASS
+    for name, (warn, fail) in LIMITS.items():
         for value, level in ((warn, Level.PASS), (0.5 * (warn + fail), Level.WARN), (1.1 * fail, Level.FAIL)):
-            found = replace(quality, **{name: value}).judge(limits)
+            found = replace(quality, **{name: value}).judge(LIMITS)
             assert found.level is level
             assert (" is above " in found.reason) == (level is not Level.PASS)
 
@@ -86,24 +85,10 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
     pair[10, 0, BODY22.index(joint)] += moved_m
     frames = _measure(source, pair).frames
     values = getattr(frames, figure)
-    assert values[10] > getattr(FrameLimits(), figure)[1]
-    verdicts = frames.judge(FrameLimits())
+    assert values[10] > FRAME_LIMITS[figure][1]
+    verdicts = frames.judge(FRAME_LIMITS)
     assert verdicts[10] == 2
     assert not verdicts[[*range(7), *range(14, FRAMES)]].any()
-
-
-def test_joint_angles_are_counted_where_asked_for_and_only_beyond_what_the_source_does() -> None:
-    source = Source(swaying_pair(FRAMES), 30.0)
-    limits = JointLimits.published()
-    assert _measure(source, source.positions_m).quality.invalid_angles is None
-    assert _measure(source, source.positions_m, limits=limits).quality.invalid_angles == 0.0
-    pair = np.array(source.positions_m)
-    knee, ankle = BODY22.index("left_knee"), BODY22.index("left_ankle")
-    # A shank that points forward from the knee: bent the wrong way.
-    pair[:, 0, ankle] = pair[:, 0, knee] + [0.0, -0.05, 0.4]
-    found = _measure(source, pair, limits=limits).quality.invalid_angles
-    assert found is not None
-    assert found >= 1.0
 
 
 def test_a_take_of_one_frame_has_figures() -> None:

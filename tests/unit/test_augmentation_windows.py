@@ -30,11 +30,12 @@ def test_windows_cover_a_take_with_shares_that_add_up_to_one(
     np.testing.assert_allclose(total, 1.0, atol=1e-12)
 
 
-def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
+def test_seams_of_windows_cannot_be_found_by_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
     source = Source(swaying_pair(360), 30.0)
     variations = uniform_variations([0.75, 1.2], ["A", "AB"])
     whole = Augmenter(source).solve(variations)
-    parts = Augmenter(source, AugmentationSettings(window_s=6.5)).solve(variations)
+    monkeypatch.setattr("pasdedeux.augmentation.augment.LONGEST_S", 6.5)
+    parts = Augmenter(source).solve(variations)
     is_seam = np.zeros(360, dtype=bool)
     cut = plan_windows(360, 30.0, 6.5)
     assert len(cut) == 3
@@ -54,11 +55,12 @@ def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
         assert other.quality.laplacian_error_m == pytest.approx(one.quality.laplacian_error_m, rel=0.02)
 
 
-def test_windows_that_are_polished_agree_where_they_meet_and_bones_stay_exact() -> None:
+def test_windows_that_are_polished_agree_where_they_meet_and_bones_stay_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     source = Source(swaying_pair(90, apart_m=0.5), 10.0)
-    settings = AugmentationSettings(window_s=6.1, solver="polished")
+    settings = AugmentationSettings(solver="polished")
     variations = uniform_variations([0.75, 1.25], ["A"])
-    whole = Augmenter(source, AugmentationSettings(solver="polished")).solve(variations)
+    whole = Augmenter(source, settings).solve(variations)
+    monkeypatch.setattr("pasdedeux.augmentation.augment.LONGEST_S", 6.1)
     for variant, same in zip(Augmenter(source, settings).solve(variations), whole, strict=True):
         assert variant.solver == "polished"
         wanted = source.lengths_m * variant.bone_scale

@@ -19,7 +19,7 @@ from pasdedeux.learning.class_networks import _divergence_between
 from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
 from pasdedeux.learning.interaction_cvae import InteractionCvae
 from pasdedeux.learning.paper_cvae import PaperCvaeModel
-from pasdedeux.learning.paper_settings import PaperCvaeSettings
+from pasdedeux.learning.paper_settings import PaperCvaeConfig
 from pasdedeux.learning.torch_layers import divergence
 from pasdedeux.learning.window_vae import WindowVae
 from tests.builders.moving_pairs import swaying_pair
@@ -28,7 +28,7 @@ TAKE = Source(swaying_pair(48), 20.0, "sway")
 SIZES = {"actor_like": {"width": 8, "num_blocks": 1}, "action2motion_like": {"hidden": 6, "latent_size": 3}}
 KINDS = pytest.mark.parametrize("kind", [ActorLikeModel, Action2MotionLikeModel], ids=SIZES)
 ARCHITECTURES = ("st_gcn_decoders", "without_ends", "whole_motion", "scales_for_a")
-SMALL = PaperCvaeSettings(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
+SMALL = PaperCvaeConfig(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
 
 
 def _weights(shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
@@ -39,7 +39,7 @@ def _weights(shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
 def _model(kind: type[WindowVae]) -> WindowVae:
     """Return a model that knows B at 0.8, 0.9 and 1.1."""
     scales = np.stack([v.bone_scale[1] for v in uniform_variations([0.8, 0.9, 1.1], ["B"])]).astype(np.float32)
-    settings = kind.settings.model_validate({"window_s": 1.0} | SIZES[kind.name])
+    settings = kind.config_kind.model_validate({"window_s": 1.0} | SIZES[kind.name])
     model = kind(settings, settings.length, kind.learned_scales(np.concatenate([scales, scales])), {})
     model.weights = _weights(model.networks().shapes())
     return model
@@ -82,7 +82,7 @@ def test_a_class_model_answers_any_length_comes_back_from_its_arrays_and_refuses
 def test_motion_that_is_not_a_number_ends_training_and_names_its_take(kind: type[WindowVae]) -> None:
     request = VariantRequest("sway", TAKE, uniform_variations([0.8], ["B"])[0].bone_scale)
     items = [TrainingItem("B", request, np.full_like(TAKE.positions_m, np.nan))]
-    settings = kind.settings.model_validate({"window_s": 1.0, "num_steps": 2} | SIZES[kind.name])
+    settings = kind.config_kind.model_validate({"window_s": 1.0, "num_steps": 2} | SIZES[kind.name])
     with pytest.raises(InputError, match=f"{kind.name}: step 0 .* not finite on takes sway"):
         kind.train(Training(lambda: iter(items), settings=settings))
 

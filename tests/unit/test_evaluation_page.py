@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,6 @@ from tests.builders.pages import Page
 from tests.builders.storage_rows import put, random_columns
 from tests.builders.walking_takes import put_take
 
-NUM_MANY = 300
 MARKUP = '"><script>alert(1)</script> & <b>'
 
 
@@ -52,22 +52,17 @@ def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_key
     assert "made up (CC0)" in text
 
 
-@pytest.fixture(scope="module")
-def many(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    return Store(tmp_path_factory.mktemp("many"))
-
-
-@pytest.mark.parametrize("max_page_mb", [0.2, 4.5])
-def test_a_page_of_300_takes_is_never_larger_than_asked_for_and_says_what_it_left_out(
-    many: Store, max_page_mb: float
+def test_a_page_of_30_takes_has_the_first_pictures_and_rows_and_names_what_lies_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page, text, _ = page_of(many, NUM_MANY, max_page_mb=max_page_mb)
-    assert len(text.encode()) <= 1e6 * max_page_mb
-    assert 4 <= len(page.scenes) < NUM_MANY
-    assert f"{NUM_MANY - len(page.scenes)} pictures lie beside the page" in text
-    assert "<code>evaluation.max_page_mb</code>" in text
-    beside = {name for one in many.artifacts("evaluation") for name in one.attachments}
-    assert sum(name.endswith(".player.json") for name in beside) == NUM_MANY
+    monkeypatch.setattr("tasks.evaluation.report._MAX_ROWS", 20)
+    store = Store(tmp_path)
+    page, text, _ = page_of(store, 30)
+    assert len(page.scenes) == 24
+    assert "6 pictures lie beside the page: take-take024.player.json, " in text
+    assert re.search(r"20 of \d+ rows; <code>scores</code> has all", text)
+    beside = {name for one in store.artifacts("evaluation") for name in one.attachments}
+    assert sum(name.endswith(".player.json") for name in beside) == 30
 
 
 def test_a_model_of_many_arrays_is_one_model(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.figures import view_figure
 from pasdedeux.evaluation.players import PERSON_COLOURS, image_panel, pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.report import Picture, Report, Section, fit_pictures, fit_rows, render_report
+from pasdedeux.evaluation.report import Picture, Report, Section, render_report
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
 from pasdedeux.evaluation.summary import Credit, Made, Summary
@@ -181,26 +180,6 @@ def test_players_move_and_turn_and_tables_sort_in_a_browser(tmp_path: Path, widt
     assert found["rising"] == ["2", "9", "10", "1000"] == found["falling"][::-1]
     assert found["left"] == 1
     assert found["wide"], "the page is wider than the screen"
-
-
-def test_pictures_that_do_not_fit_are_left_out_evenly_and_the_first_ones_stay() -> None:
-    pictures = tuple(Picture(f"{number}.player.json", "", b"x" * 100) for number in range(104))
-    sections = [Section("many", pictures=pictures), Section("few", pictures=pictures[:2])]
-    assert fit_pictures(sections, 11_000) == (sections, 0)
-    for room in (0, 50, 250, 5300):
-        assert sum(one.num_bytes for section in fit_pictures(sections, room)[0] for one in section.pictures) <= room
-    kept, num_out = fit_pictures(sections, 5300)
-    assert kept[0].pictures[:4] == pictures[:4]
-    assert kept[1].pictures == pictures[:2]
-    assert num_out == 106 - sum(len(section.pictures) for section in kept) == 53
-    assert kept[0].pictures[-1] == pictures[-1]
-
-
-def test_rows_that_do_not_fit_are_counted() -> None:
-    table = TextTable("t", ("a",), (("x",),) * 10)
-    (kept,), num_out = fit_rows([Section("s", tables=(table, replace(table, rows=table.rows[:2])))], 3)
-    assert [len(one.rows) for one in kept.tables] == [3, 2]
-    assert num_out == 7
 
 
 def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were_scored() -> None:

@@ -17,7 +17,6 @@ import pytest
 from flows.console.app import run_command_line
 from flows.machine import usable_cores
 from flows.planning import Selection
-from flows.renamed import RENAMED_COMMANDS
 from flows.study_files import read_study_tree, shipped_studies
 from storage_schema.provenance import code_version
 from tests.builders.toy_runs import run_toys, write_study
@@ -268,14 +267,6 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     err = capsys.readouterr().err
     assert words in err
     assert "Traceback" not in err
-
-
-def test_an_old_command_is_answered_with_the_new_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(RENAMED_COMMANDS, "look", "is `show` now")
-    assert call("look", "poses:toy") == 2
-    assert "look: is `show` now" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run", "deploy"])

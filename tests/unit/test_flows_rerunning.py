@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from flows.console.app import run_command_line
+from flows.differences import compare
 from flows.recorded import Recorded, artifacts_by_place, portable_files, read_recorded
-from flows.rerunning import compare
 from storage_schema import ArtifactRef, Store, list_runs, read_latest
 from tasks.graph import Graph
 from tasks.stage import Shard, StageInputs, commit
@@ -79,10 +79,8 @@ def run_id(store: Store) -> str:
 def test_a_rerun_on_the_same_machine_gives_the_same_bytes(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
     assert rerun(run_id(built), built) == 0
     out = capsys.readouterr().out
-    assert "environment: as it was" in out
-    assert "2 files from outside, as they were" in out
     assert "same bytes: 14 of 14 artifacts" in out
-    assert "why" not in out
+    assert "->" not in out
     assert rerun(run_id(built), built, "--json") == 0, "the same command again finds it fresh"
     answer = json.loads(capsys.readouterr().out)
     assert (answer["is_same"], answer["num_same_bytes"], answer["differing"]) == (True, 14, {})
@@ -193,7 +191,6 @@ def test_an_input_that_has_changed_is_refused_before_any_work(built: Store, caps
     assert rerun(run_id(built), built) == 2
     err = capsys.readouterr().err
     assert "source.txt is not what" in err
-    assert "and 5 more" in err
     (built.root.parent / "source.txt").unlink()
     assert rerun(run_id(built), built) == 2
     assert "source.txt does not exist" in capsys.readouterr().err
@@ -210,13 +207,12 @@ def test_results_beyond_their_tolerance_are_named_by_table_and_column_with_the_r
     environment.write_text(json.dumps(values))
     assert rerun(run_id(built), built, graph=changed(by=0.5, version=2)) == 1
     out = capsys.readouterr().out
-    assert 'environment: packages.numpy: "1.0" -> ' in out
-    assert "environment: processor.features: amx -> none" in out
+    assert 'packages.numpy: "1.0" -> ' in out
+    assert "processor.features: amx -> none" in out
     assert "first beyond rounding: bend t0 s0" in out
     assert "models.values, row 0: " in out
     assert "0.5 apart (allowed " in out
-    assert "why it may be: stage bend has version 2, it had 1" in out
-    assert "why it may be: packages.numpy" in out
+    assert "version of stage bend: 1 -> 2" in out
 
 
 def test_rounding_is_said_and_is_no_failure(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
@@ -224,7 +220,7 @@ def test_rounding_is_said_and_is_no_failure(built: Store, capsys: pytest.Capture
     answer = json.loads(capsys.readouterr().out)
     assert (answer["is_same"], answer["first_beyond_rounding"]) == (True, None)
     assert set(answer["differing"]) >= {"bend t0 s0", "bend t1 s2"}
-    assert "chance" in answer["reasons"][0], "nothing on record is different"
+    assert answer["changes"] == {}
 
 
 def test_other_bytes_of_a_page_are_rounding_only_after_rounded_tables(built: Store, tmp_path: Path) -> None:

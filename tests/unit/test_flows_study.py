@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 import tomllib
 from pathlib import Path
 
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from flows.renamed import RENAMED_KEYS
 from flows.study import Study, StudyError, load_study
 from flows.study_files import shipped_studies
 from pasdedeux.evaluation.scores import FEWEST_UNITS
@@ -91,53 +89,9 @@ def test_an_unknown_key_inside_a_list_is_named_with_its_full_path(tmp_path: Path
     assert any("load.people.0.meters_per_unit: unknown; did you mean metres_per_unit?" in p for p in found)
 
 
-def test_an_old_key_or_value_gets_the_sentence_that_is_kept_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(RENAMED_KEYS, "grow.least_takes", "is grow.num_takes now")
-    monkeypatch.setitem(RENAMED_KEYS, "load.people.unit", "is metres_per_unit now")
-    monkeypatch.setitem(RENAMED_KEYS, "grow.scale=big", "numbers are needed now")
-    monkeypatch.setitem(RENAMED_KEYS, "ben?", "is bend now")
-    text = '[grow]\nleast_takes = 2\nscale = "big"\n[[load.people]]\npath = "a.bvh"\nunit = 1\n'
-    found = problems(write(tmp_path, text), "bent.step=1", environment={"PASDEDEUX_SET__GROW__LEAST_TAKES": "3"})
-    said = [problem.split(": ", 1)[1] for problem in found]
-    assert sorted(said) == [
-        "bent: is bend now",
-        "grow.least_takes: is grow.num_takes now",
-        "grow.scale: numbers are needed now",
-        "load.people.0.unit: is metres_per_unit now",
-    ]
-
-
-def test_the_sentence_of_an_old_key_says_the_key_once(tmp_path: Path) -> None:
-    path = write(tmp_path, '[chains]\nkernel = "blocks"\n')
-    with pytest.raises(StudyError) as caught:
-        load_study(str(path), load_graph(), environment={})
-    assert [problem.split(": ", 1)[1] for problem in caught.value.problems] == [
-        "chains.kernel: it is now called chains.proposal"
-    ]
-    assert not [old for old, sentence in RENAMED_KEYS.items() if old in sentence]
-
-
-@pytest.mark.parametrize(
-    ("section", "said"),
-    [
-        ('[chains]\ndensities = ["ic", "cartesian"]\n', "chains.densities.1: chains of it covered no more than"),
-        ('[chains.variants.a]\ndensity = "shape_context"\n', "chains.variants.a.density=shape_context: chains of it"),
-        ("[chains]\nnum_ranked = 9\n", "chains.num_ranked: it belonged to the density shape_context"),
-        ("[evaluation]\nnum_judged_pairs = 9\n", "evaluation.num_judged_pairs: terms of densities are no longer"),
-        ("[projections]\nnum_clusters = 9\n", "projections.num_clusters: the published search is gone"),
-        ('extends = "ablation"\n', "study 'ablation': its densities covered no more than ic"),
-    ],
-)
-def test_what_a_study_of_before_may_say_gets_its_sentence(tmp_path: Path, section: str, said: str) -> None:
-    with pytest.raises(StudyError, match=re.escape(said)):
-        load_study(str(write(tmp_path, section)), load_graph(), environment={})
-
-
-def test_an_old_key_of_a_variant_of_chains_gets_its_sentence_too(tmp_path: Path) -> None:
-    path = write(tmp_path, '[chains.variants.hot]\nkernel = "velocity"\n')
-    with pytest.raises(StudyError, match=r"chains\.variants\.hot\.kernel: it is now called proposal"):
+def test_an_unknown_key_of_a_form_of_chains_is_named_with_its_nearest(tmp_path: Path) -> None:
+    path = write(tmp_path, '[chains.variants.hot]\nproposals = "velocity"\n')
+    with pytest.raises(StudyError, match=r"chains\.variants\.hot\.proposals: .*did you mean proposal\?"):
         load_study(str(path), load_graph(), environment={})
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import project_pair
@@ -15,8 +14,9 @@ from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling import growth
 from pasdedeux.sampling.annotations import AnnotatedPairs, shows_enough
-from pasdedeux.sampling.growth import GrowthOptions, ViewedImages, grow
+from pasdedeux.sampling.growth import ViewedImages, grow
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
@@ -149,22 +149,24 @@ def test_hidden_joints_cost_little_and_bones_stay_exact() -> None:
     assert np.median(own) < 1.15 * np.median(errors(whole, pairs))
 
 
-def test_a_joint_that_is_never_seen_is_kept_by_the_pose() -> None:
+def test_a_joint_that_is_never_seen_is_kept_by_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(growth, "_NUM_SWEEPS", 0)
     pairs, entries = annotated(40)
     points = entries.points_m.copy()
     wrist, elbow = PAIR17.indices(("left_wrist", "left_elbow"))
     points[:, 1, wrist] = np.nan
     blind = AnnotatedPairs(points, entries.directions, entries.annotation_index)
-    grown = grow(pairs[:1], blind, WIDE, num_grown=1, options=GrowthOptions(num_sweeps=0))
+    grown = grow(pairs[:1], blind, WIDE, num_grown=1)
     moved = align_rigid(pairs[0].reshape(34, 3), grown.pairs_m[0].reshape(34, 3)).apply(pairs[0])
     bones = [pair[1, wrist] - pair[1, elbow] for pair in (moved, grown.pairs_m[0])]
     assert bones[0] @ bones[1] > 0.9 * np.linalg.norm(bones[0]) * np.linalg.norm(bones[1])
 
 
-def test_agreeing_neighbours_bring_pairs_nearer_to_the_truth() -> None:
+def test_agreeing_neighbours_bring_pairs_nearer_to_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     pairs, entries = annotated(300)
-    lifted = grow(pairs[:1], entries, WIDE, num_grown=300, options=GrowthOptions(num_sweeps=0))
     agreed = grow(pairs[:1], entries, WIDE, num_grown=300)
+    monkeypatch.setattr(growth, "_NUM_SWEEPS", 0)
+    lifted = grow(pairs[:1], entries, WIDE, num_grown=300)
     np.testing.assert_array_equal(lifted.entry, agreed.entry)
     assert errors(agreed, pairs).mean() < errors(lifted, pairs).mean()
 
@@ -181,11 +183,11 @@ def test_growth_does_not_depend_on_where_the_seed_stands_and_repeats_exactly() -
     np.testing.assert_allclose(distance, 0.0, atol=1e-6)
 
 
-def test_asking_for_more_grows_on_from_the_same_beginning() -> None:
+def test_asking_for_more_grows_on_from_the_same_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(growth, "_NUM_SWEEPS", 0)
     pairs, entries = annotated(60)
-    options = GrowthOptions(num_sweeps=0)
-    few = grow(pairs[:2], entries, WIDE, num_grown=20, options=options)
-    more = grow(pairs[:2], entries, WIDE, num_grown=50, options=options)
+    few = grow(pairs[:2], entries, WIDE, num_grown=20)
+    more = grow(pairs[:2], entries, WIDE, num_grown=50)
     np.testing.assert_array_equal(more.entry[:20], few.entry)
     np.testing.assert_allclose(more.pairs_m[:20], few.pairs_m)
 
@@ -203,7 +205,7 @@ def test_an_annotation_is_lifted_once_whatever_the_number_of_its_views() -> None
     assert len(np.unique(both.annotation_index[grown.entry])) == 30
 
 
-def test_impossible_pairs_are_refused_and_far_annotations_left() -> None:
+def test_impossible_pairs_are_refused_and_far_annotations_left(monkeypatch: pytest.MonkeyPatch) -> None:
     pairs, entries = annotated(30)
     narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)
     refused = grow(pairs[:1], entries, narrow, num_grown=100)
@@ -211,7 +213,8 @@ def test_impossible_pairs_are_refused_and_far_annotations_left() -> None:
     lenient = grow(pairs[:1], entries, narrow, num_grown=100, prior=PriorSettings(max_invalid_angles=58))
     assert (len(lenient.entry), lenient.num_refused) == (30, 0)
     assert lenient.is_possible.all()
-    left = grow(pairs[:1], entries, WIDE, num_grown=100, options=GrowthOptions(farthest_m=1e-3))
+    monkeypatch.setattr(growth, "FARTHEST_M", 1e-3)
+    left = grow(pairs[:1], entries, WIDE, num_grown=100)
     assert left.num_left == 30 - len(left.entry)
     assert left.num_left > 20
 
@@ -220,5 +223,3 @@ def test_seeds_that_cannot_grow_are_refused_with_the_reason() -> None:
     _, entries = annotated(5)
     with pytest.raises(InputError, match="at least one seed"):
         grow(np.zeros((0, 2, 17, 3)), entries, WIDE, num_grown=1)
-    with pytest.raises(ValidationError, match="greater than 0"):
-        GrowthOptions(image_deviation_m=0.0)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from pasdedeux.augmentation import (
-    AugmentationSettings,
     Augmenter,
     Source,
     UserContact,
@@ -25,7 +24,6 @@ from pasdedeux.learning import (
     MeshRefineModel,
     RidgeAdaptedModel,
     RidgeScaleModel,
-    RidgeSettings,
     Training,
     TrainingItem,
     VariantKey,
@@ -72,14 +70,15 @@ def _scales(keys: Sequence[VariantKey]) -> set[float]:
     return {round(key.furthest_scale, 2) for key in keys}
 
 
-def _train_ridge(items: list[TrainingItem], ridge: float = 3e-3) -> tuple[VariantModel, dict[str, float]]:
-    trained = RidgeScaleModel.train(Training(lambda: iter(items), settings=RidgeSettings(ridge=ridge)))
+def _train_ridge(items: list[TrainingItem]) -> tuple[VariantModel, dict[str, float]]:
+    trained = RidgeScaleModel.train(Training(lambda: iter(items)))
     return trained.model, {entry.quantity: entry.value for entry in trained.log}
 
 
-def test_ridge_recovers_a_quadratic_in_scale_from_two_scales() -> None:
+def test_ridge_recovers_a_quadratic_in_scale_from_two_scales(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pasdedeux.learning.ridge_scale.RIDGE", 1e-9)
     train, test = _quadratic_items([0.95, 1.05]), _quadratic_items([0.75, 1.25])
-    model, figures = _train_ridge(train, ridge=1e-9)
+    model, figures = _train_ridge(train)
     for item in test:
         np.testing.assert_allclose(model.predict(item.request), item.motion_m, atol=1e-4)
     assert figures["num_variants"] == 2
@@ -91,7 +90,8 @@ def test_ridge_gives_the_source_at_scale_one() -> None:
     np.testing.assert_array_equal(model.predict(VariantRequest("sway", TAKE, np.ones((2, 22)))), TAKE.positions_m)
 
 
-def test_ridge_tells_limb_groups_apart() -> None:
+def test_ridge_tells_limb_groups_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pasdedeux.learning.ridge_scale.RIDGE", 1e-9)
     items = []
     for variation in group_variations([0.8, 0.9, 1.1], ["A"], ["arms", "legs"]):
         request = VariantRequest("sway", TAKE, variation.bone_scale)
@@ -99,7 +99,7 @@ def test_ridge_tells_limb_groups_apart() -> None:
         motion = TAKE.positions_m.copy()
         motion[..., 0] += change
         items.append(TrainingItem(variation.variant_id, request, motion))
-    model, _ = _train_ridge(items, ridge=1e-9)
+    model, _ = _train_ridge(items)
     (arms,) = group_variations([1.2], ["A"], ["arms"])
     (legs,) = group_variations([1.2], ["A"], ["legs"])
     moved = model.predict(VariantRequest("sway", TAKE, arms.bone_scale)) - TAKE.positions_m
@@ -170,15 +170,14 @@ def test_the_mesh_goes_on_from_where_a_model_puts_the_pair_and_its_energy_falls(
     assert energies[0] == pytest.approx(total_energy(terms, points_of(fk)))
 
 
-def test_a_long_take_is_refined_in_windows() -> None:
+def test_a_long_take_is_refined_in_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     request = _request(TAKE, 0.8)
     long = Source(swaying_pair(70), 10.0, "sway")
-    model = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6)
-    short, whole = (
-        model.predict(replace(request, source=long, solving=AugmentationSettings(window_s=window)))
-        for window in (6.5, 30.0)
-    )
-    moved = np.linalg.norm(whole - load_model("naive_fk", {}).predict(replace(request, source=long)), axis=-1).mean()
+    asked = replace(request, source=long)
+    whole = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6).predict(asked)
+    monkeypatch.setattr("pasdedeux.learning.mesh_refine.LONGEST_S", 6.5)
+    short = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6).predict(asked)
+    moved = np.linalg.norm(whole - load_model("naive_fk", {}).predict(asked), axis=-1).mean()
     assert np.linalg.norm(short - whole, axis=-1).mean() < 0.1 * moved
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
@@ -23,11 +24,12 @@ from pasdedeux.learning import (
 from pasdedeux.learning.interaction_cvae import InteractionCvae
 from pasdedeux.learning.paper_cvae import PaperCvaeModel
 from pasdedeux.learning.torch_layers import divergence, draw_latent
+from pasdedeux.learning.windows import Spread, frames_looked_at
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(48), 20.0, "sway")
-SMALL = PaperCvaeModel.settings(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
+SMALL = PaperCvaeModel.config_kind(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
 SCALED_A, SCALED_B, BOTH = (v.bone_scale for v in uniform_variations([0.8], ["A", "B", "AB"]))
 
 
@@ -132,4 +134,15 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
     with pytest.raises(InputError, match=r"sizes .* are out of range"):
         load_model("paper_cvae", {**arrays, "sizes": np.array([11, 1e9, 5, 3, 2, 3, 0], np.float64)})
     with pytest.raises(ValueError, match="is even"):
-        PaperCvaeModel.settings.model_validate({"kernel": 4})
+        PaperCvaeModel.config_kind.model_validate({"kernel": 4})
+
+
+@pytest.mark.parametrize("num_frames", [1, 2, 30, 605, 1801])
+def test_frames_between_those_looked_at_are_on_a_cubic_spline_and_long_takes_need_little(num_frames: int) -> None:
+    source = Source(np.zeros((num_frames, 2, 22, 3)), 30.0, "still")
+    frames = frames_looked_at(source)
+    values = np.random.default_rng(0).standard_normal((len(frames), 3))
+    wanted = CubicSpline(frames, values)(np.arange(num_frames)) if num_frames > 1 else values
+    spread = Spread.over(source, frames)
+    np.testing.assert_allclose(spread.apply(values), wanted, atol=1e-12)
+    assert sum(shares.size for _, shares in spread.stretches) <= 280 * num_frames

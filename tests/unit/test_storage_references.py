@@ -10,7 +10,6 @@ from storage_schema import (
     ArtifactRef,
     MissingArtifact,
     Reference,
-    SchemaError,
     ShardRecord,
     StorageError,
     Store,
@@ -23,7 +22,6 @@ from storage_schema import (
     resolve,
 )
 from storage_schema.arrow import schema_digest
-from storage_schema.renamed import RENAMED_COLUMNS, RENAMED_TABLES
 from storage_schema.tables import TABLES
 from tests.builders.storage_rows import commit_rows, random_columns
 
@@ -71,17 +69,6 @@ def test_a_reference_is_read_from_text(text: str, reference: Reference) -> None:
 def test_another_form_is_refused_with_the_forms_there_are(text: str) -> None:
     with pytest.raises(UnknownReference, match="a reference is table@key"):
         parse_reference(text)
-
-
-def test_an_old_table_or_column_gets_the_sentence_that_is_kept_for_it(
-    store: Store, refs: list[ArtifactRef], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(RENAMED_TABLES, "postures", "is poses now")
-    monkeypatch.setitem(RENAMED_COLUMNS, "poses.take", "is take_id now")
-    with pytest.raises(UnknownReference, match="'postures:duets': is poses now"):
-        parse_reference("postures:duets")
-    with pytest.raises(SchemaError, match="table 'poses', column 'take': is take_id now"):
-        open_table("poses:duets", store, columns=["take"])
 
 
 def test_an_unknown_table_is_refused_with_the_known_ones() -> None:

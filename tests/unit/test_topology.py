@@ -56,7 +56,7 @@ def _items(scales: tuple[float, ...] = (0.8, 0.9, 1.1)) -> list[TrainingItem]:
 def _trained(kind: type[VariantModel], *, is_mapped: bool) -> VariantModel:
     items = [mapped_item(item, EXPI18_OF_BODY22, MAPPED) if is_mapped else item for item in _items()]
     told = SMALL.get(kind.name)
-    settings = kind.settings.model_validate({"window_s": 1.0, "num_steps": 2} | told) if told else None
+    settings = kind.config_kind.model_validate({"window_s": 1.0, "num_steps": 2} | told) if told else None
     return kind.train(Training(lambda: iter(items), settings=settings)).model
 
 
@@ -109,8 +109,8 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
 
 
 def test_a_study_says_which_models_may_be_of_18_joints_and_keys_of_body22_stay() -> None:
-    with pytest.raises(ValueError, match="'start_net' is of body22 alone; of expi18 can be copy, naive_fk"):
-        TrainingParameters.model_validate({"skeleton": "expi18", "models": ["copy", "start_net"]})
+    with pytest.raises(ValueError, match="'ridge_adapted' is of body22 alone; of expi18 can be copy, naive_fk"):
+        TrainingParameters.model_validate({"skeleton": "expi18", "models": ["copy", "ridge_adapted"]})
     told = {"split": "random", "test_takes": (), "name": "copy", "model": "copy", "segment": 0}
     told["settings"] = MODELS["copy"].settings()
     assert "skeleton" not in SegmentParameters.model_validate(told).model_dump(mode="json")

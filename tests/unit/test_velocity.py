@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, PairChart
-from pasdedeux.sampling.proposals import PROPOSALS, ProposalInputs, Scales, VelocitySettings
+from pasdedeux.sampling.proposals import PROPOSALS, ProposalInputs, Scales
 from pasdedeux.sampling.proposals.kernels import log_normal_ratio
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
 from pasdedeux.sampling.warm_up import proposal_from_json, proposal_to_json
@@ -174,12 +174,10 @@ def test_a_proposal_survives_being_written_down() -> None:
             proposal_from_json(text)
 
 
-def test_the_velocity_biased_proposal_refuses_what_it_cannot_divide_by() -> None:
-    with pytest.raises(ValueError, match="needs positive root_rotation_rad"):
-        VelocitySettings(root_position_m=0.0)
+def test_the_velocity_biased_proposal_refuses_to_leave_where_it_was_not_prepared() -> None:
     speeds = Speeds(np.zeros((1, NUM_BLOCKS)), np.zeros((1, 2)))
     chart = PairChart(standing_pair())
     known = ProposalInputs(chart, lambda _: np.zeros(1, dtype=np.int64), speeds)
-    propose = PROPOSALS["velocity"].build(VelocitySettings(), known)
+    propose = PROPOSALS["velocity"].build(known)
     with pytest.raises(InputError, match="must be prepared"):
         propose(chart.seed_parameters(), None, np.random.default_rng(0))

@@ -1,8 +1,6 @@
 """Proposals: where a chain looks next.  A new kind is one file with a `ProposalKind`, and one line here."""
 
-from typing import Any
-
-from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSettings, UnbiasedKind
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps, UnbiasedKind
 from pasdedeux.sampling.proposals.proposal import (
     Context,
     Correction,
@@ -12,7 +10,7 @@ from pasdedeux.sampling.proposals.proposal import (
     Proposed,
     Scales,
 )
-from pasdedeux.sampling.proposals.velocity import VelocityBlocks, VelocityKind, VelocitySettings
+from pasdedeux.sampling.proposals.velocity import VelocityBlocks, VelocityKind
 
 __all__ = [
     "PROPOSALS",
@@ -24,12 +22,11 @@ __all__ = [
     "ProposalKind",
     "Proposed",
     "Scales",
-    "StepSettings",
+    "Steps",
     "VelocityBlocks",
-    "VelocitySettings",
 ]
 
-PROPOSALS: dict[str, ProposalKind[Any]] = {
+PROPOSALS: dict[str, ProposalKind] = {
     kind.name: kind
     for kind in (
         UnbiasedKind(),

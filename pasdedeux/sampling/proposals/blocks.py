@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, NUM_PER_PERSON
 from pasdedeux.sampling.proposals.kernels import move_blocks
@@ -21,22 +20,30 @@ from pasdedeux.sampling.proposals.proposal import (
     Proposed,
     Scales,
 )
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["GaussianBlocks", "StepSettings", "UnbiasedKind"]
+__all__ = ["GaussianBlocks", "Steps", "UnbiasedKind"]
 
 Array = npt.NDArray[np.float64]
 
 
-class StepSettings(Settings):
-    """How far steps go, and how much they move together."""
+@dataclass(frozen=True)
+class Steps:
+    """How far steps go before warm-up has learned factors on them, and how much they move together; ours.
 
-    root_rotation_rad: float = Field(default=0.02, ge=0, description="Step of a root's rotation, radians")
-    root_position_m: float = Field(default=0.005, ge=0, description="Step of a root's position, metres")
-    joint_rotation_rad: float = Field(default=0.04, ge=0, description="Step of a bone's rotation, radians")
-    length_change: float = Field(default=0.005, ge=0, description="Step of a bone's relative length")
-    max_blocks: int = Field(default=4, ge=1, le=NUM_BLOCKS, description="Roots and bones moved by one step, at most")
+    Args:
+        root_rotation_rad: Of a root's rotation, radians.
+        root_position_m: Of a root's position, metres.
+        joint_rotation_rad: Of a bone's rotation, radians.
+        length_change: Of a bone's relative length.
+        max_blocks: Roots and bones moved by one step, at most.
+    """
+
+    root_rotation_rad: float = 0.02
+    root_position_m: float = 0.005
+    joint_rotation_rad: float = 0.04
+    length_change: float = 0.005
+    max_blocks: int = 4
 
 
 @dataclass(frozen=True)
@@ -48,11 +55,11 @@ class GaussianBlocks:
     length, together with its counterpart on the other side of the body.
 
     Args:
-        settings: Standard deviations, and how many blocks move together.
+        steps: Standard deviations, and how many blocks move together.
         scales: Learned factors on them.
     """
 
-    settings: StepSettings = field(default_factory=StepSettings)
+    steps: Steps = field(default_factory=Steps)
     scales: Scales = field(default_factory=Scales)
 
     def with_scales(self, scales: Scales) -> Self:
@@ -74,7 +81,7 @@ class GaussianBlocks:
         """Return the blocks of a step, 1 to `max_blocks` of them: with chances that do not depend on the place."""
         # A number that nothing uses: chains keep the random numbers, and so the draws, that they have always had.
         rng.random()
-        count = int(rng.integers(1, self.settings.max_blocks + 1))
+        count = int(rng.integers(1, self.steps.max_blocks + 1))
         return rng.choice(NUM_BLOCKS, size=count, replace=False, shuffle=False)
 
     def _moved(
@@ -82,27 +89,26 @@ class GaussianBlocks:
     ) -> Array:
         """Return the parameters after a step with these deviations of turns (34,) and of the roots' shifts (2,)."""
         moved = parameters.copy()
-        length_change = self.settings.length_change
+        length_change = self.steps.length_change
         move_blocks(moved, blocks, factors, noise, turn, shift, length_change, _TIED_LENGTHS, NUM_JOINTS)
         return moved
 
     @cached_property
     def _deviations(self) -> tuple[Array, Array]:
         """Standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""
-        turn = np.full(NUM_BLOCKS, self.settings.joint_rotation_rad)
-        turn[::NUM_JOINTS] = self.settings.root_rotation_rad
-        return turn, np.full(2, self.settings.root_position_m)
+        turn = np.full(NUM_BLOCKS, self.steps.joint_rotation_rad)
+        turn[::NUM_JOINTS] = self.steps.root_rotation_rad
+        return turn, np.full(2, self.steps.root_position_m)
 
 
-class UnbiasedKind(ProposalKind[StepSettings]):
+class UnbiasedKind(ProposalKind):
     """The same steps everywhere."""
 
     name = "unbiased"
-    settings = StepSettings
 
-    def build(self, settings: StepSettings, inputs: ProposalInputs) -> Proposal:
+    def build(self, inputs: ProposalInputs) -> Proposal:
         """Return symmetric Gaussian steps."""
-        return GaussianBlocks(settings)
+        return GaussianBlocks()
 
 
 def _tied_lengths(block: int) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, Protocol, Self, TypeVar
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,6 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS, PairChart
 from pasdedeux.sampling.speeds import Speeds
-from pasdedeux.settings import Settings
 
 __all__ = ["Blocks", "Context", "Correction", "Proposal", "ProposalInputs", "ProposalKind", "Proposed", "Scales"]
 
@@ -21,8 +20,6 @@ Array = npt.NDArray[np.float64]
 Context = npt.NDArray[np.int64]
 """What a proposal must know of a point before it can leave it: the annotations that are nearest to it, (view,)."""
 Blocks = npt.NDArray[np.int64]
-
-S = TypeVar("S", bound=Settings)
 
 
 @dataclass(frozen=True)
@@ -123,16 +120,14 @@ class ProposalInputs:
     speeds: Speeds | None = None
 
 
-class ProposalKind(ABC, Generic[S]):
+class ProposalKind(ABC):
     """A kind of proposal that a study may choose by its name."""
 
     name: ClassVar[str]
     """Value of `chains.proposal`."""
-    settings: type[S]
-    """Its settings; they stand in the section `chains` beside those of the other kinds."""
     reads_annotations: ClassVar[bool] = False
     """Whether it needs annotations and their speeds; densities without annotations are sampled by the plain kind."""
 
     @abstractmethod
-    def build(self, settings: S, inputs: ProposalInputs) -> Proposal:
+    def build(self, inputs: ProposalInputs) -> Proposal:
         """Return the proposal round one seed."""

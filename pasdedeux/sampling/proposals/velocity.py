@@ -13,30 +13,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS
-from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSettings
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks
 from pasdedeux.sampling.proposals.kernels import log_ratio_of_steps
 from pasdedeux.sampling.proposals.proposal import Context, Correction, Proposal, ProposalInputs, ProposalKind, Proposed
 from pasdedeux.sampling.speeds import Speeds
 
-__all__ = ["VelocityBlocks", "VelocityKind", "VelocitySettings"]
+__all__ = ["VelocityBlocks", "VelocityKind"]
 
 Array = npt.NDArray[np.float64]
-
-
-class VelocitySettings(StepSettings):
-    """Steps as the unbiased ones, none of them 0: their densities are divided by."""
-
-    @model_validator(mode="after")
-    def _steps_are_positive(self) -> VelocitySettings:
-        if not min(self.root_rotation_rad, self.root_position_m, self.joint_rotation_rad) > 0.0:
-            raise ValueError(
-                "proposal = 'velocity' needs positive root_rotation_rad, root_position_m and joint_rotation_rad"
-            )
-        return self
 
 
 def _no_speeds() -> Speeds:
@@ -48,7 +35,7 @@ class VelocityBlocks(GaussianBlocks):
     """Gaussian steps, wider where annotations nearby move.
 
     Args:
-        settings: Standard deviations without speed (sigma_0 of eq. 12), and how many blocks move together.
+        steps: Standard deviations without speed (sigma_0 of eq. 12), none of them 0, and how many blocks move together.
         scales: Learned factors.
         speeds: Squared speeds of the annotated pairs.
         nearest: Gives, for parameters (108,), the annotated pair nearest to each projection (D* of eq. 12); -1 for
@@ -86,18 +73,15 @@ class VelocityBlocks(GaussianBlocks):
         return np.sqrt(turn**2 + turn_squared), np.sqrt(shift**2 + shift_squared)
 
 
-class VelocityKind(ProposalKind[VelocitySettings]):
+class VelocityKind(ProposalKind):
     """Wider steps where the annotations nearby move (eq. 12)."""
 
     name = "velocity"
-    settings = VelocitySettings
     reads_annotations = True
 
-    def build(self, settings: VelocitySettings, inputs: ProposalInputs) -> Proposal:
+    def build(self, inputs: ProposalInputs) -> Proposal:
         """Return velocity-biased steps; the inputs have annotations and their speeds."""
         nearest, speeds, chart = inputs.nearest, inputs.speeds, inputs.chart
         assert nearest is not None
         assert speeds is not None
-        return VelocityBlocks(
-            settings, speeds=speeds, nearest=lambda parameters: nearest(chart.positions_fast(parameters))
-        )
+        return VelocityBlocks(speeds=speeds, nearest=lambda parameters: nearest(chart.positions_fast(parameters)))

@@ -73,8 +73,8 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
 
 def _dance_again(store: Store) -> None:
     """Put more takes of each duet into the small study's store, long enough to predict: splits by take need two."""
-    told = {"duration_s": 3.1}
-    again = [duet | told | {"variation": one} for duet in tomllib.loads(SMALL)["ingest"]["duets"] for one in (1, 2)]
+    told = {"duration_s": 3.1, "count": 2}
+    again = [duet | told for duet in tomllib.loads(SMALL)["ingest"]["duets"]]
     planned = ingest.plan(
         StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"duets": again, "rate_hz": 12.0})
     )

@@ -78,7 +78,8 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
 
     A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
     the credits that the last runs of the studies in the store say; where one of these artifacts is such a run's source
-    itself, those that this run says.  What is on record of no study keeps its own.
+    itself, those that this run says.  What is on record of no study has those of the newest dataset that it came with,
+    else its own.
 
     Raises:
         MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
@@ -98,10 +99,20 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     named = {ref.place for ref in refs}
     said = []
     for ref, step in roots.items():
-        current = today.get(ref) or [step.ref]
+        current = today.get(ref, [])
         own = [one for one in current if one.place in named]
-        said += [store.manifest(one).sources for one in own or current]
+        said += [store.manifest(one).sources for one in own or current] or [_as_it_came(store, step.ref)]
     return merge_credits(*said)
+
+
+def _as_it_came(store: Store, ref: ArtifactRef) -> tuple[SourceCredit, ...]:
+    """Return the credits of a source as the newest dataset that needs it says them, else as it says itself."""
+    from storage_schema.datasets import datasets_with  # here: a dataset is made with the credits of its sources
+
+    own = store.manifest(ref).sources
+    found = sorted(datasets_with(store, ref), key=lambda one: one.created_at)
+    names = {one.name for one in own}
+    return tuple(one for one in found[-1].sources if one.name in names) if found else own
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:

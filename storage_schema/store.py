@@ -271,12 +271,14 @@ class Store(StoreReader):
         if is_valid and not replaces:
             self._say_other_bytes(ref, found.ref)
             return True
-        from storage_schema.datasets import dataset_with  # here: datasets are made of what a store holds
+        from storage_schema.datasets import datasets_with  # here: datasets are made of what a store holds
 
-        if (label := dataset_with(self, found.ref)) is not None:
+        if self.mirror is not None:
+            self.mirror.bring_datasets()
+        if (dataset := next(datasets_with(self, found.ref), None)) is not None:
             raise NamedByDataset(
-                f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {label} needs "
-                "the old one, which stays; raise the version of the stage in its `Stage(...)` to have both"
+                f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {dataset.label} "
+                "needs the old one, which stays; raise the version of the stage in its `Stage(...)` to have both"
             )
         return False
 

@@ -11,7 +11,7 @@ from types import FrameType
 from flows.building import Build, Watch
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
-from flows.records import begin_record, copy_report, end_record, read_last_run, report_folder
+from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
 from storage_schema import ArtifactRef, RunFolder, StorageError, new_run
 from tasks.shards import HerePool, Pool
 
@@ -64,14 +64,12 @@ def begin(run: Run, plan: Plan) -> RunFolder:
 def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     """Return the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
     last = read_last_run(run.store, run.study.name)
-    is_on_record = last is not None and all(
-        [ref.place for ref in last.refs(stage.stage.name)] == [m.ref.place for m in stage.manifests]
-        for stage in plan.stages
-        if stage.is_selected
+    is_known = last is not None and all(
+        is_on_record(last, stage.stage.name, stage.manifests) for stage in plan.stages if stage.is_selected
     )
     has_report = any("scores" in stage.stage.writes and stage.is_selected for stage in plan.stages)
     report = report_folder(run.store, last.run_id) if last is not None else None
-    if last is None or not is_on_record or (has_report and report is None):
+    if last is None or not is_known or (has_report and report is None):
         return execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
     return Outcome(last.run_id, outcomes, report)

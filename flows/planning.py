@@ -14,6 +14,7 @@ from flows.records import last_sections, read_last_run, uncollected
 from flows.study import Study
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, ShardRecord, Store
+from storage_schema.ancestry import has_lineage
 from storage_schema.provenance import source_digest
 from tasks.graph import Graph, GraphError
 from tasks.stage import Shard, Stage, StageInputs
@@ -343,6 +344,7 @@ def _plan_stage(
         read = [m for artifacts in inputs.manifests.values() for m in artifacts]
         return Reasons(stage, study.sections_of(stage.name), read, last(stage.name))
 
+    there = {one.ref.place for artifacts in (*inputs.manifests.values(), inputs.empty) for one in artifacts}
     shards: list[ShardPlan] = []
     seen: dict[str, Shard] = {}
     digests: dict[str, str] = {}
@@ -362,8 +364,16 @@ def _plan_stage(
                 or any(digests.get(ref.key, ref.content_digest) != ref.content_digest for ref in manifest.inputs)
             ):
                 behind.add(shard.key)
-            if is_forced or shard.key in behind:
-                reason = "forced" if is_forced else "a shard before it was computed again with other bytes"
+            # What was made anew with the same content stands under another key, and the old one may have gone since.
+            is_lost = not has_lineage(store, (ref for ref in manifest.inputs if ref.key not in shard.after), there)
+            if is_forced or is_lost or shard.key in behind:
+                reason = (
+                    "forced"
+                    if is_forced
+                    else "what it was computed from is gone"
+                    if is_lost
+                    else "a shard before it was computed again with other bytes"
+                )
                 shards.append(ShardPlan(replace(shard, replaces=True), State.STALE, reason, manifest))
             else:
                 shards.append(ShardPlan(shard, State.FRESH, manifest=manifest))

@@ -37,6 +37,7 @@ __all__ = [
     "describe_runs",
     "end_record",
     "environment",
+    "is_on_record",
     "last_manifests",
     "last_sections",
     "mixture",
@@ -108,13 +109,14 @@ def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
 def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: Sequence[Manifest]) -> None:
     """Record what a stage consists of now, if that is not on record already."""
     last = read_last_run(store, study)
-    if (
-        last is not None
-        and stage in last.stages
-        and [ref.place for ref in last.refs(stage)] == [manifest.ref.place for manifest in manifests]
-    ):
-        return
-    record_latest(store, study, run_id, {stage: [ShardRecord.of(manifest, store) for manifest in manifests]})
+    if last is None or stage not in last.stages or not is_on_record(last, stage, manifests):
+        record_latest(store, study, run_id, {stage: [ShardRecord.of(manifest, store) for manifest in manifests]})
+
+
+def is_on_record(last: LatestRun, stage: str, manifests: Sequence[Manifest]) -> bool:
+    """Tell whether a stage consists of these artifacts on record: under their keys, and with their content."""
+    refs = [manifest.ref for manifest in manifests]
+    return last.refs(stage) == refs and [ref.key for ref in last.refs(stage)] == [ref.key for ref in refs]
 
 
 def begin_record(folder: RunFolder, study: str, sections: Mapping[str, Any], plan: Mapping[str, Any]) -> None:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 from storage_schema.credits import SourceCredit, merge_credits
-from storage_schema.errors import CorruptArtifact, MissingArtifact
+from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
 from storage_schema.manifest import ArtifactRef, Manifest
-from storage_schema.runs import latest_studies, read_latest
+from storage_schema.runs import LatestRun, latest_studies, read_latest
 from storage_schema.store import Store
 
-__all__ = ["LineageStep", "SourceFileUse", "lineage", "source_credits", "source_files"]
+__all__ = ["LineageStep", "SourceFileUse", "has_lineage", "lineage", "source_credits", "source_files"]
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,30 @@ def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
     return steps
 
 
+def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str, str]]) -> bool:
+    """Tell whether these artifacts and all that they were computed from are there.
+
+    `known` are the places of those that are known to be; what is found is added.
+    """
+    waiting, found = list(refs), set[tuple[str, str]]()
+    while waiting:
+        ref = waiting.pop()
+        if ref.place not in known and ref.place not in found:
+            if (manifest := _manifest(store, ref)) is None:
+                return False
+            found.add(ref.place)
+            waiting += manifest.inputs
+    known |= found
+    return True
+
+
 def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]:
     """Return the licence and credit of every source of these artifacts, as they stand today.
 
     A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
     the credits that the last runs of the studies in the store say; where one of these artifacts is such a run's source
-    itself, those that this run says.  What is on record of no study keeps its own.
+    itself, those that this run says.  What is on record of no study has those of the newest dataset that it came with,
+    else its own.
 
     Raises:
         MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
@@ -74,16 +93,26 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
             )
     roots = {step.ref: step for step in steps if step.manifest is not None and step.manifest.sources}
     today: dict[ArtifactRef, list[ArtifactRef]] = {}
-    for latest in filter(None, (read_latest(store, study) for study in latest_studies(store))):
+    for latest in _last_runs(store):
         for ref in (ref for stage in {root.stage for root in roots} for ref in latest.refs(stage)):
             today.setdefault(ref, []).append(ref)
     named = {ref.place for ref in refs}
     said = []
     for ref, step in roots.items():
-        current = today.get(ref) or [step.ref]
+        current = today.get(ref, [])
         own = [one for one in current if one.place in named]
-        said += [store.manifest(one).sources for one in own or current]
+        said += [store.manifest(one).sources for one in own or current] or [_as_it_came(store, step.ref)]
     return merge_credits(*said)
+
+
+def _as_it_came(store: Store, ref: ArtifactRef) -> tuple[SourceCredit, ...]:
+    """Return the credits of a source as the newest dataset that needs it says them, else as it says itself."""
+    from storage_schema.datasets import datasets_with  # here: a dataset is made with the credits of its sources
+
+    own = store.manifest(ref).sources
+    found = sorted(datasets_with(store, ref), key=lambda one: one.created_at)
+    names = {one.name for one in own}
+    return tuple(one for one in found[-1].sources if one.name in names) if found else own
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:
@@ -96,6 +125,13 @@ def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:
             for name, sha256 in step.manifest.files
         }
     )
+
+
+def _last_runs(store: Store) -> Iterator[LatestRun]:
+    for study in latest_studies(store):
+        with suppress(OlderSchema):  # what is of an older schema has other content than all that is read here
+            if (latest := read_latest(store, study)) is not None:
+                yield latest
 
 
 def _manifest(store: Store, ref: ArtifactRef) -> Manifest | None:

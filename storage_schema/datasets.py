@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -21,6 +21,7 @@ from storage_schema.errors import (
     CorruptArtifact,
     DatasetExists,
     MissingArtifact,
+    OlderSchema,
     StorageError,
     UnknownReference,
 )
@@ -38,7 +39,7 @@ __all__ = [
     "create_dataset",
     "dataset_from_json",
     "dataset_labels",
-    "dataset_with",
+    "datasets_with",
     "digest_of",
     "list_datasets",
     "needed_by",
@@ -161,15 +162,19 @@ def open_dataset(store: Store, label: str) -> Dataset:
     return _read(named[-1])
 
 
-def dataset_with(store: Store, ref: ArtifactRef) -> str | None:
-    """Return the label of a dataset that names this content of an artifact or was computed from it; None for none.
+def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
+    """Return the datasets that name this content of an artifact or were computed from it.
+
+    Those of an older schema need other artifacts.
 
     Raises:
         CorruptArtifact: The list of a dataset cannot be read: what it needs is not known.
     """
-    if store.mirror is not None:
-        store.mirror.bring_datasets()
-    return next((path.name for path in _folders(store) if _place(ref) in _needed(store, path)), None)
+    for path in _folders(store):
+        with suppress(OlderSchema):
+            dataset, needed = _read_with_needs(store, path)
+            if _place(ref) in needed:
+                yield dataset
 
 
 def needed_by(store: Store, dataset: Dataset) -> Needed:
@@ -186,9 +191,10 @@ def needed_by(store: Store, dataset: Dataset) -> Needed:
 
 
 @lru_cache(maxsize=64)
-def _needed(store: Store, path: Path) -> frozenset[Place]:
-    """Return the places of what a dataset needs, which never changes."""
-    return frozenset(needed_by(store, _read(path)))
+def _read_with_needs(store: Store, path: Path) -> tuple[Dataset, frozenset[Place]]:
+    """Return a dataset and the places of what it needs, which never change."""
+    dataset = _read(path)
+    return dataset, frozenset(needed_by(store, dataset))
 
 
 def _place(ref: ArtifactRef) -> Place:

@@ -157,7 +157,7 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
         _check_ids(manifest, staging.path, f"{remote.url}/{_place(ref)}")
         write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
         sync_folder(staging.path)
-        store.put_in_place(staging, ref)
+        store.put_in_place(staging, manifest)
     return True
 
 

@@ -192,7 +192,7 @@ def read_latest(store: Store, study: str) -> LatestRun | None:
         return LatestRun(study=values["study"], run_id=values["run_id"], stages=stages)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         refuse_older(version, str(path), "")
-        raise CorruptArtifact(f"{path} cannot be read: {error!r}") from error
+        raise CorruptArtifact(f"{path} cannot be read: {error!r}; a run of its study writes it anew") from error
 
 
 def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Sequence[ShardRecord]]) -> LatestRun:

@@ -168,7 +168,7 @@ class Store(StoreReader):
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)
-                writer.ref = self.put_in_place(staging, manifest.ref, replaces=described.get("replaces", False))
+                writer.ref = self.put_in_place(staging, manifest, replaces=described.get("replaces", False))
 
     def discard(self, ref: ArtifactRef) -> None:
         """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
@@ -223,15 +223,16 @@ class Store(StoreReader):
         now = (time.perf_counter(), time.thread_time())
         return {name: round(now[i] - self._begun_s[i], 4) for i, name in enumerate((SHARD_S, PROCESSOR_S))}
 
-    def put_in_place(self, staging: StagingFolder, ref: ArtifactRef, *, replaces: bool = False) -> ArtifactRef:
-        """Rename the staged folder to its place; returns the artifact that is there in the end.
+    def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
+        """Rename the staged folder of this manifest to its place; returns the artifact that is there in the end.
 
         Raises:
             NamedByDataset: A dataset needs what is there, and this has other bytes.
         """
+        ref = new.ref
         target = self.folder(ref.stage, ref.key)
         if self.mirror is not None:
-            kept = self.mirror.commit(staging.path, ref, lambda found: self._stays(found, ref, replaces=replaces))
+            kept = self.mirror.commit(staging.path, ref, lambda found: self._stays(found, new, replaces=replaces))
             if kept != ref:
                 return kept
         make_folder(target.parent)
@@ -247,7 +248,7 @@ class Store(StoreReader):
                 return ref
             # Something is there: it goes only after it was seen not to stay, never for not having been there yet.
             found = self._there(ref) if self.mirror is None else None
-            if found is not None and self._stays(found, ref, replaces=replaces):
+            if found is not None and self._stays(found, new, replaces=replaces):
                 return found.ref
             go_there = staging.take_place
 
@@ -258,21 +259,26 @@ class Store(StoreReader):
             return found if self.has_files(found) else None
         return None
 
-    def _stays(self, found: Manifest, ref: ArtifactRef, *, replaces: bool) -> bool:
+    def _stays(self, found: Manifest, new: Manifest, *, replaces: bool) -> bool:
         """Tell whether an artifact that is there keeps its place against a new one under its key."""
-        is_valid = not self.outdated_tables(found)
+        ref, is_valid = new.ref, not self.outdated_tables(found)
         if found.ref.content_digest == ref.content_digest:
+            if not replaces or not is_valid:
+                return is_valid
+            has_same_keys = [one.key for one in found.inputs] == [one.key for one in new.inputs]
             # Into a bucket the parts have just come again.
-            return is_valid and (not replaces or self.mirror is not None or not self.damaged_files(found))
+            return has_same_keys and (self.mirror is not None or not self.damaged_files(found))
         if is_valid and not replaces:
             self._say_other_bytes(ref, found.ref)
             return True
-        from storage_schema.datasets import dataset_with  # here: datasets are made of what a store holds
+        from storage_schema.datasets import datasets_with  # here: datasets are made of what a store holds
 
-        if (label := dataset_with(self, found.ref)) is not None:
+        if self.mirror is not None:
+            self.mirror.bring_datasets()
+        if (dataset := next(datasets_with(self, found.ref), None)) is not None:
             raise NamedByDataset(
-                f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {label} needs "
-                "the old one, which stays; raise the version of the stage in its `Stage(...)` to have both"
+                f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {dataset.label} "
+                "needs the old one, which stays; raise the version of the stage in its `Stage(...)` to have both"
             )
         return False
 

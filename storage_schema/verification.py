@@ -175,6 +175,6 @@ def _check_records(store: Store) -> Iterator[Problem]:
         except OlderSchema:
             continue  # the next run of its study writes it anew
         except (OSError, ValueError, TypeError, CorruptArtifact) as error:
-            advice = "the next run of the study writes it anew" if path.parent.name == "latest" else "it can be removed"
-            detail = f"this record of a run cannot be read ({error}); {advice}"
+            advice = "a run of its study writes it anew" if path.parent.name == "latest" else "it can be removed"
+            detail = f"this record of a run cannot be read ({error.__cause__ or error}); {advice}"
             yield Problem(ProblemKind.UNREADABLE, "runs", path.parent.name, path.name, detail)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -72,3 +73,16 @@ def test_a_part_of_a_run_with_the_same_content_leaves_no_mixture(study: Path) ->
     assert call(study, "dataset", "create", "mine", "--study", "toy", "--stage", "bend") == 0
     (made,) = (one for one in list_datasets(Store(study.parent / "store")) if one.name == "mine")
     assert {source.licence for source in made.sources} == {"CC-BY-NC-ND-4.0"}
+
+
+def test_what_came_with_a_dataset_has_the_licence_that_the_newest_says(study: Path) -> None:
+    """A store into which datasets were pulled has no runs: they alone know of a licence that was said anew."""
+    for settings in ((), STRICTER):
+        assert call(study, "run", str(study), *settings) == 0
+    store = Store(study.parent / "store")
+    key = list_datasets(store)[0].refs[-1].key
+    shutil.rmtree(store.root / "runs")
+    text = exported(study, f"scores@{key}")
+    assert "licence: CC-BY-NC-ND-4.0" in text
+    assert "CC0-1.0" not in text
+    assert "licence: CC0-1.0" in exported(study, "scores:released@1")

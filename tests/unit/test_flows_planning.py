@@ -10,7 +10,7 @@ import pytest
 from flows.building import Partition, partitions_to_run
 from flows.planning import PlanError, Selection, ShardPlan, StagePlan, State
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, Store, create_dataset, read_latest, verify
+from storage_schema import ArtifactRef, Store, create_dataset, read_latest, source_credits, verify
 from tasks.graph import Graph
 from tasks.shards import ShardError
 from tasks.stage import Parameters, Shard
@@ -124,6 +124,27 @@ def test_lost_files_are_missing_and_only_they_are_rebuilt(study: Path, store: Pa
     assert reasons(plan, "bend") == {"its files are missing or incomplete"}
     assert run_toys(study, store).num_computed == 1
     assert digests(store) == before
+
+
+def test_what_was_computed_from_what_is_gone_is_computed_again_though_the_like_of_it_is_there(
+    study: Path, store: Path
+) -> None:
+    """Licences are known through what something was computed from, and that has to be there."""
+    run_toys(study, store)
+    olds = list(Store(store).artifacts("grow"))
+    run_toys(study, store, "grow.licence=CC-BY-4.0")
+    for old in olds:
+        Store(store).discard(old.ref)
+    plan = plan_toys(study, store, "grow.licence=CC-BY-4.0")
+    assert states(plan) == {**FRESH, "bend": "6 stale", "judge": "pending"}
+    assert reasons(plan, "bend") == {"what it was computed from is gone"}
+    before = digests(store)
+    run_toys(study, store, "grow.licence=CC-BY-4.0")
+    last = read_latest(Store(store), "toy")
+    assert last is not None
+    assert {one.licence for one in source_credits(Store(store), *last.refs("judge"))} == {"CC-BY-4.0"}
+    assert digests(store) == before
+    assert plan_toys(study, store, "grow.licence=CC-BY-4.0").is_fresh
 
 
 def test_forced_stages_are_computed_again_and_end_in_the_same_bytes(study: Path, store: Path) -> None:

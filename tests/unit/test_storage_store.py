@@ -275,6 +275,17 @@ def test_a_licence_that_a_study_says_anew_reaches_what_was_made_before(store: St
         assert source_credits(store, made) == (source,)
 
 
+def test_licences_are_known_beside_studies_that_only_an_older_program_has_run(store: Store) -> None:
+    made = commit_rows(store, stage="chains", inputs=(commit_rows(store, stage="ingest", sources=(CMU,)),))
+    record_latest(store, "older", "run", {})
+    path = store.root / "runs" / "latest" / "older.json"
+    path.write_text(json.dumps({"schema_version": SCHEMA_VERSION - 1, "study": "older", "shards": []}))
+    assert source_credits(store, made) == (CMU,)
+    path.write_text("{")
+    with pytest.raises(CorruptArtifact, match=r"older\.json cannot be read: .*; a run of its study writes it anew"):
+        source_credits(store, made)
+
+
 def test_nothing_leaves_whose_licence_is_no_longer_known(store: Store) -> None:
     source = commit_rows(store, stage="ingest", sources=(CMU,))
     made = commit_rows(store, stage="chains", inputs=(source,))

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from pydantic import Field
 
 from pasdedeux.cameras import TorsoBasis, learn_torso_basis
 from pasdedeux.plausibility import ANGLES, JointLimits
@@ -28,15 +27,10 @@ _FRAMES_PER_TAKE = 2000
 
 
 class PriorsParameters(Parameters):
-    """How torsos and joint angles are learned from prior takes."""
-
-    num_components: int = Field(4, ge=0, le=12, description="Components of the torso basis beside its mean")
-    percentile: float = Field(
-        0.5, ge=0, le=10, description="Share of the observed angles beyond which ranges are not widened, percent"
-    )
+    """How torsos and joint angles are learned from prior takes: no study needs to say."""
 
 
-class PriorsShard(PriorsParameters):
+class PriorsShard(Parameters):
     """Parameters of the one shard of the priors."""
 
     default_basis: str
@@ -51,7 +45,7 @@ def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
             version=VERSION,
             partition="body",
             name="priors",
-            parameters=parameters.part(PriorsShard, default_basis=default_origin(inputs.of("poses"))),
+            parameters=PriorsShard(default_basis=default_origin(inputs.of("poses"))),
             inputs=named_refs(poses=takes),
             seed=inputs.seed,
         )
@@ -70,14 +64,11 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     poses = np.concatenate(parts) if parts else np.zeros((0, PAIR17.num_joints, 3))
     is_learned = len(poses) >= MIN_POSES
     origin = options.default_basis
-    if is_learned:
-        basis = learn_torso_basis(poses, num_components=options.num_components)
-    else:
-        basis = default_torso_basis(origin, num_components=options.num_components)
+    basis = learn_torso_basis(poses) if is_learned else default_torso_basis(origin)
     published = JointLimits.published()
     limits = published
     if is_learned:
-        limits = published.widened(poses, name="prior takes", percentile=options.percentile)
+        limits = published.widened(poses, name="prior takes")
     verdict = _verdict(poses, limits, published, origin)
     facts = {
         "kind": "priors",

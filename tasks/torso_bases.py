@@ -37,10 +37,10 @@ def default_origin(shown: Iterable[Manifest]) -> str:
     return BODY_PROPORTIONS if any(one.facts.get("is_built_in", False) for one in shown) else BUILT_IN_DUETS
 
 
-def default_torso_basis(origin: str, *, num_components: int = 4) -> TorsoBasis:
+def default_torso_basis(origin: str) -> TorsoBasis:
     """Return the torso basis of studies that name no prior takes, learned from what `default_origin` gave."""
     make = duet_torso_basis if origin == BUILT_IN_DUETS else proportions_torso_basis
-    return make(num_components=num_components)
+    return make()
 
 
 def read_torso_basis(store: Store, refs: Iterable[ArtifactRef]) -> TorsoBasis:

@@ -91,7 +91,7 @@ class ImageLikelihood(Likelihood, Protocol):
         ...
 
 
-_MAX_APART_M = 2.0
+MAX_APART_M = 2.0
 """Greatest distance of the mid-hips of the two, metres, or the seed's where that is more: the terms of eq. 2 do not
 bound it, so the prior alone would have no integral."""
 _SIGMA_V_RAD = 0.5
@@ -157,7 +157,7 @@ class PairDensity:
         likelihood: Likelihood | None,
         settings: TargetSettings | None = None,
         *,
-        max_apart_m: float = _MAX_APART_M,
+        max_apart_m: float = MAX_APART_M,
     ) -> None:
         settings = settings or TargetSettings()
         self.chart = chart

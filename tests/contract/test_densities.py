@@ -11,7 +11,6 @@ from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.density import DensityInputs, ImageSettings, Likelihood, Reads, TargetSettings
-from pasdedeux.sampling.likelihood import InteractionSettings
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from tasks.chains import DENSITIES, ChainsParameters
@@ -86,7 +85,7 @@ def test_the_benchmark_times_what_a_study_samples_that_sets_nothing(monkeypatch:
     section = ChainsParameters()
     (kind,) = (DENSITIES[name] for name in section.densities if DENSITIES[name].reads is Reads.ANNOTATIONS)
     settings = section.part(kind.settings)
-    assert isinstance(settings, InteractionSettings)
+    assert isinstance(settings, ImageSettings)
     sampled = kind.target(timed.chart, JointLimits.published(), likelihood, section.part(TargetSettings))
     seed = timed.chart.seed_parameters()
     assert timed(seed) == sampled(seed)

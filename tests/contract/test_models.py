@@ -29,7 +29,7 @@ UNSEEN = Source(swaying_pair(5, seed=9), 30.0, "unseen")
 SMALL = {
     "paper_cvae": {"num_steps": 25, "segment_steps": 10, "windows_per_step": 4, "num_blocks": 1, "kernel": 1}
     | {"width": 8, "hidden": 8, "latent_size": 4, "learning_rate": 0.01},
-    "actor_like": {"num_steps": 40, "segment_steps": 15, "windows_per_step": 4, "width": 16, "learning_rate": 0.01},
+    "actor_like": {"num_steps": 60, "segment_steps": 15, "windows_per_step": 4, "width": 16, "learning_rate": 0.01},
     "action2motion_like": {"num_steps": 40, "segment_steps": 15, "windows_per_step": 4, "hidden": 16}
     | {"latent_size": 4, "learning_rate": 0.01},
 }

@@ -114,13 +114,13 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
         put_take(store, "hug", is_prior=False),
         put_take(store, "judo", is_prior=True, is_held_out=True),
     ]
-    (ref,) = run(priors, store, {"poses": takes}, num_components=3)
+    (ref,) = run(priors, store, {"poses": takes})
     facts = store.manifest(ref).facts
     assert facts["takes"] == ["waltz"]
     assert facts["num_poses"] == 120
     assert facts["valid_share"] > 0.95
     basis = read_torso_basis(store, (ref,))
-    assert basis.components_m.shape == (3, 6, 3)
+    assert basis.components_m.shape == (4, 6, 3)
     verdict = verdict_of(store.manifest(ref))
     assert verdict is not None
     assert verdict.level is Level.PASS

@@ -30,6 +30,8 @@ takes = ["01", "03"]
 id = "salsa_{{take}}"
 frames = [1440, 1560]
 rate_hz = 60
+licence = "free for all uses"
+credit = "mocap.cs.cmu.edu, funded by NSF EIA-0196217"
 persons = [{{ metres_per_unit = 1.263 }}, {{ metres_per_unit = 1.191 }}]
 
 [seeds]

@@ -130,7 +130,7 @@ def test_a_video_and_images_are_answered_with_what_to_run_first(tmp_path: Path, 
 
 
 def test_an_empty_file_and_one_without_anybody_are_named(tmp_path: Path) -> None:
-    for name, text, says in (("none.json", "[]", "nobody"), ("empty.json", "", "none of the known formats")):
+    for name, text, says in (("none.json", "[]", "nobody"), ("empty.json", "", "this file is empty")):
         (tmp_path / name).write_text(text)
         with pytest.raises(InputError, match=f"annotations clip: {name}: .*{says}"):
             found_in(tmp_path / name)

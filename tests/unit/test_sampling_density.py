@@ -13,7 +13,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
-from pasdedeux.sampling.density import PairDensity, TargetSettings
+from pasdedeux.sampling.density import MAX_APART_M, PairDensity, TargetSettings
 from pasdedeux.sampling.image_kernels import pair_axes
 from pasdedeux.sampling.likelihood import InteractionKind, InteractionLikelihood
 from pasdedeux.sampling.parameters import (
@@ -202,7 +202,7 @@ def test_prior_is_zero_for_stretched_or_untied_bones() -> None:
 
 def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
     chart = PairChart(SEED)
-    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), None, TargetSettings(max_apart_m=1.5))
+    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), None, max_apart_m=1.5)
     near, far, turned = (chart.seed_parameters() for _ in range(3))
     near[POSITION_INDICES[1]] = near[POSITION_INDICES[0]] + [1.49, 0.0, 0.0]
     far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [1.51, 0.0, 0.0]
@@ -210,7 +210,7 @@ def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
     assert np.isfinite(density(near).log_density)
     assert density(far).log_density == density(turned).log_density == -np.inf
     wide = PairChart(chart.positions(far))
-    wider = PairDensity(wide, PhysicalPrior(wide, LIMITS), None, TargetSettings(max_apart_m=1.5))
+    wider = PairDensity(wide, PhysicalPrior(wide, LIMITS), None, max_apart_m=1.5)
     assert np.isfinite(wider(wide.seed_parameters()).log_density)
 
 
@@ -222,7 +222,7 @@ def test_a_density_that_is_told_nothing_is_the_one_that_studies_sample(
     study = InteractionKind().target(chart, LIMITS, likelihood, TargetSettings())
     assert (own.log_floor, own.log_ceiling) == (study.log_floor, study.log_ceiling) == (-np.inf, np.inf)
     far = chart.seed_parameters()
-    far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [TargetSettings().max_apart_m + 0.01, 0.0, 0.0]
+    far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [MAX_APART_M + 0.01, 0.0, 0.0]
     assert own(far).log_density == study(far).log_density == -np.inf
 
 

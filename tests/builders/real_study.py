@@ -46,7 +46,6 @@ seed = 3
 rate_hz = 12.0
 duets = [{ name = "waltz", duration_s = 2.0 }, { name = "hug", duration_s = 1.5 }]
 held_out = ["hug"]
-prior = ["waltz"]
 virtual_video = { num_random_views = 12 }
 
 [seeds]

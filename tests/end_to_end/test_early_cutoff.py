@@ -73,9 +73,14 @@ def built(study: Path, store: Path, graph: Graph, settings: Sequence[str]) -> tu
 def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
     small: BuiltStudy, tmp_path: Path, name: str
 ) -> None:
-    store = tmp_path / "store"
+    store, once_store = tmp_path / "store", small.store
     shutil.copytree(small.store, store)
-    publishes = ("publish.name=small",)
+    publishes = ["publish.name=small"]
+    if name == "priors":  # which have something to say of named takes alone
+        publishes.append('ingest.prior=["waltz"]')
+        once_store = tmp_path / "once"
+        run_toys(small.study, store, *publishes, graph=graph())
+        shutil.copytree(store, once_store)
     before = publish(*built(small.study, store, graph(), publishes))
     assert before is not None
     assert before.is_new
@@ -89,8 +94,12 @@ def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
 
     for setting in ("study.title=again", *CHANGES):
         once, again = (
-            {stage: shards for stage, shards in planned(small.study, where, how, setting).items() if stage != name}
-            for where, how in ((small.store, graph()), (store, raised(name)))
+            {
+                stage: shards
+                for stage, shards in planned(small.study, where, how, *publishes, setting).items()
+                if stage != name
+            }
+            for where, how in ((once_store, graph()), (store, raised(name)))
         )
         assert again == once, f"planned with {setting}"
 

@@ -57,8 +57,8 @@ SECTIONS = {
     "Left out, and why",
     "Sources and licences",
 }
-FILLED = set(TABLES) - {"objects", "model_states"}
-"""The study has no object, and no model that is trained in several segments."""
+FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits"}
+"""The study has no object, no model that is trained in several segments, and no take that priors are learned from."""
 RATE_HZ = 12.0
 
 

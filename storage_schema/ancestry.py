@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -77,42 +77,53 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     """Return the licence and credit of every source of these artifacts, as they stand today.
 
     A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
-    the credits that the last runs of the studies in the store say; where one of these artifacts is such a run's source
-    itself, those that this run says.  What is on record of no study has those of the newest dataset that it came with,
-    else its own.
+    the credits that the last runs say which have it on record, only those whose sources these are where some are.
+    Where none has, its sources have those that the last runs of all studies say of them, else those of the newest
+    dataset that they came with, else their own.
 
     Raises:
         MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
     """
-    steps = lineage(store, *refs)
-    for step in steps:
-        if step.manifest is None:
-            raise MissingArtifact(
-                f"artifact {step.ref.stage}@{step.ref.key[:12]}, which this comes from, is no longer whole in the "
-                f"store {store}, so its licence is not known; run the study again"
-            )
-    roots = {step.ref: step for step in steps if step.manifest is not None and step.manifest.sources}
-    today: dict[ArtifactRef, list[ArtifactRef]] = {}
-    for latest in _last_runs(store):
-        for ref in (ref for stage in {root.stage for root in roots} for ref in latest.refs(stage)):
-            today.setdefault(ref, []).append(ref)
+    runs = [{ref: ref for stage in one.stages for ref in one.refs(stage)} for one in _last_runs(store)]
+    mine = [run for run in runs if any(ref in run and run[ref].place == ref.place for ref in refs)]
     named = {ref.place for ref in refs}
-    said = []
-    for ref, step in roots.items():
-        current = today.get(ref, [])
-        own = [one for one in current if one.place in named]
-        said += [store.manifest(one).sources for one in own or current] or [_as_it_came(store, step.ref)]
+    waiting, seen = list(refs), set(named)
+    said: list[Iterable[SourceCredit]] = []
+    while waiting:
+        ref = waiting.pop()
+        # What has the same content in these runs may have come from elsewhere than what was there before.
+        found = _there(store, ref, mine)
+        found = [one for one in found if one.ref.place in named] or found
+        every: Sequence[Manifest | None] = found or [_manifest(store, ref)]
+        for one in every:
+            if one is None:
+                raise MissingArtifact(
+                    f"artifact {ref.stage}@{ref.key[:12]}, which this comes from, is no longer whole in the store "
+                    f"{store}, so its licence is not known; run the study again"
+                )
+            if found or not one.sources:
+                said.append(one.sources)
+            else:
+                others = _there(store, ref, runs)
+                said += [other.sources for other in others] or [_as_it_came(store, one)]
+            waiting += [read for read in one.inputs if read.place not in seen]
+            seen.update(read.place for read in one.inputs)
     return merge_credits(*said)
 
 
-def _as_it_came(store: Store, ref: ArtifactRef) -> tuple[SourceCredit, ...]:
+def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
+    """Return what has this content in these runs, and is in the store."""
+    found = (_manifest(store, run[ref]) for run in runs if ref in run)
+    return [one for one in found if one is not None]
+
+
+def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
     """Return the credits of a source as the newest dataset that needs it says them, else as it says itself."""
     from storage_schema.datasets import datasets_with  # here: a dataset is made with the credits of its sources
 
-    own = store.manifest(ref).sources
-    found = sorted(datasets_with(store, ref), key=lambda one: one.created_at)
-    names = {one.name for one in own}
-    return tuple(one for one in found[-1].sources if one.name in names) if found else own
+    found = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
+    names = {one.name for one in source.sources}
+    return tuple(one for one in found[-1].sources if one.name in names) if found else source.sources
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:

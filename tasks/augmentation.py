@@ -55,7 +55,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 21
+VERSION = 22
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -141,13 +141,15 @@ def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
 
 
 def batch_of(manifest: Manifest) -> BatchParameters:
-    """Return what a batch of variants was told; settings of earlier versions that are constants now are passed over.
+    """Return what a batch of variants was told, but for the limits of its verdicts.
+
+    Settings of earlier versions that are constants now are passed over.
 
     Raises:
         InputError: What it was told is not allowed any more: names the setting.
     """
     try:
-        return BatchParameters.model_validate(manifest.parameters, extra="ignore")
+        return BatchParameters.model_validate(manifest.facts["told"], extra="ignore")
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(map(str, first["loc"]))
@@ -213,6 +215,8 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         "rate_hz": take.source.rate_hz,
         "is_held_out": bool(manifest.facts.get("is_held_out", False)),
         "closest_m": take.source.closest_m,
+        # What reads variants solves more of them: how is part of the content, where the bytes do not tell.
+        "told": parameters.model_dump(mode="json", exclude={"limits"}),
     }
     verdicts: list[Verdict] = []
     with store.writer(**artifact_fields(shard, store), facts=facts) as writer:

@@ -74,8 +74,8 @@ def restart(
     opened = open_store(store)
     chosen = pair_of_draw(opened, draw)
     origin, sections = _study_of(opened, chosen)
-    path = out / f"draw-{chosen.key[:12]}-{chosen.row}.json"
-    name = f"{origin}-restart-{chosen.key[:12]}-{chosen.row}"
+    path = out / f"draw-{chosen.ref.key[:12]}-{chosen.row}.json"
+    name = f"{origin}-restart-{chosen.ref.key[:12]}-{chosen.row}"
     tree = _restarted(sections, chosen, name, path.resolve())
     tree.pop(PUBLISH, None)
     if num_draws is not None:
@@ -99,15 +99,15 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
     """Return the study that a draw is from, with its settings as they were."""
     for study in latest_studies(store):
         last = read_last_run(store, study)
-        if last is None or all(record.key != chosen.key for record in last.stages.get("chains", ())):
+        if last is None or chosen.ref not in last.refs("chains"):
             continue
         sections = last_sections(store, last)
         if sections:
             return study, sections
-    draw = f"draws@{chosen.key[:12]}#{chosen.row}"
+    draw = f"draws@{chosen.ref.key[:12]}#{chosen.row}"
     command = next_command("export", draw, "--format", "json", "--out", "seeds", store=Path(str(store)))
     raise PlanError(
-        f"draws@{chosen.key[:12]} belongs to no study that is on record in the store {store}: "
+        f"draws@{chosen.ref.key[:12]} belongs to no study that is on record in the store {store}: "
         f"its settings are not known.  Export it ({command}) and name the file in a study under seeds.files"
     )
 
@@ -115,7 +115,7 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
 def _restarted(sections: dict[str, Any], chosen: DrawSeed, name: str, path: Path) -> dict[str, Any]:
     """Return a study's settings with the draw as its only seed."""
     tree: dict[str, Any] = {section: dict(values) for section, values in sections.items()}
-    tree["study"] |= {"name": name, "title": f"Restart from draws@{chosen.key[:12]}#{chosen.row}"}
+    tree["study"] |= {"name": name, "title": f"Restart from draws@{chosen.ref.key[:12]}#{chosen.row}"}
     if tree["study"].get("stages") is None:
         tree["study"].pop("stages", None)
     tree["seeds"] |= {**_NO_OTHER_SEEDS, "files": [{"path": str(path)}]}

@@ -40,4 +40,4 @@ def named_pairs(export: Export) -> Iterator[tuple[str, PairFile]]:
             yield f"seed{index}", pair
     else:
         draw = pair_of_draw(export.store, export.text)
-        yield f"draw-{draw.key[:12]}-{draw.row}", draw.pair
+        yield f"draw-{draw.ref.key[:12]}-{draw.row}", draw.pair

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
+from flows.records import read_last_run
 from pasdedeux.learning import Weights, write_weights
-from storage_schema import Manifest, Reference, Store
+from storage_schema import Manifest, Reference, Store, latest_studies
 from tasks.stage import verdict_of
 from tasks.training.items import skeleton_name
 from tasks.training.run import load_stored
@@ -77,11 +78,18 @@ def _card(store: Store, manifest: Manifest) -> Iterator[str]:
     if said is not None and said.figure:
         beside = f"{said.baseline_name} {said.baseline:.4g} {said.unit}" if said.baseline_name else ""
         yield f"| {said.figure} | {said.value:.4g} {said.unit} | {beside} |"
-    for scores in store.artifacts("evaluation"):
-        if manifest.ref in scores.inputs and "scores" in scores.tables:
-            rows = store.read(scores.ref, "scores")
-            for row in map(rows.row, range(rows.num_rows)):
-                if row["method"] == facts["model"] and row["item"] == "all" and np.isnan(row["at"]):
-                    yield f"| {row['metric']}, {row['split']} | {row['value']:.4g} {row['unit']} | |"
+    yield from dict.fromkeys(_metrics(store, manifest))
     yield from ("", "## Data", "", "Stage, key, content digest of what was read:", "")
     yield from (f"- {ref.stage} {ref.key} {ref.content_digest}" for ref in manifest.inputs)
+
+
+def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
+    """Return the figures of a model as rows: as the last runs of studies have scored it, else all that there are."""
+    found = [one for one in store.artifacts("evaluation") if manifest.ref in one.inputs and "scores" in one.tables]
+    lasts = [last for study in latest_studies(store) if (last := read_last_run(store, study)) is not None]
+    current = {ref.place for last in lasts for ref in last.refs("evaluation")}
+    for scores in [one for one in found if one.ref.place in current] or found:
+        rows = store.read(scores.ref, "scores")
+        for row in map(rows.row, range(rows.num_rows)):
+            if row["method"] == manifest.facts["model"] and row["item"] == "all" and np.isnan(row["at"]):
+                yield f"| {row['metric']}, {row['split']} | {row['value']:.4g} {row['unit']} | |"

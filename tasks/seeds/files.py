@@ -14,7 +14,16 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PriorSettings
-from storage_schema import Manifest, SourceCredit, Store, UnknownReference, parse_reference, resolve, source_credits
+from storage_schema import (
+    ArtifactRef,
+    Manifest,
+    SourceCredit,
+    Store,
+    UnknownReference,
+    parse_reference,
+    resolve,
+    source_credits,
+)
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
 
@@ -114,7 +123,7 @@ class DrawSeed:
     """A stored draw as a pair, and which one it is."""
 
     pair: PairFile
-    key: str
+    ref: ArtifactRef
     row: int
     density: str
 
@@ -150,7 +159,7 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     own = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
     chart = PairChart(np.array(seeds["pair17_m"][own], dtype=np.float64))
     positions = chart.positions(np.array(draw["parameters"][0], dtype=np.float64))
-    return DrawSeed(_pair_file(store, manifest, positions, f"draws@{ref.key}#{row}"), ref.key, row, density)
+    return DrawSeed(_pair_file(store, manifest, positions, f"draws@{ref.key}#{row}"), ref, row, density)
 
 
 def _pair_file(store: Store, manifest: Manifest, pair_m: np.ndarray, made_from: str) -> PairFile:

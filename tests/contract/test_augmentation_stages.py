@@ -20,7 +20,7 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store
 from tasks import augmentation
-from tasks.augmentation import AugmentationParameters, read_take
+from tasks.augmentation import AugmentationParameters, batch_of, read_take
 from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
@@ -97,6 +97,18 @@ def test_a_take_without_anybody_who_is_scaled_says_so(store: Store) -> None:
     assert pair.facts["variants"] == ["B-uniform-0.80"]
 
 
+def test_how_variants_were_solved_is_part_of_what_they_are_also_where_they_are_the_same(store: Store) -> None:
+    """Evaluation and training solve more variants so: of a new store they would get other figures."""
+    takes = [put_take(store, "pair")]
+    once, again, judged = (
+        augment(store, takes, scales=(0.95,), **told)[0]
+        for told in ({}, {"num_iterations": 301}, {"limits": {"jerk_ratio": (50.0, 60.0)}})
+    )
+    assert once.data_files == again.data_files == judged.data_files
+    assert (again.ref == once.ref, judged.ref == once.ref) == (False, True)
+    assert batch_of(again).num_iterations == 301
+
+
 def test_everybody_of_any_number_gets_a_row_a_frame(store: Store) -> None:
     takes = [put_take(store, "alone", num_persons=1), put_take(store, "trio", num_persons=3)]
     alone, trio = augment(store, takes, scales=(0.8,), persons=("A", "BC", "all"))
@@ -159,10 +171,10 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store, mo
 
 def test_batches_of_earlier_versions_are_read_and_what_is_no_longer_allowed_is_one_sentence(store: Store) -> None:
     (made,) = augment(store, [put_take(store, "pair")], scales=(0.8,))
-    told = {**made.parameters, "mesh_smoothing_s": 0.25, "weights": {"stance": 1.0}}
-    assert augmentation.batch_of(replace(made, parameters=told)) == augmentation.batch_of(made)
+    told = {**made.facts["told"], "mesh_smoothing_s": 0.25, "weights": {"stance": 1.0}}
+    assert augmentation.batch_of(replace(made, facts={"told": told})) == augmentation.batch_of(made)
     with pytest.raises(InputError, match=r"variants of take 'pair' were made by an earlier version.*solver.*'bulk'"):
-        augmentation.batch_of(replace(made, parameters={**told, "solver": "descent"}))
+        augmentation.batch_of(replace(made, facts={"told": {**told, "solver": "descent"}}))
 
 
 def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:

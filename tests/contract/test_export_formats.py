@@ -18,13 +18,24 @@ from flows.exports import EXPORT_FORMATS, export_format, export_reference
 from flows.exports.credits import add_notice
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.learning import load_model, read_weights
-from storage_schema import TABLES, ArtifactRef, SourceCredit, Store, open_table, parse_reference, source_credits
+from storage_schema import (
+    TABLES,
+    ArtifactRef,
+    ShardRecord,
+    SourceCredit,
+    Store,
+    open_table,
+    parse_reference,
+    record_latest,
+    source_credits,
+)
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
-from tests.builders.storage_rows import random_columns
+from tests.builders.storage_rows import put, random_columns
 from tests.builders.stored_models import put_model
 
 NUM_SEEDS = 2
@@ -125,6 +136,20 @@ READ_BACK: dict[str, Callable[[list[Path], str, Store], None]] = {
 
 def test_every_format_is_read_back_here() -> None:
     assert set(READ_BACK) == set(EXPORT_FORMATS)
+
+
+def test_a_model_has_the_figures_of_the_last_run_alone(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    put_model(store, load_model("copy", {}), "random", [])
+    (model,) = store.artifacts("training")
+    scores = [Score("E_r", model.facts["model"], value, "m", split="test") for value in (0.1, 0.2, 0.1)]
+    tables = [{"scores": columns_of("models", [score])} for score in scores]
+    made = [put(store, "evaluation", str(at), one, {"takes": []}, (model,)) for at, one in enumerate(tables)]
+    for shown in (made[:1], made[1:2], made[::2]):
+        record_latest(store, "study", "run", {"evaluation": [ShardRecord.of(one, store) for one in shown]})
+        _, card, _ = export_reference(store, f"models@{model.ref.key}", "safetensors", tmp_path / "out")
+        figures = [line for line in card.read_text().splitlines() if line.startswith("| E_r")]
+        assert figures == [f"| E_r, test | {0.2 if shown == made[1:2] else 0.1:g} m | |"]
 
 
 @pytest.mark.parametrize("name", EXPORT_FORMATS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ from tasks.stage import StageInputs
 from tests.builders.real_study import build_here, call_in_process, never_begun
 
 PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
+
+OLD_KEY = "0" * 64
 
 STUDY = """
 [study]
@@ -150,9 +153,12 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     """`restart` itself, but for Prefect and the cluster: the file is the draw exactly, and the new chains know it."""
     store = Store(tmp_path / "store")
     build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1")
-    before = len(list(store.artifacts()))
     row = 11
     chosen = pair_of_draw(store, f"draws:edited#{row}")
+    shutil.copytree(store.folder("chains", chosen.ref.key), store.folder("chains", OLD_KEY))
+    text = (store.folder("chains", OLD_KEY) / "manifest.json").read_text()
+    (store.folder("chains", OLD_KEY) / "manifest.json").write_text(text.replace(chosen.ref.key, OLD_KEY))
+    before = len(list(store.artifacts()))
     stored = np.asarray(open_table("draws:edited", store)["pair17_m"][row])
     np.testing.assert_allclose(chosen.pair.pair_m, stored, atol=1e-6)
 
@@ -163,18 +169,19 @@ def test_a_draw_becomes_the_seed_of_new_chains(
 
     monkeypatch.setattr("flows.console.restart.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")
-    refused = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--set", "chains.bad=1")
+    # What has the same content is of that study too, such as what an older version of the stage has made.
+    refused = call_in_process(capsys, "restart", f"draws@{OLD_KEY}#{chosen.row}", *options, "--set", "chains.bad=1")
     assert refused.code == 2
     assert "chains.bad: unknown" in refused.err
     assert not (tmp_path / "out").exists()
     answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--draws", "4", "--chains", "1")
     assert answer.code == 0, answer.err
-    name = f"edited-restart-{chosen.key[:12]}-{chosen.row}"
+    name = f"edited-restart-{chosen.ref.key[:12]}-{chosen.row}"
     assert f"pasdedeux show draws:{name}" in answer.out
     (written,) = (tmp_path / "out").glob("*.json")
     np.testing.assert_array_equal(read_pair_json(written.read_text()).pair_m, chosen.pair.pair_m)
     seed = open_table(f"seeds:{name}", store)
-    assert (seed["origin"][0], seed["made_from"][0]) == ("draw", f"draws@{chosen.key}#{chosen.row}")
+    assert (seed["origin"][0], seed["made_from"][0]) == ("draw", f"draws@{chosen.ref.key}#{chosen.row}")
     np.testing.assert_allclose(seed["pair17_m"][0], gauge_fix(chosen.pair.pair_m), atol=1e-12)
     draws = open_table(f"draws:{name}", store)
     assert (draws["density"].tolist(), draws["chain"].tolist()) == (["ic"] * 4, [0] * 4)

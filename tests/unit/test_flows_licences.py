@@ -75,6 +75,32 @@ def test_a_part_of_a_run_with_the_same_content_leaves_no_mixture(study: Path) ->
     assert {source.licence for source in made.sources} == {"CC-BY-NC-ND-4.0"}
 
 
+def test_a_licence_reaches_what_is_still_there_of_an_older_source_as_it_would_be_the_same_of_the_new_one(
+    study: Path,
+) -> None:
+    """Values are rounded away: takes at another scale give the same models, and no score is computed again."""
+    study.write_text(STUDY)
+    assert call(study, "run", str(study)) == 0
+    assert call(study, "run", str(study), "--set", "grow.scale=1.1", *STRICTER) == 0
+    text = exported(study, "scores:toy")
+    assert "licence: CC-BY-NC-ND-4.0" in text
+    assert "CC0-1.0" not in text
+
+
+def test_studies_that_say_different_licences_of_the_same_files_have_their_own_each(study: Path) -> None:
+    other = study.with_name("other.toml")
+    other.write_text(study.read_text().replace('"toy"', '"other"').replace('"released"', '"others"'))
+    assert call(study, "run", str(study)) == 0
+    assert call(study, "run", str(other), *STRICTER) == 0
+    for name, licence in (("toy", "CC0-1.0"), ("other", "CC-BY-NC-ND-4.0")):
+        said = [line for line in exported(study, f"training_log:{name}").splitlines() if "licence:" in line]
+        assert {line.split()[-1] for line in said} == {licence}
+    assert call(study, "run", str(study)) == 0
+    assert len(list_datasets(Store(study.parent / "store"))) == 2, "no version is new for what another study says"
+    assert "CC0-1.0" in exported(study, "models:toy"), "what both have is under the licences that both say"
+    assert "CC-BY-NC-ND-4.0" in exported(study, "models:toy")
+
+
 def test_what_came_with_a_dataset_has_the_licence_that_the_newest_says(study: Path) -> None:
     """A store into which datasets were pulled has no runs: they alone know of a licence that was said anew."""
     for settings in ((), STRICTER):

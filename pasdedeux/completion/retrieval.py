@@ -6,6 +6,7 @@ several hypotheses of the view compete: a view is known to some 10 degrees, whic
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +18,6 @@ from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.nearest import image_distances
 
 __all__ = [
-    "NEIGHBOUR_DEVIATION_M",
-    "NUM_NEIGHBOURS",
     "Retrieval",
     "image_residual",
     "nearest_by_image",
@@ -29,9 +28,9 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 
-NUM_NEIGHBOURS = 8
+_NUM_NEIGHBOURS = 8
 """Near draws that a pair's depth is averaged over."""
-NEIGHBOUR_DEVIATION_M = 0.03
+_NEIGHBOUR_DEVIATION_M = 0.03
 """Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws."""
 
 
@@ -56,7 +55,14 @@ class Retrieval:
         return np.tensordot(self.weight, self.pairs_m, axes=1)
 
 
-def retrieve(index: DrawIndex, image_m: Array, directions: Array, *, count: int = NUM_NEIGHBOURS) -> Retrieval:
+def retrieve(
+    index: DrawIndex,
+    image_m: Array,
+    directions: Array,
+    *,
+    count: int = _NUM_NEIGHBOURS,
+    without: Sequence[int] | npt.NDArray[np.int64] = (),
+) -> Retrieval:
     """Return the draws nearest to an image, moved to where it saw them.
 
     Args:
@@ -64,13 +70,17 @@ def retrieve(index: DrawIndex, image_m: Array, directions: Array, *, count: int 
         image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
         count: How many draws.
+        without: Draws that do not count, unless there are no others.
 
     Raises:
         InputError: No view, or fewer than 4 joints seen.
     """
-    nearest = index.nearest(image_m, directions, count=count)
+    near = index.nearest(image_m, directions, count=count + len(without))
+    others = np.flatnonzero(~np.isin(near.draw, without))[:count]
+    chosen = others if len(others) else slice(None)
+    nearest = Nearest(near.draw[chosen], near.view[chosen], near.distance_m[chosen])
     squared = nearest.distance_m**2
-    weight = np.exp(-0.5 * (squared - squared[0]) / NEIGHBOUR_DEVIATION_M**2)
+    weight = np.exp(-0.5 * (squared - squared[0]) / _NEIGHBOUR_DEVIATION_M**2)
     pairs = index.placed(nearest.draw, np.asarray(directions)[nearest.view], image_m)
     return Retrieval(pairs_m=pairs, weight=weight / weight.sum(), nearest=nearest)
 

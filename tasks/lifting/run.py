@@ -16,7 +16,7 @@ from pasdedeux.completion.expected_error import expected_error
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
-from pasdedeux.completion.retrieval import NEIGHBOUR_DEVIATION_M, NUM_NEIGHBOURS, image_residual, retrieve
+from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
@@ -164,26 +164,12 @@ def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int]) -
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
         rows.append(_row(one, "completed", fitted, **known))
     has_own_draw = bool(np.isin(own, found.nearest.draw).any())
-    mean_m = _mean_of_others(one, index, own) if has_own_draw else found.mean_m
+    mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m
     expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))
     return rows, fitted
-
-
-def _mean_of_others(one: SeenPair, index: DrawIndex, own: Sequence[int]) -> np.ndarray:
-    """Return the mean of the nearest draws but those lifted from this very image, which agree whatever they are.
-
-    The mean of all that are near where there are no others.
-    """
-    near = retrieve(index, one.image_m, one.directions, count=NUM_NEIGHBOURS + len(own))
-    others = np.flatnonzero(~np.isin(near.nearest.draw, own))[:NUM_NEIGHBOURS]
-    if not len(others):
-        return near.mean_m
-    squared = near.nearest.distance_m[others] ** 2
-    weight = np.exp(-0.5 * (squared - squared[0]) / NEIGHBOUR_DEVIATION_M**2)
-    return np.asarray(np.tensordot(weight / weight.sum(), near.pairs_m[others], axes=1))
 
 
 def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> dict[tuple[str, int, int], list[int]]:

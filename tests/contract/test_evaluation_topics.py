@@ -7,6 +7,7 @@ import html
 import json
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,14 @@ from pasdedeux.evaluation.score_tables import format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Items, Yardstick, part_name
 from pasdedeux.reconstruction.reconstruct import Method
-from storage_schema import Manifest, Store
+from storage_schema import Manifest, SourceCredit, Store
 from tasks import ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifted_pairs
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of, verdicts_of_parts
 from tests.builders.pages import Page, in_browser
 from tests.builders.real_study import SMALL, BuiltStudy
+from tests.builders.storage_rows import put, take_rows
 
 pytestmark = pytest.mark.slow
 
@@ -262,6 +264,18 @@ def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Pa
     assert '<span class="badge not-judged">? not judged</span>' in page
     worse = page_of(store, evaluate(store, stage, num_toys=4))
     assert "counted is worse than guessed, by 1" in worse, "better than the other guess is not enough"
+
+
+def test_another_licence_of_the_same_data_is_another_page(tmp_path: Path) -> None:
+    """The data are not made anew, so the page has to learn of it by its own key; no topic is computed again."""
+    columns, facts = take_rows("waltz", 2, 2)
+    take, stage = put(Store(tmp_path / "store"), "ingest", "waltz", {"poses": columns}, facts), evaluation_stage([TOY])
+    once, again = (
+        stage.plan(StageInputs({"poses": [replace(take, sources=(source,))]}, seed=0), stage.parameters())
+        for source in (SourceCredit("waltz", licence, "a studio") for licence in ("CC0-1.0", "CC-BY-NC-ND-4.0"))
+    )
+    assert [one.key for one in once[:-1]] == [one.key for one in again[:-1]]
+    assert once[-1].key != again[-1].key
 
 
 def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest], str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -81,22 +82,35 @@ def test_seeds_of_which_none_grew_stand_beside_others(grown: Any) -> None:
 
 def test_what_is_expected_of_a_pair_rests_on_no_draw_of_that_person_at_that_moment(grown: Any) -> None:
     store, given = grown
+    # A second couple with the same person A, lifted so badly that no draw of it is near anything.
+    alone, both = (expected_errors(store, some) for some in (given, lifted_more_often(store, given, [9.0])))
+    np.testing.assert_allclose(both, alone, rtol=1e-6)
+
+
+def test_draws_of_the_same_image_make_nobody_surer_however_many_agree(grown: Any) -> None:
+    store, given = grown
+    alone, many = (expected_errors(store, some) for some in (given, lifted_more_often(store, given, [1.0] * 9)))
+    assert many.mean() > alone.mean()
+
+
+def lifted_more_often(store: Store, given: StageInputs, sizes: Sequence[float]) -> StageInputs:
+    """Return inputs in which each lifted seed stands once more for each of these sizes."""
     (one,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
     table = store.read(one.ref, "seeds")
-    rows = [*range(table.num_rows), *np.flatnonzero([name is not None for name in table["sequence_id"]])]
+    lifted = np.flatnonzero([name is not None for name in table["sequence_id"]])
+    rows = [*range(table.num_rows), *np.tile(lifted, len(sizes))]
+    scale = np.append(np.ones(table.num_rows), np.repeat(sizes, len(lifted)))
     columns = {name: [table[name][row] for row in rows] for name in table.column_names}
-    # A second couple with the same person A, lifted so badly that no draw of it is near anything.
-    columns["pair17_m"] = [
-        np.asarray(pair) * (1 if at < table.num_rows else 9) for at, pair in enumerate(columns["pair17_m"])
-    ]
+    columns["pair17_m"] = [np.asarray(pair) * size for pair, size in zip(columns["pair17_m"], scale, strict=True)]
     columns["seed_index"] = list(range(len(rows)))
-    shared = put(store, "seeds", "shared", {"seeds": columns}, one.facts)
-    beside = StageInputs({**given.manifests, "seeds": [shared]}, seed=1)
-    alone, both = (
-        store.read(lift(store, some, max_frames=5)["one-views"].ref, "lifted_pairs")["expected_error_m"]
-        for some in (given, beside)
-    )
-    np.testing.assert_allclose(both, alone, rtol=1e-6)
+    more = put(store, "seeds", "more", {"seeds": columns}, one.facts)
+    return StageInputs({**given.manifests, "seeds": [more]}, seed=1)
+
+
+def expected_errors(store: Store, given: StageInputs) -> np.ndarray:
+    table = store.read(lift(store, given, max_frames=5)["one-views"].ref, "lifted_pairs", columns=["expected_error_m"])
+    found = np.asarray(table["expected_error_m"])
+    return found[np.isfinite(found)]
 
 
 def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any) -> None:

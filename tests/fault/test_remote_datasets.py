@@ -25,6 +25,7 @@ from storage_schema import (
     list_datasets,
     verify,
 )
+from storage_schema.datasets import digest_of
 from storage_schema.errors import BadName, DatasetExists
 from storage_schema.remote import RemoteError, RemoteStore, pull_dataset, push_dataset
 from tests.builders.s3_server import SECRET, S3Server, s3_server
@@ -202,6 +203,27 @@ def test_ids_that_could_lead_elsewhere_are_not_pulled(server: S3Server, tmp_path
     with pytest.raises(CorruptArtifact, match=r'has the take_id "../ESCAPED", and only up to 200 letters'):
         pull_dataset(remote_of(server), "toys", other)
     assert list(other.artifacts()) == []
+
+
+def test_files_that_could_lead_elsewhere_are_not_pulled(server: S3Server, tmp_path: Path) -> None:
+    store, remote = Store(tmp_path / "store"), remote_of(server)
+    made = store.manifest(commit_rows(store, name="one", attachments={"note.txt": b"note"}))
+    dataset = create_dataset(store, "toys", [made.ref])
+    push_dataset(store, dataset, remote)
+    hostile = replace(made, attachments={"../../../ESCAPED": made.attachments["note.txt"]})
+    ref = replace(made.ref, content_digest=hostile.computed_digest)
+    text = replace(hostile, ref=ref).to_json().encode()
+    remote.write(f"artifacts/{ref.stage}/{ref.key}-{ref.content_digest}", text)
+    listed = remote.read("datasets/toys@1")
+    for old, new in (
+        (made.ref.content_digest, ref.content_digest),
+        (dataset.digest, digest_of([ref], dataset.sources)),
+    ):
+        listed = listed.replace(old.encode(), new.encode())
+    remote.write("datasets/toys@1", listed)
+    with pytest.raises(CorruptArtifact, match="is the manifest of something else"):
+        pull_dataset(remote, "toys", Store(tmp_path / "other"))
+    assert not list(tmp_path.rglob("ESCAPED"))
 
 
 def test_the_command_line_pushes_and_pulls_and_says_no_credential(

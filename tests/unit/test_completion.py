@@ -67,6 +67,21 @@ def test_the_view_that_fits_is_chosen_among_hypotheses() -> None:
     assert (found.draw[0], found.view[0]) == (5, 2)
 
 
+def test_draws_that_do_not_count_might_as_well_not_be_there() -> None:
+    view = np.array([[0.9, 0.1, 0.4], [0.3, 0.2, 1.0]])
+    image = project_pair(PAIRS[5], view[0])
+    own = retrieve(INDEX, image, view).nearest.draw[[0, 1, 4]]
+    found, plain = (
+        retrieve(INDEX, image, view, without=own),
+        retrieve(DrawIndex(np.delete(PAIRS, own, axis=0)), image, view),
+    )
+    np.testing.assert_allclose(found.mean_m, plain.mean_m, atol=1e-9)
+    few = DrawIndex(PAIRS[:3])
+    np.testing.assert_array_equal(
+        retrieve(few, image, view, without=[0, 1, 2]).mean_m, retrieve(few, image, view).mean_m
+    )
+
+
 def test_an_image_of_three_joints_is_refused() -> None:
     image = np.full((2, 17, 2), np.nan)
     image[0, :3] = 0.0

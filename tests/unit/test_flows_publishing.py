@@ -122,7 +122,7 @@ def test_a_verdict_that_fails_publishes_nothing_and_is_named_with_the_figure(
 def test_a_required_verdict_that_is_not_there_publishes_nothing(
     study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(study, "--set", "publish.required=['grow']") == 1
+    assert run(study, "--set", "publish.required=['judge', 'grow']") == 1
     assert "grow: there is no such verdict; verdicts: judge" in capsys.readouterr().err
 
 

@@ -36,6 +36,13 @@ def test_clean_keypoints_are_left_alone(name: str, noise_px: float) -> None:
     np.testing.assert_array_equal(found.keypoints_px[~touched], points[~touched])
 
 
+@pytest.mark.parametrize("name", ["waltz", "judo", "push_hands"])
+def test_labels_stay_where_only_noise_makes_joints_jump(name: str) -> None:
+    points, confidence = filmed(name, 8.0)
+    found = repair_faults(points, confidence, rate_hz=30.0)
+    assert not (found.is_swapped | found.is_exchanged).any()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_injected_faults_are_found_and_little_else(kind: str) -> None:
     total = JointCounts()

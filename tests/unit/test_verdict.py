@@ -60,11 +60,11 @@ def test_a_warning_without_a_reason_is_refused() -> None:
 
 
 def test_a_method_has_to_beat_every_baseline_and_not_the_weakest() -> None:
-    better = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2, mean_pair=0.3)
+    better = items(takes=["a"], seconds=12, fitted=0.1, chance=0.4, lifting=0.2, mean_pair=0.3)
     verdict = verdict_on(better)
     assert (verdict.level, verdict.baseline_name, verdict.count) == (Level.PASS, "lifting alone", 12)
     assert figure_words(verdict).endswith("(lifting alone), mean of 12 images")
-    worse = items(takes=["a"], seconds=12, fitted=0.25, lifting=0.2, mean_pair=0.3)
+    worse = items(takes=["a"], seconds=12, fitted=0.25, chance=0.4, lifting=0.2, mean_pair=0.3)
     verdict = verdict_on(worse)
     assert (verdict.level, verdict.baseline_name) == (Level.FAIL, "lifting alone")
     assert verdict.reason == "fitted draws is worse than lifting alone, by 5 cm (5 to 5, over 12 blocks of 1 s)"
@@ -72,9 +72,10 @@ def test_a_method_has_to_beat_every_baseline_and_not_the_weakest() -> None:
 
 def test_what_may_be_chance_is_a_warning() -> None:
     noise = 0.1 * np.random.default_rng(1).normal(size=12)
-    verdict = verdict_on(items(takes=["a"], seconds=12, fitted=0.2 + noise, lifting=0.21))
-    assert verdict.level is Level.WARN
-    assert "about as good as lifting alone" in verdict.reason
+    for chance, words in ((noise, "behind by"), (-noise, "ahead by")):
+        verdict = verdict_on(items(takes=["a"], seconds=12, fitted=0.2 + chance, lifting=0.21))
+        assert verdict.level is Level.WARN
+        assert f"about as good as lifting alone, {words}" in verdict.reason
 
 
 def test_larger_may_be_better() -> None:
@@ -182,6 +183,14 @@ def test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards(every: list[Ve
     assert (merged.value, merged.baseline) == pytest.approx((whole.value, whole.baseline), rel=1e-12)
     plain = [replace(one, value=0.0, baseline=0.0, paired=None) for one in (merged, whole)]
     assert plain[0] == plain[1]
+
+
+def test_parts_that_are_too_small_to_be_judged_are_judged_together() -> None:
+    parts = [verdict_on(items(takes=[take], seconds=6, fitted=0.1, lifting=0.2)) for take in ("a", "b")]
+    assert {part.level for part in parts} == {Level.NOT_JUDGED}
+    whole = merge_verdicts(parts)
+    assert whole is not None
+    assert (whole.level, whole.count) == (Level.PASS, 12)
 
 
 def made(store: Store, name: str, **judged: Verdict) -> Manifest:

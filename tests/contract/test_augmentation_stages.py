@@ -102,11 +102,11 @@ def test_how_variants_were_solved_is_part_of_what_they_are_also_where_they_are_t
     takes = [put_take(store, "pair")]
     once, again, judged = (
         augment(store, takes, scales=(0.95,), **told)[0]
-        for told in ({}, {"num_iterations": 301}, {"limits": {"jerk_ratio": (50.0, 60.0)}})
+        for told in ({}, {"groups": ("arms",)}, {"limits": {"jerk_ratio": (50.0, 60.0)}})
     )
     assert once.data_files == again.data_files == judged.data_files
     assert (again.ref == once.ref, judged.ref == once.ref) == (False, True)
-    assert batch_of(again).num_iterations == 301
+    assert batch_of(again).groups == ("arms",)
 
 
 def test_everybody_of_any_number_gets_a_row_a_frame(store: Store) -> None:

@@ -17,14 +17,23 @@ from pathlib import Path
 from storage_schema.ancestry import source_credits
 from storage_schema.credits import SourceCredit
 from storage_schema.datasets import open_dataset
-from storage_schema.errors import CorruptArtifact, MissingArtifact, UnknownReference
+from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, UnknownReference
 from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.runs import latest_studies, read_latest
 from storage_schema.store import Store
 from storage_schema.table_data import TableData, concatenate
 from storage_schema.tables import TABLES
 
-__all__ = ["Reference", "default_store", "iter_rows", "open_table", "parse_reference", "resolve", "table_files"]
+__all__ = [
+    "Reference",
+    "default_store",
+    "iter_rows",
+    "open_table",
+    "parse_reference",
+    "resolve",
+    "table_files",
+    "what_is_wrong",
+]
 
 _BY_KEY = re.compile(r"(?P<table>\w+)@(?P<key>[0-9a-fA-F]{4,64})(#(?P<row>\d+))?")
 _BY_NAME = re.compile(r"(?P<table>\w+):(?P<scope>[^#]+)(#(?P<row>\d+))?")
@@ -218,18 +227,18 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
     for ref in refs:
         if ref not in whole and (ref.stage in stages or not stages):
             raise MissingArtifact(
-                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' {_what_is_wrong(ref, store)} "
-                f"{store}; run the study again"
+                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' {what_is_wrong(ref, store)} "
+                f"in the store {store}; run the study again"
             )
     return list(whole)
 
 
-def _what_is_wrong(ref: ArtifactRef, store: Store) -> str:
-    """Say why an artifact that a study recorded cannot be read; the store's path follows."""
+def what_is_wrong(ref: ArtifactRef, store: Store) -> str:
+    """Say why an artifact that a study recorded cannot be read."""
     try:
         outdated = store.outdated_tables(store.load(ref.stage, ref.key))
+    except OlderSchema:
+        return "is of an older schema"
     except (MissingArtifact, CorruptArtifact):
         outdated = []
-    if not outdated:
-        return "is incomplete in the store"
-    return f"has columns of an earlier version ({', '.join(outdated)}) in the store"
+    return f"has columns of an earlier version ({', '.join(outdated)})" if outdated else "is incomplete"

@@ -10,11 +10,12 @@ from typing import Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import manifest_lines, print_table
+from flows.console.display import counted, manifest_lines, print_table
 from flows.records import describe_runs, last_manifests, read_last_run, uncollected
 from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 from storage_schema.manifest import RESERVED_NAMES
+from storage_schema.references import what_is_wrong
 from tasks.summary import stage_verdict
 
 __all__ = ["app"]
@@ -38,14 +39,14 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         return
     if not described["studies"]:
         typer.echo(f"store {opened}: no study was built in it yet")
-    for study in described["studies"]:
+    for last, study in zip(lasts, described["studies"], strict=True):
         typer.echo(f"study {study['study']}, last run {study['run_id']}")
         rows = [
             (f"  {s['stage']}", str(s["num_shards"]), str(s["num_there"]), f"{s['bytes'] / 1e6:.1f} MB")
             for s in study["stages"]
         ]
         print_table(("  stage", "shards", "there", "size"), rows)
-        for line in manifest_lines(found[study["study"]]):
+        for line in (*_missing_lines(opened, last, found[last.study]), *manifest_lines(found[last.study])):
             typer.echo(f"  {line}")
     for record in described["runs"][-5:]:
         typer.echo(f"run {record['run_id']}: {record['status']}")
@@ -73,6 +74,17 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
             force = " ".join(f"--force {stage}" for stage in stages)
             typer.echo(f"what is damaged is computed again by `pasdedeux run STUDY {force}`")
         raise typer.Exit(1)
+
+
+def _missing_lines(store: Store, last: LatestRun, found: Mapping[str, Sequence[Manifest]]) -> list[str]:
+    """Say what is not there of what a study has made, and why; nothing where all is."""
+    there = {one.ref.place for manifests in found.values() for one in manifests}
+    gone = [ref for stage in last.stages for ref in last.refs(stage) if ref.place not in there]
+    return [
+        f"not there: {counted(len(gone), 'artifact')}, such as {ref.stage}@{ref.key[:12]}, which "
+        f"{what_is_wrong(ref, store)}; a run of the study computes what it needs anew"
+        for ref in gone[:1]
+    ]
 
 
 def _describe(

@@ -166,6 +166,19 @@ def test_status_names_studies_stages_and_runs(built: tuple[str, str], capsys: py
     assert answer["runs"][-1]["status"] == "finished"
 
 
+def test_status_and_references_say_what_an_older_program_has_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    run_toys(write_study(tmp_path), store)
+    for path in store.glob("*/??/*/manifest.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": 1}))
+    assert call("status", "--store", str(store)) == 0
+    assert re.search(r"not there: 14 artifacts, such as \w+@\w+, which is of an older schema", capsys.readouterr().out)
+    assert call("show", "models:toy", "--store", str(store)) == 1
+    assert "of study 'toy' is of an older schema in the store" in capsys.readouterr().err
+
+
 def test_show_gives_columns_rows_lineage_and_sources(
     built: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,6 +23,7 @@ from storage_schema import (
     create_dataset,
     source_credits,
 )
+from storage_schema.ancestry import has_lineage
 from storage_schema.datasets import newest_version
 from storage_schema.errors import DatasetExists
 from tasks.summary import product_verdicts, summary_of
@@ -66,7 +67,8 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
 
     The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
     study, the environment, the card and what is different from the version before.  A run of a part of a study, one
-    with a verdict that must not fail and does, and one that made nothing new are not published.
+    with a verdict that must not fail and does, and one that made nothing new are not published.  What a version has
+    lost is new again.
 
     Raises:
         MissingArtifact, CorruptArtifact: An artifact of the run is no longer whole in the store.
@@ -95,7 +97,8 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         return Published(name, words, failures=failures)
     while True:
         before = newest_version(store, name)
-        if before is not None and _content(before.refs) == _content(refs) and before.sources == sources:
+        is_same = before is not None and _content(before.refs) == _content(refs) and before.sources == sources
+        if before is not None and is_same and has_lineage(store, before.refs, {ref.place for ref in refs}):
             return Published(name, f"{before.label} stays: nothing has changed since", before)
         version = str(int(before.version) + 1) if before is not None else "1"
         files = _files(run, outcome, refs, sources, f"{name}@{version}", before)

@@ -31,6 +31,7 @@ __all__ = [
 FEWEST_BLOCKS = 10
 """Seconds of motion or stills below which nothing is judged."""
 _HELD_OUT = "held_out"
+_NOTHING = "nothing of it was held out"
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
             if not hardest
             else f"{paired.count:,} {thing} in {num_blocks} blocks of 1 s, and {FEWEST_BLOCKS} are needed"
             if num_blocks
-            else "nothing of it was held out"
+            else _NOTHING
         )
     else:
         lead, (low, high) = sign * (mean[hardest] - mean[paired.method]), intervals[hardest]
@@ -176,9 +177,13 @@ class Yardstick:
     def verdict(self, items: Items) -> Verdict | None:
         """Return the verdict on these items; None where no method is among them."""
         paired = items.paired(self.methods, is_larger_better=self.is_larger_better)
-        if paired is None:
-            words = "nothing of it was held out"
-            return None if items.takes else Verdict(Level.NOT_JUDGED, words, self.figure, count=0, thing=self.thing)
+        own = [one for one in items.values if one not in items.baselines and not is_bound(one)]
+        tried = [one for one in self.methods or own if one in items.values]
+        if paired is None and items.takes and not tried:
+            return None
+        if paired is None or (not paired.sizes and not math.isnan(self.limit)):
+            words = f"{in_words(tried[0])} has no figure that is finite" if items.takes else _NOTHING
+            return Verdict(Level.NOT_JUDGED, words, self.figure, count=len(items.takes), thing=self.thing)
         if math.isnan(self.limit):
             return compare(paired, self.figure, self.unit, self.thing)
         value = sum(paired.sums[paired.method]) / sum(paired.sizes)

@@ -85,6 +85,23 @@ def test_a_rebuild_that_stopped_is_published_compared_rerun_and_built_upon(study
     assert len(versions(study)) == 3
 
 
+def test_what_a_version_has_lost_is_published_anew_though_the_same_was_made_since(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = study.parent / "source.txt"
+    for text in ("once", "again"):
+        source.write_text(text)
+        assert run(study, "--set", f"grow.source={source}") == 0
+    assert "released@1 stays: nothing has changed" in capsys.readouterr().out
+    for ref in versions(study)[0].refs:
+        if ref.stage == "grow":
+            Store(study.parent / "store").discard(ref)
+    assert run(study, "--set", f"grow.source={source}") == run(study, "--set", f"grow.source={source}") == 0
+    out = capsys.readouterr().out
+    assert "released@2 is published" in out
+    assert "released@2 stays: nothing has changed" in out
+
+
 def test_the_changelog_says_what_came_went_and_changed_and_the_scores(study: Path) -> None:
     assert run(study) == 0
     before = open_table("scores:released@1", study.parent / "store")["value"][0]

@@ -108,6 +108,8 @@ def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> Non
     [
         (items(takes=["a"], seconds=9, fitted=0.1, lifting=0.2), "9 images in 9 blocks of 1 s, and 10 are"),
         (items(takes=["a"], seconds=12, fitted=0.1), "no baseline was scored beside fitted draws"),
+        (items(takes=["a"], seconds=12, fitted=np.nan, lifting=0.2), "fitted draws has no figure that is finite"),
+        (items(takes=["a"], seconds=12, fitted=np.inf, lifting=0.2), "fitted draws has no figure that is finite"),
         (Items(), "nothing of it was held out"),
     ],
 )
@@ -147,6 +149,9 @@ def test_a_limit_is_kept_or_broken() -> None:
         verdict = yardstick.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]))
         assert verdict is not None
         assert (verdict.level, verdict.value, verdict.baseline) == (level, value, 1.0)
+    unknown = yardstick.verdict(Items({"followed": np.array([np.nan])}, ["a"], [0.0]))
+    assert unknown is not None
+    assert (unknown.level, unknown.count) == (Level.NOT_JUDGED, 1)
 
 
 def test_many_verdicts_become_the_worst_with_its_share_and_the_mean_figure() -> None:

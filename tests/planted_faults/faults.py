@@ -276,6 +276,23 @@ FAULTS = (
     Fault("an archive unpacks to any size", "pasdedeux/formats/npz.py", "if unpacked > most:", "if unpacked < 0:",
           "contract/test_input_formats.py::"
           "test_an_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_before_that"),
+    Fault("every file has the licence of CMU", "tasks/ingest/sources.py", "CMU_CREDIT if is_cmu else", "CMU_CREDIT or",
+          "unit/test_known_sources.py::test_rate_and_licence_of_cmu_are_those_of_files_that_fetch_brought_and_of_no_other"),
+    Fault("one file of CMU gives its licence to a take", "tasks/ingest/sources.py",
+          "all(was_fetched", "any(was_fetched",
+          "unit/test_known_sources.py::test_rate_and_licence_of_cmu_are_those_of_files_that_fetch_brought_and_of_no_other"),
+    Fault("poses are taken in the order of rows", "tasks/poses.py",
+          "[order].reshape(", ".reshape(",
+          "unit/test_tasks_poses.py::test_rows_in_any_order_give_everybody_in_every_frame"),
+    Fault("poses with somebody twice are read", "tasks/poses.py",
+          "if not (np.array_equal(frame[order], expected[0])", "if not (len(frame)",
+          "unit/test_tasks_poses.py::test_poses_with_somebody_missing_or_twice_are_refused"),
+    Fault("files of two takes are trimmed to one", "flows/console/study_new.py",
+          "is_near = min(lengths) >= ONE_TAKE * max(lengths)", "is_near = True",
+          "unit/test_study_new.py::test_files_of_two_takes_are_doubted_and_not_trimmed"),
+    Fault("a copy of a file is a second person", "flows/console/study_new.py",
+          "if other is not one and other in people:", "if other is None:",
+          "unit/test_study_new.py::test_one_file_for_two_people_is_refused"),
     Fault("the frame rate of a file is nominal", "tasks/ingest/sources.py",
           "known.rate_hz or head.rest.rate_hz", "known.rate_hz or 120.0", "contract/test_ingest_stage.py::"
           "test_a_pair_becomes_takes_poses_annotations_and_cameras"),
@@ -316,6 +333,9 @@ FAULTS = (
     Fault("the name of a shard is not in the content", "storage_schema/keys.py",
           '"partition": partition, "name": name, "facts"', '"partition": partition, "facts"',
           "unit/test_storage_keys.py::test_a_content_digest_is_over_all_that_others_may_read"),
+    Fault("what follows a forced shard is fresh", "flows/planning.py",
+          "if is_forced or shard.key in behind:", "if is_forced:", "unit/test_flows_planning.py::"
+          "test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again"),
     Fault("a random stream has no label", "tasks/stage.py", "int.from_bytes(digest[i : i + 4], \"little\")", "0",
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
     Fault("a random stream has no seed", "tasks/stage.py", "words = [seed]", "words = [0]",
@@ -345,6 +365,8 @@ FAULTS = (
     Fault("of required verdicts the first alone is looked at", "flows/publishing.py",
           "for one in required\n", "for one in required[:1]\n",
           "unit/test_flows_publishing.py::test_a_required_verdict_that_is_not_there_publishes_nothing"),
+    Fault("a run that is asked to fail on a verdict does not", "flows/publishing.py", "    if bad:", "    if not made:",
+          "unit/test_flows_publishing.py::test_a_run_may_be_asked_to_fail_on_a_verdict"),
     Fault("nothing is required unless it is named", "flows/publishing.py",
           "product_verdicts(manifests) if settings.required is None", "[] if settings.required is None",
           "unit/test_flows_publishing.py::test_without_a_list_the_verdicts_on_products_must_not_fail"),
@@ -357,6 +379,11 @@ FAULTS = (
     Fault("rerun takes files that have changed", "flows/console/rerun.py",
           "if before is not None and (Path", "if before is None and (Path",
           "unit/test_flows_rerunning.py::test_an_input_that_has_changed_is_refused_before_any_work"),
+    Fault("runs of other people are marked as crashed", "flows/schedules.py",
+          "        match_related=[\n            ResourceSpecification({\"prefect.resource.role\": \"flow\", "
+          "\"prefect.resource.name\": dataset.name}),\n",
+          "        match_related=[\n",
+          "end_to_end/test_scheduled_builds.py::test_only_runs_of_our_deployments_are_marked_as_crashed"),
     Fault("a half stage is on record", "flows/building.py",
           "self._failures[name] = error\n            return",
           "self._failures[name] = error\n            record_stage(run.store, run.study.name, self._run_id, name, ())"
@@ -379,7 +406,12 @@ FAULTS = (
           "unit/test_storage_store.py::test_credits_are_those_of_all_that_something_came_from_once"),
     Fault("a source of one run has the credits of another", "storage_schema/ancestry.py",
           "found = [one for one in found if one.ref.place in named] or found", "pass",
-          "unit/test_flows_licences.py::test_a_part_of_a_run_with_the_same_content_leaves_no_mixture"),
+          "unit/test_storage_store.py::"
+          "test_where_two_studies_say_different_licences_of_the_same_bytes_each_has_its_own"),
+    Fault("an export of a version has the credits of today", "storage_schema/references.py",
+          "    if reference.dataset:\n        return open_dataset(store, reference.dataset).sources\n", "",
+          "unit/test_flows_licences.py::"
+          "test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after"),
     Fault("a page keeps the credits it was made with", "tasks/evaluation/report.py",
           "sources = merge_credits(*(manifest.sources for manifest in every.values()))", "sources = ()",
           "contract/test_evaluation_topics.py::test_another_licence_of_the_same_data_is_another_page"),
@@ -431,6 +463,17 @@ FAULTS = (
           "self.remote.delete([place])\n                if self.remote.create(place, text):",
           "fault/test_remote_store.py::"
           "test_what_is_made_again_takes_its_place_in_one_step_unless_a_dataset_needs_the_old_one"),
+    Fault("what is damaged stays damaged", "storage_schema/store.py",
+          "is_damaged = bool(self.damaged_files(manifest))", "is_damaged = False",
+          "unit/test_flows_execution.py::"
+          "test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_command"),
+    Fault("a damaged record of a run is no problem", "storage_schema/verification.py",
+          "    problems.extend(_check_records(store))\n", "",
+          "unit/test_storage_verification.py::test_damaged_records_and_lists_are_named_and_nothing_else"),
+    Fault("what took the place of an artifact is read for it", "storage_schema/store_reader.py",
+          "        self.manifest(ref)  # another may have taken its place before the file was opened\n", "",
+          "unit/test_storage_store.py::"
+          "test_what_takes_the_place_of_an_artifact_while_it_is_read_is_not_taken_for_it"),
     Fault("gc does not know datasets", "flows/collecting.py", "for dataset in datasets for ref in dataset.refs}",
           "for dataset in () for ref in dataset.refs}", "unit/test_flows_collecting.py::"
           "test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_goes"),

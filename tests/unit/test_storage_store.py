@@ -286,6 +286,18 @@ def test_licences_are_known_beside_studies_that_only_an_older_program_has_run(st
         source_credits(store, made)
 
 
+def test_where_two_studies_say_different_licences_of_the_same_bytes_each_has_its_own(store: Store) -> None:
+    stricter = replace(CMU, licence="CC-BY-NC-ND-4.0")
+    one = commit_rows(store, stage="ingest", partition="a", sources=(CMU,))
+    two = commit_rows(store, stage="ingest", partition="a", sources=(stricter,), version=2)
+    made = commit_rows(store, stage="chains", inputs=(one,))
+    for study, ref in (("one", one), ("two", two)):
+        record_latest(store, study, "run", {"ingest": [ShardRecord.of(store.manifest(ref), store)]})
+    assert source_credits(store, made, one) == (CMU,)
+    assert source_credits(store, made, two) == (stricter,)
+    assert source_credits(store, made) == (stricter, CMU), "nobody says which of the two is meant"
+
+
 def test_nothing_leaves_whose_licence_is_no_longer_known(store: Store) -> None:
     source = commit_rows(store, stage="ingest", sources=(CMU,))
     made = commit_rows(store, stage="chains", inputs=(source,))

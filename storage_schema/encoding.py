@@ -26,7 +26,7 @@ def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
         table: Definition of the table.
         columns: For each column a list or array, rows first: (rows,) for single values, (rows, *axes) for arrays of a
             fixed shape, a list of 1-d arrays for arrays of varying length.  Text is str.  A nullable column may be left
-            out or hold None (or NaN, for numbers); NaN is a value elsewhere.
+            out or hold None (or NaN, for numbers); NaN is a value elsewhere.  No column at all is a table without rows.
 
     Numbers are narrowed to the column's type (float64 to float32); whole numbers are never rounded into it.
 
@@ -36,11 +36,13 @@ def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
     unknown = [name for name in columns if name not in {column.name for column in table.columns}]
     if unknown:
         raise SchemaError(_unknown_column(table, unknown[0]))
+    if not columns:
+        return arrow_schema(table).empty_table()
     rows = {name: _num_rows(table, name, values) for name, values in columns.items()}
     for column in table.columns:
         if column.name not in columns and not column.is_nullable:
             raise SchemaError(f"table '{table.name}': column '{column.name}' is missing")
-    num_rows = next(iter(rows.values()), 0)
+    num_rows = next(iter(rows.values()))
     for name, found in rows.items():
         if found != num_rows:
             first = next(iter(rows))

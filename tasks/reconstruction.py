@@ -302,26 +302,12 @@ def _rows_of(
 
 
 def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Join rows by column; without any row every column is empty."""
-    if not rows:
-        empty: dict[str, Any] = {name: [] for name in ("sequence_id", "method", "match_take_id")}
-        empty |= {
-            name: np.zeros(0, dtype=np.int64) for name in ("person_id", "frame", "match_frame", "num_joints_seen")
-        }
-        empty |= {name: np.zeros(0) for name in ("time_s", "metres_per_pixel", "yaw_rad", "score_m")}
-        return empty | {
-            "op14_m": np.zeros((0, 14, 3)),
-            "op14_unitquat": np.zeros((0, 14, 4)),
-            "body22_m": np.zeros((0, 22, 3)),
-            "body22_unitquat": np.zeros((0, 22, 4)),
-            "root_translation_m": np.zeros((0, 3)),
-            "is_bridged": np.zeros(0, dtype=bool),
-        }
+    """Join rows by column; without any row there is no column."""
     return {
         name: list(chain.from_iterable(row[name] for row in rows))
         if isinstance(rows[0][name], list)
         else np.concatenate([row[name] for row in rows])
-        for name in rows[0]
+        for name in (rows[0] if rows else ())
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,108 +11,86 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.augmentation.support import stance_weights
+from pasdedeux.figure import Limits, complaints, figure, figures_of, limits_of
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["FRAME_LIMITS", "LIMITS", "FrameQuality", "Limits", "Measured", "Quality", "QualityMeter"]
+__all__ = ["FIGURES", "FRAME_FIGURES", "FRAME_LIMITS", "FrameQuality", "Measured", "Quality", "QualityMeter"]
 
 Array = npt.NDArray[np.float64]
 
 _STANDS = 0.5
 """A joint stands where its fading stance weight is above this."""
 _PERCENTILE = 95.0
-_SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
-"""Units of figures by the ending of their name, as reasons say them."""
 _STILL_M = 1e-9
 """A source with less jerk than this, in metres of third difference, is still."""
 _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
 
 
-Limits = Mapping[str, tuple[float, float]]
-"""By figure: above the first it is a warning, above the second a failure."""
-
-LIMITS: Limits = {
-    "bone_error_m": (1e-6, 1e-4),
-    "contact_drift_extremity_m": (0.005, 0.02),
-    "contact_drift_mixed_m": (0.005, 0.02),
-    "contact_drift_body_m": (0.01, 0.04),
-    "contact_drift_p95_m": (0.015, 0.05),  # no contact may be lost for a while
-    "stance_excursion_m": (0.01, 0.03),  # a third of a foot's width
-    "floor_penetration_m": (0.02, 0.06),
-    "penetration_m": (0.01, 0.1),
-    "self_penetration_m": (0.05, 0.2),
-    "spine_bend_rad": (0.6, 1.2),
-    "jerk_ratio": (1.2, 2.0),
-}
-"""Limits of the figures of a variant; one that fails is nothing to train on.
-
-Warnings begin at what converged variants of well captured takes keep to; failures where an eye sees that something is
-wrong: a hand in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
-"""
-
-FRAME_LIMITS: Limits = {
-    "bone_error_m": (1e-6, 1e-4),
-    "contact_drift_m": (0.02, 0.06),
-    "stance_excursion_m": (0.01, 0.03),
-    "floor_penetration_m": (0.02, 0.06),
-    "penetration_m": (0.02, 0.12),
-    "self_penetration_m": (0.05, 0.2),
-    "spine_bend_rad": (0.8, 1.4),
-    "jerk_ratio": (2.0, 5.0),
-}
-"""Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
-
-
 @dataclass(frozen=True)
 class Quality:
-    """Figures of one variant; columns of `variant_quality` bear the same names.
+    """Figures of one variant, columns of `variant_quality`; one that fails is nothing to train on.
 
-    Contact drifts are means of the change of distance of the surfaces over contacts of the source: over all of them
-    (NaN without any), over those of two hands or feet, of one, and of body on body; None where there is no such one.
+    Contact drifts are means of the change of distance of the surfaces over contacts of the source.  Warnings begin at
+    what converged variants of well captured takes keep to; failures where an eye sees that something is wrong: a hand
+    in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
     """
 
-    num_contact_pairs: int
-    bone_error_m: float
-    contact_drift_m: float
-    contact_drift_fk_m: float
-    contact_drift_extremity_m: float | None
-    contact_drift_mixed_m: float | None
-    contact_drift_body_m: float | None
-    contact_drift_p95_m: float | None
-    laplacian_error_m: float
-    stance_excursion_m: float
-    floor_penetration_m: float
-    penetration_m: float
-    self_penetration_m: float
-    spine_bend_rad: float
-    jerk_ratio: float
+    num_contact_pairs: int = figure("Contacts of points of bones in the source, summed over frames")
+    bone_error_m: float = figure("Greatest difference of a bone from its target length", (1e-6, 1e-4))
+    contact_drift_m: float = figure(
+        "Mean change of the distance of the surfaces of contacts against the source; NaN without one", better="smaller"
+    )
+    contact_drift_fk_m: float = figure("The same for plain forward kinematics with the new lengths (the baseline)")
+    contact_drift_extremity_m: float | None = figure(
+        "Contact drift of two hands or feet; null without such a contact", (0.005, 0.02)
+    )
+    contact_drift_mixed_m: float | None = figure(
+        "Contact drift of a hand or foot on another part of a body; null without such a contact",
+        (0.005, 0.02),
+    )
+    contact_drift_body_m: float | None = figure(
+        "Contact drift of bodies without hand or foot; null without such a contact", (0.01, 0.04)
+    )
+    laplacian_error_m: float = figure("Root mean square Laplacian residual", better="smaller", words="Laplacian error")
+    contact_drift_p95_m: float | None = figure(
+        "95th percentile of the change of distance of the surfaces of all contacts; null without one",
+        (0.015, 0.05),  # no contact may be lost for a while
+    )
+    stance_excursion_m: float = figure(
+        "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement",
+        (0.01, 0.03),  # a third of a foot's width
+    )
+    floor_penetration_m: float = figure("Greatest depth of a joint under the floor beyond the source's", (0.02, 0.06))
+    penetration_m: float = figure(
+        "95th percentile over frames of the capsule penetration between people beyond the source's",
+        (0.01, 0.1),
+    )
+    self_penetration_m: float | None = figure(
+        "The same within each person, beyond the source's and beyond plain forward kinematics with the new lengths",
+        (0.05, 0.2),
+    )
+    spine_bend_rad: float | None = figure(
+        "95th percentile over frames of the greatest change of an angle between spine bones against the source",
+        (0.6, 1.2),
+    )
+    jerk_ratio: float = figure("Root mean square jerk over that of the source", (1.2, 2.0), better="nearer to 1")
 
     def judge(self, limits: Limits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
 
         Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
         """
-        level, reasons = Level.PASS, []
+        found = [(level, said) for _, level, said in complaints(self, FIGURES, limits)]
         if not self.num_contact_pairs and not is_alone:
-            level, reasons = Level.WARN, ["nothing is in contact in the source, so contact drift is not known"]
-        for name, (warn, fail) in limits.items():
-            value = getattr(self, name)
-            if value is None or value <= warn:
-                continue
-            is_failed = value > fail
-            level = Level.FAIL if is_failed or level is Level.FAIL else Level.WARN
-            base, _, ending = name.rpartition("_")
-            unit, factor = _SHOWN.get(ending, ("", 1.0))
-            words = (base if unit else name).replace("_", " ")
-            limit = factor * (fail if is_failed else warn)
-            reasons.append(f"{words} {factor * value:.3g}{unit} is above {limit:.3g}{unit}")
+            found.insert(0, (Level.WARN, "nothing is in contact in the source, so contact drift is not known"))
         return Verdict(
-            level,
-            "; ".join(reasons),
-            figure="contact drift",
+            max((level for level, _ in found), key=lambda level: level.rank, default=Level.PASS),
+            "; ".join(said for _, said in found),
+            figure=FIGURES["contact_drift_m"].words,
             value=self.contact_drift_m,
             unit="m",
             baseline=self.contact_drift_fk_m,
@@ -121,31 +99,43 @@ class Quality:
         )
 
 
+FIGURES = figures_of(Quality)
+
+
 @dataclass(frozen=True)
 class FrameQuality:
-    """Figures of each frame of one variant, arrays (T,); columns of `variant_frames` bear and explain the same names.
+    """Figures of each frame of one variant, arrays (T,), columns of `variant_frames`; what is not said is as above.
 
-    Contact drift is over the frame's contacts in the source; NaN where there are none.
+    Limits are wider than those of a variant, which are of means and percentiles of them.
     """
 
-    num_contact_pairs: npt.NDArray[np.int64]
-    bone_error_m: Array
-    contact_drift_m: Array
-    laplacian_error_m: Array
-    stance_excursion_m: Array
-    floor_penetration_m: Array
-    penetration_m: Array
-    self_penetration_m: Array
-    spine_bend_rad: Array
-    jerk_ratio: Array
+    num_contact_pairs: npt.NDArray[np.int64] = figure("Contacts of points of bones in the source")
+    bone_error_m: Array = figure()
+    contact_drift_m: Array = figure(
+        "Mean change of the distance of the surfaces of contacts; NaN without one", (0.02, 0.06)
+    )
+    laplacian_error_m: Array = figure()
+    stance_excursion_m: Array = figure()
+    floor_penetration_m: Array = figure()
+    penetration_m: Array = figure("Capsule penetration between the two beyond the source's", (0.02, 0.12))
+    self_penetration_m: Array = figure(
+        "The same within each person, beyond the source's and plain forward kinematics', summed"
+    )
+    spine_bend_rad: Array = figure("Greatest change of an angle between spine bones against the source", (0.8, 1.4))
+    jerk_ratio: Array = figure(
+        "Root mean square jerk over the greater of the source's there and over the take", (2.0, 5.0)
+    )
 
     def judge(self, limits: Limits) -> npt.NDArray[np.int64]:
         """Return the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
         verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
-        for name, (warn, fail) in limits.items():
-            values = getattr(self, name)
-            verdicts = np.maximum(verdicts, (values > warn).astype(np.int64) + (values > fail))
+        for name, both in limits.items():
+            verdicts = np.maximum(verdicts, FRAME_FIGURES[name].num_past(getattr(self, name), both))
         return verdicts
+
+
+FRAME_FIGURES = figures_of(FrameQuality, FIGURES)
+FRAME_LIMITS = limits_of(FRAME_FIGURES)
 
 
 @dataclass(frozen=True)

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.quality import LIMITS
+from pasdedeux.augmentation.quality import FIGURES
+from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.interaction.known_contacts import Letter
 from pasdedeux.settings import Settings
 
 __all__ = ["AugmentationSettings"]
-
-
-def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
-    if not 0 <= limit[0] <= limit[1]:
-        raise ValueError(f"warn {limit[0]:g}, fail {limit[1]:g}: allowed is 0 <= warn <= fail")
-    return limit
-
-
-def _completed(given: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return the limits with those that are not given as they are known."""
-    for name in given:
-        if name not in LIMITS:
-            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(LIMITS)}")
-    return {**LIMITS, **given}
-
-
-Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
 
 
 class AugmentationSettings(Settings):
@@ -36,8 +21,8 @@ class AugmentationSettings(Settings):
     fixed_person: Letter | None = Field(
         None, description="Person who keeps the source's motion, in takes that have this person"
     )
-    limits: Annotated[dict[str, Limit], AfterValidator(_completed)] = Field(
-        dict(LIMITS),
+    limits: Annotated[dict[str, tuple[float, float]], AfterValidator(partial(complete_limits, FIGURES))] = Field(
+        limits_of(FIGURES),
         description="By figure (a column of `variant_quality`): above the first a warning, above the second a failure",
     )
     floor_m: float | None = Field(

@@ -19,7 +19,7 @@ from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.quality import QualityMeter
 from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.terms import build_targets
-from pasdedeux.evaluation.models import generated_errors, key_contacts, model_errors
+from pasdedeux.evaluation.models import OF_QUALITY, generated_errors, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
 from pasdedeux.learning import DEFAULT_MODELS, VariantModel, VariantRequest
 from pasdedeux.learning.mesh_refine import window_problems
@@ -139,9 +139,7 @@ class ModelMeter:
                 "contact_error": _MM * float(drift.mean()) if len(drift) else np.nan,
                 "contact_error_p95": _MM * float(np.percentile(drift, 95.0)) if len(drift) else np.nan,
                 "energy_gap": 100.0 * (energy(motion) / max(least, 1e-12) - 1.0),
-                "foot_slide": _MM * quality.stance_excursion_m,
-                "penetration": _MM * quality.penetration_m,
-                "jerk_ratio": quality.jerk_ratio,
+                **{one.metric: (_MM if one.unit else 1.0) * getattr(quality, one.name) for one in OF_QUALITY},
             }
         return found
 

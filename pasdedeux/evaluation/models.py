@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.names import in_words
@@ -26,6 +27,7 @@ from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
     "GENERATED",
+    "OF_QUALITY",
     "UNITS",
     "frame_errors_cm",
     "generated_errors",
@@ -42,16 +44,17 @@ Errors = Mapping[str, float]
 _CM = 100.0
 _MM = 1000.0
 SHARE = "E_r_of_best_baseline"
+OF_QUALITY = tuple(FIGURES[name] for name in ("stance_excursion_m", "penetration_m", "jerk_ratio"))
+"""Figures of a variant's quality that a model has too, lengths in millimetres."""
 UNITS: Mapping[str, str] = {
     **{"E_r": "cm", "E_b": "mm", "JPD": "cm", "PWD": "cm"},
     **{"contact_error": "mm", "contact_error_p95": "mm", "energy_gap": "%"},
-    **{"foot_slide": "mm", "penetration": "mm", "jerk_ratio": ""},
+    **{one.metric: one.unit.replace("m", "mm") for one in OF_QUALITY},
     SHARE: "%",
 }
 """Every figure of a model with its unit.  Beside the paper's distances: mean and 95th percentile of how far contacts
-come from the distance they should have; energy over that of the converged variant, both on exact bones; wandering in
-the worst stance; depth in the partner beyond the source's, 95th percentile over frames; jerk over the source's.  And
-E_r in percent of the best baseline's."""
+come from the distance they should have; energy over that of the converged variant, both on exact bones; those of its
+quality.  And E_r in percent of the best baseline's."""
 GENERATED = "generated"
 """Item of figures of motions for scales that a model drew itself, and of baselines at these scales."""
 _NEAREST_M = 0.1

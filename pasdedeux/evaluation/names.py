@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from functools import cache
 
 __all__ = ["better_sign", "in_words", "is_bound", "meanings"]
 
@@ -74,16 +75,8 @@ _METRICS = {
     "person_distance_error": ("error of the distance", "how far the distance of the two people is off", "smaller"),
     "relative_depth_error": ("error of the depth", "how far the depth between the two people is off", "smaller"),
     "log_prior": ("log prior", "how likely the poses are for bodies, images aside", ""),
-    "contact_drift": ("contact drift", "how far points in contact moved apart or together", "smaller"),
     "hand_contact_drift": ("drift of hands and feet in contact", "the same for hands and feet", "smaller"),
     "body_contact_drift": ("drift of bodies in contact", "the same for everything else", "smaller"),
-    "bone_error": ("bone error", "how far bones are from their length; 0 is exact", "smaller"),
-    "penetration": ("penetration", "how deep people are in each other", "smaller"),
-    "self_penetration": ("own penetration", "how deep somebody's limbs are in their own body", "smaller"),
-    "floor_penetration": ("floor penetration", "how deep feet are in the floor", "smaller"),
-    "stance_excursion": ("wandering in a stance", "how far a standing foot slides", "smaller"),
-    "jerk_ratio": ("jerk", "how jerky the motion is beside its source; 1 is as smooth", ""),
-    "laplacian_error": ("Laplacian error", "how far joints left the mean of their neighbours", "smaller"),
     "estimated_gap": ("estimated gap", "how far the solver thinks it is from the best answer", "smaller"),
     "sample_gap": ("measured gap", "how far it is from the best answer, on a sample", "smaller"),
     "error_root_kept": ("joint error", "mean distance of joints from the truth about the mid-hip", "smaller"),
@@ -122,11 +115,6 @@ _METRICS = {
         "angle between the estimated direction to the camera and the true one",
         "smaller",
     ),
-    "acceptance_rate": ("acceptance rate", "share of proposals taken", ""),
-    "ess": ("effective sample size", "as many independent draws as a chain is worth", "larger"),
-    "rhat": ("R-hat", "how far the chains of a seed disagree; 1 is agreement", ""),
-    "travelled": ("travelled", "how far a chain came from its seed", ""),
-    "log_density": ("log density", "what the chains climb", ""),
     "E_r_of_best_baseline": (
         "share of the best baseline's E_r",
         "below 100 % is better than giving the source back, plain kinematics and the closed form",
@@ -161,7 +149,7 @@ _METRICS = {
         "smaller",
     ),
 }
-"""Words, a sentence, and which values are better, of each metric."""
+"""Words, a sentence, and which values are better, of each metric that is not declared as a figure."""
 _ENDINGS = {"mean": "mean", "median": "median", "p90": "90 %", "p95": "95 %", "worst": "worst"}
 _ENDINGS |= {"min": "least", "max": "most"}
 
@@ -190,21 +178,41 @@ def is_bound(method: str) -> bool:
 
 def better_sign(metric: str) -> int:
     """Return 1 where larger values of a metric are better, -1 where smaller are, 0 where that is not known."""
-    base = _parts(metric)[0]
-    return {"larger": 1, "smaller": -1}.get(_METRICS[base][2], 0) if base in _METRICS else 0
+    _, _, better = _metrics().get(_parts(metric)[0], ("", "", ""))
+    return {"larger": 1, "smaller": -1}.get(better, 0)
+
+
+@cache
+def _metrics() -> dict[str, tuple[str, str, str]]:
+    """Return words, a sentence, and which values are better, of each metric; of several figures that of the first."""
+    from pasdedeux.augmentation import quality  # late: half of the science, for commands that only look
+    from pasdedeux.sampling import diagnostics
+
+    declared: dict[str, tuple[str, str, str]] = {}
+    for one in (*quality.FIGURES.values(), *diagnostics.FIGURES.values()):
+        sentence = one.meaning[0].lower() + one.meaning[1:]
+        declared.setdefault(_without_ending(one.metric)[0], (one.words, sentence, one.better))
+    return declared | _METRICS
 
 
 def _known(base: str) -> tuple[str, str] | None:
-    if base in _METRICS:
-        words, sentence, better = _METRICS[base]
+    if base in _metrics():
+        words, sentence, better = _metrics()[base]
         return words, f"{sentence}; {better} is better" if better else sentence
     return _METHODS.get(base)
 
 
 def _parts(name: str) -> list[str]:
     """Return a name without its endings, then the endings in words; a name that is not known keeps its endings."""
-    if _known(name):
+    base, words = _without_ending(name)
+    if _known(name) or not words:
         return [name]
+    first, *more = _parts(base)
+    return [first, *more, words] if _known(first) else [name]
+
+
+def _without_ending(name: str) -> tuple[str, str]:
+    """Return a name without its last ending, and that ending in words; empty where it has none."""
     base, _, ending = name.rpartition("_")
-    words = {**_ENDINGS, "clean": "cleaned up"}.get(ending)
-    return [base, words] if _known(base) and words else [name]
+    words = {**_ENDINGS, "clean": "cleaned up"}.get(ending, "")
+    return (base, words) if words else (name, "")

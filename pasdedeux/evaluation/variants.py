@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.augment import Augmenter
+from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, points_of, reference_motion
 from pasdedeux.augmentation.variations import Variation
@@ -40,19 +41,7 @@ _MAX_LINKS = 10
 """Contacts drawn in a frame, at most."""
 QUALITY_COLUMNS = {
     "estimated_gap_m": "m",
-    "bone_error_m": "m",
-    "contact_drift_m": "m",
-    "contact_drift_extremity_m": "m",
-    "contact_drift_mixed_m": "m",
-    "contact_drift_body_m": "m",
-    "contact_drift_p95_m": "m",
-    "laplacian_error_m": "m",
-    "stance_excursion_m": "m",
-    "floor_penetration_m": "m",
-    "penetration_m": "m",
-    "self_penetration_m": "m",
-    "spine_bend_rad": "rad",
-    "jerk_ratio": "",
+    **{name: one.unit for name, one in FIGURES.items() if one.kind == "float" and name != "contact_drift_fk_m"},
 }
 """Columns of a variant's quality that are scored, with their units."""
 

@@ -6,10 +6,9 @@ nearest to 1/30 s, and a jump is a distance, so that figures hardly depend on th
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from string import ascii_uppercase
@@ -17,6 +16,7 @@ from string import ascii_uppercase
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.figure import Figure, Limits, complaints, figure, figures_of
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from pasdedeux.interaction.floor import StandingSettings, find_standing
 from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps
@@ -25,7 +25,7 @@ from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["LIMITS", "Limits", "PersonCapture", "check_capture", "complete_limits", "judge_capture"]
+__all__ = ["FIGURES", "JUDGED", "PersonCapture", "check_capture", "judge_capture"]
 
 Array = npt.NDArray[np.float64]
 
@@ -44,85 +44,76 @@ _NECK = BODY22.index("neck")
 _TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
 _STANDING = StandingSettings(away_share=1.0)
 
-_FALLING = ("upright_share", "trunk_m", "twin_m")
-"""Figures that are worse the smaller they are."""
-
-
-Limits = Mapping[str, tuple[float, float]]
-"""By figure: past the first it is a warning, past the second a failure."""
-
-LIMITS: Limits = {
-    "stature_factor": (1.3, 2.0),  # stature (by the legs) over 1.7 m, or 1.7 m over it: 1.31 to 2.21 m are grown people
-    "speed_m_s": (15.0, 25.0),  # of the fastest joint; the best throws and kicks reach 25
-    "jerk_m_s3": (2000.0, 5000.0),  # of the worst joint, 95th percentile; capture has 30-500, noisy up to 1,600
-    "jump_m": (0.25, 0.4),  # step in 1/30 s that the speed before and after does not explain; fast dance has up to 0.2
-    "skate_m_s": (0.3, 0.6),  # median speed of the stiller of the feet that carry; capture has 0.22 at most
-    "sunk_m": (0.1, 0.25),  # depth of the lowest joint under the floor, 95th percentile
-    "floating_share": (0.25, 0.5),  # of the time, in the air and not held by the partner
-    "floor_spread_m": (0.2, 0.4),  # between the lowest and the highest ankles that stand, 5th to 95th percentile
-    "upright_share": (0.05, 0.01),  # of the time in which somebody is upright; push-ups on a partner have 0.6
-    "distance_m": (1.0, 5.0),  # least of the partners' closest joints, of who is furthest from others
-    "trunk_m": (0.12, 0.08),  # least of the partners' spines; close dance has 0.15, a hug 0.25
-    "twin_m": (0.03, 0.015),  # the partners' poses, turned and made 1.7 m tall, 95th percentile; duets have 0.05
-}
-"""What is asked of a capture: past means above; of `upright_share`, `trunk_m` and `twin_m`, below."""
-
-
-def complete_limits(given: Limits) -> dict[str, tuple[float, float]]:
-    """Return all limits, those given in place of `LIMITS`.
-
-    Raises:
-        ValueError: A figure that is not judged, or limits that are negative or in the wrong order.
-    """
-    for name, (warn, fail) in given.items():
-        if name not in LIMITS:
-            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(LIMITS)}")
-        if not min(warn, fail) >= 0 or (warn < fail if name in _FALLING else fail < warn):
-            order = "fail <= warn" if name in _FALLING else "warn <= fail"
-            raise ValueError(f"{name} has warn {warn:g}, fail {fail:g}: allowed is 0 <= {order}")
-    return {**LIMITS, **given}
-
-
-_WORDS = {
-    "stature_factor": "is {stature_m:.3g} m tall by the legs",
-    "speed_m_s": "moves the {speed_joint} at {speed_m_s:.0f} m/s",
-    "jerk_m_s3": "shakes the {jerk_joint} with a jerk of {jerk_m_s3:.0f} m/s3",
-    "jump_m": "the {jump_joint} jumps by {jump_m:.2f} m at {jump_s:.2f} s",
-    "skate_m_s": "the feet slide at {skate_m_s:.2f} m/s where they carry",
-    "sunk_m": "is {sunk_m:.2f} m deep in the floor",
-    "floating_share": "is in the air for {floating_share:.0%} of the time, held by nobody",
-    "floor_spread_m": "feet stand at heights {floor_spread_m:.2f} m apart, as on stairs or with a wrong up_axis",
-    "upright_share": "nobody is upright: up_axis may be wrong",
-    "distance_m": "the partners come no nearer than {distance_m:.1f} m",
-    "trunk_m": "the partners' spines come to {trunk_m:.2f} m, through each other, as in two takes put together",
-    "twin_m": "the partners do the same, {twin_m:.3f} m apart: one motion twice",
-}
 _OF_TAKE = ("floor_spread_m", "upright_share", "distance_m", "trunk_m", "twin_m")
 
 
 @dataclass(frozen=True)
 class PersonCapture:
-    """Figures of one person of a take; columns of `take_quality` bear and explain the same names.
+    """Figures of one person of a take, columns of `take_quality`.
 
     Those from `floor_spread_m` on are of the whole take, and NaN where they need a partner and there is none.
     """
 
-    stature_m: float
-    speed_m_s: float
-    speed_joint: str
-    jerk_m_s3: float
-    jerk_joint: str
-    jump_m: float
-    jump_joint: str
-    jump_s: float
-    skate_m_s: float
-    sunk_m: float
-    floating_share: float
-    floor_spread_m: float
-    upright_share: float
-    distance_m: float = math.nan
-    trunk_m: float = math.nan
-    twin_m: float = math.nan
+    stature_m: float = figure("Stature by the length of the legs")
+    speed_m_s: float = figure(
+        "Greatest speed of a joint, over 1/30 s",
+        (15.0, 25.0),  # of the best throws and kicks
+        complaint="moves the {speed_joint} at {speed_m_s:.0f} m/s",
+    )
+    speed_joint: str = figure("That joint, of body22")
+    jerk_m_s3: float = figure(
+        "Jerk of the worst joint, 95th percentile over frames, over 1/30 s",
+        (2000.0, 5000.0),  # capture has 30-500, noisy up to 1,600
+        complaint="shakes the {jerk_joint} with a jerk of {jerk_m_s3:.0f} m/s3",
+    )
+    jerk_joint: str = figure("That joint, of body22")
+    jump_m: float = figure(
+        "Greatest step of a joint in 1/30 s that its speed before and after leaves",
+        (0.25, 0.4),  # fast dance has up to 0.2
+        complaint="the {jump_joint} jumps by {jump_m:.2f} m at {jump_s:.2f} s",
+    )
+    jump_joint: str = figure("That joint, of body22")
+    jump_s: float = figure("When it jumps, from the start of the take")
+    skate_m_s: float = figure(
+        "Median speed of the stiller of the feet that carry",
+        (0.3, 0.6),  # capture has 0.22 at most
+        complaint="the feet slide at {skate_m_s:.2f} m/s where they carry",
+    )
+    sunk_m: float = figure(
+        "Depth of the lowest joint under the floor, 95th percentile; negative above",
+        (0.1, 0.25),
+        complaint="is {sunk_m:.2f} m deep in the floor",
+    )
+    floating_share: float = figure(
+        "Share of the frames in which all joints are in the air and no partner is near",
+        (0.25, 0.5),
+        complaint="is in the air for {floating_share:.0%} of the time, held by nobody",
+    )
+    floor_spread_m: float = figure(
+        "Between the heights at which ankles stand, 5th to 95th percentile",
+        (0.2, 0.4),
+        complaint="feet stand at heights {floor_spread_m:.2f} m apart, as on stairs or with a wrong up_axis",
+    )
+    upright_share: float = figure(
+        "Share of the frames in which somebody is upright",
+        (0.05, 0.01),  # push-ups on a partner have 0.6
+        complaint="nobody is upright: up_axis may be wrong",
+    )
+    distance_m: float = figure(
+        "Least distance of the partners' closest joints; NaN without a partner",
+        (1.0, 5.0),
+        complaint="the partners come no nearer than {distance_m:.1f} m",
+    )
+    trunk_m: float = figure(
+        "Least distance of the partners' spines; NaN without a partner",
+        (0.12, 0.08),  # close dance has 0.15, a hug 0.25
+        complaint="the partners' spines come to {trunk_m:.2f} m, through each other, as in two takes put together",
+    )
+    twin_m: float = figure(
+        "Difference of the partners' poses at one size, 95th percentile; NaN without a partner",
+        (0.03, 0.015),  # duets have 0.05
+        complaint="the partners do the same, {twin_m:.3f} m apart: one motion twice",
+    )
 
     @property
     def stature_factor(self) -> float:
@@ -131,13 +122,20 @@ class PersonCapture:
 
     def complaints(self, limits: Limits) -> list[Complaint]:
         """Return what is said of the figures that are past their limits."""
-        found = []
-        for name, (warn, fail) in limits.items():
-            value, sign = getattr(self, name), -1.0 if name in _FALLING else 1.0
-            if sign * value > sign * warn:
-                level = Level.FAIL if sign * value > sign * fail else Level.WARN
-                found.append(Complaint(level, _WORDS[name].format(**vars(self)), name in _OF_TAKE))
-        return found
+        return [Complaint(level, said, one.name in _OF_TAKE) for one, level, said in complaints(self, JUDGED, limits)]
+
+
+FIGURES = figures_of(PersonCapture)
+JUDGED = {
+    "stature_factor": Figure(
+        "stature_factor",
+        "",
+        "How many times the stature is larger or smaller than usual",
+        limits=(1.3, 2.0),  # 1.31 to 2.21 m are grown people
+        complaint="is {stature_m:.3g} m tall by the legs",
+    ),
+    **FIGURES,
+}
 
 
 @dataclass(frozen=True)
@@ -211,7 +209,7 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
     rise = body22_m[:, :, _NECK] - body22_m[:, :, _ANKLES].mean(axis=2)
     ankles = body22_m[:, :, _ANKLES]
     standing = ankles[..., _UP][find_standing(ankles, rate_hz=rate_hz, settings=_STANDING)]
-    of_take = {
+    of_take = dict.fromkeys(("distance_m", "trunk_m", "twin_m"), np.nan) | {
         "floor_spread_m": float(np.ptp(np.percentile(standing, [5.0, 95.0]))) if len(standing) else 0.0,
         "upright_share": float((rise[..., _UP] > _UPRIGHT * _norm(rise)).any(axis=1).mean()),
     }

@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
+from pasdedeux.figure import figure, figures_of
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
+__all__ = ["FIGURES", "ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
 
 Array = npt.NDArray[np.float64]
 
@@ -54,27 +55,23 @@ MIN_TRAVELLED_M = 0.01
 
 @dataclass(frozen=True)
 class ChainReport:
-    """How one chain went.
+    """How one chain went: columns of `chain_info`, NaN where an invariant never moved, and what is thought of it."""
 
-    Args:
-        num_draws: Draws kept.
-        acceptance_rate: Accepted share of the proposals.
-        ess_min: Least effective sample size over the invariants of this chain; NaN when one never moved.
-        rhat_max: Greatest R-hat over the invariants and the chains of this seed; NaN when one never moved.
-        log_density_mean: Mean log of the target.
-        ceiling_share: Share of the draws in the flat top of a truncated density.
-        travelled_m: D_C between the first draw and the last, metres.
-        verdict: What is thought of the chain: stuck, not mixed, or mixed.
-    """
-
-    num_draws: int
-    acceptance_rate: float
-    ess_min: float
-    rhat_max: float
-    log_density_mean: float
-    ceiling_share: float
-    travelled_m: float
     verdict: Verdict
+    num_draws: int = figure("Draws kept")
+    acceptance_rate: float = figure("Accepted share of the proposals")
+    ess_min: float = figure(
+        "Least effective sample size over the invariants of this chain", better="larger", words="effective sample size"
+    )
+    rhat_max: float = figure("Greatest R-hat over the invariants and the chains of this seed", words="R-hat")
+    log_density_first: float = figure("Log density of the seed")
+    log_density_mean: float = figure("Mean log density of the draws", words="log density")
+    ceiling_share: float = figure("Share of the draws in the flat top of a truncated density")
+    sigma_l: float = figure("Bandwidth of the likelihood (lift eq. 9); NaN for a density that reads no annotations")
+    travelled_m: float = figure("Mean joint distance between the first draw and the last")
+
+
+FIGURES = figures_of(ChainReport)
 
 
 def invariants(pair_m: Array) -> Array:
@@ -139,6 +136,8 @@ def diagnose(
     *,
     thin: int,
     log_ceiling: float,
+    log_seed: float = np.nan,
+    sigma_l: float = np.nan,
 ) -> list[ChainReport]:
     """Return a report for each chain of one seed.
 
@@ -148,6 +147,8 @@ def diagnose(
         num_accepted: Accepted proposals since the draw before, (chain, draw).
         thin: Steps per draw.
         log_ceiling: Log density above which the target is flat.
+        log_seed: Log density of the seed.
+        sigma_l: Bandwidth of the likelihood; NaN for a density that reads no annotations.
 
     Raises:
         InputError: There is no draw.
@@ -170,8 +171,10 @@ def diagnose(
                 acceptance_rate=acceptance,
                 ess_min=ess,
                 rhat_max=worst_rhat,
+                log_density_first=log_seed,
                 log_density_mean=float(log_density[chain].mean()),
                 ceiling_share=at_ceiling,
+                sigma_l=sigma_l,
                 travelled_m=travelled,
                 verdict=_judge(num_draws, acceptance, at_ceiling, travelled, ess, worst_rhat),
             )
@@ -199,7 +202,7 @@ def _judge(
     return Verdict(
         level,
         "; ".join(reasons),
-        figure="effective sample size",
+        figure=FIGURES["ess_min"].words,
         value=ess,
         baseline=float(num_draws),
         baseline_name="draws kept",

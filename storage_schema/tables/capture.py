@@ -15,6 +15,7 @@ from storage_schema.tables.common import (
     TAKE_ID,
     TIME_S,
     VERDICT,
+    figures,
     positions,
     unitquats,
 )
@@ -68,24 +69,7 @@ TAKE_QUALITY = Table(
     columns=(
         TAKE_ID,
         PERSON,
-        float64("stature_m", "Stature by the length of the legs", unit="m"),
-        float64("speed_m_s", "Greatest speed of a joint, over 1/30 s", unit="m/s"),
-        text("speed_joint", "That joint, of body22"),
-        float64("jerk_m_s3", "Jerk of the worst joint, 95th percentile over frames, over 1/30 s", unit="m/s^3"),
-        text("jerk_joint", "That joint, of body22"),
-        float64("jump_m", "Greatest step of a joint in 1/30 s that its speed before and after leaves", unit="m"),
-        text("jump_joint", "That joint, of body22"),
-        float64("jump_s", "When it jumps, from the start of the take", unit="s"),
-        float64("skate_m_s", "Median speed of the stiller of the feet that carry", unit="m/s"),
-        float64("sunk_m", "Depth of the lowest joint under the floor, 95th percentile; negative above", unit="m"),
-        float64("floating_share", "Share of the frames in which all joints are in the air and no partner is near"),
-        float64("floor_spread_m", "Between the heights at which ankles stand, 5th to 95th percentile", unit="m"),
-        float64("upright_share", "Share of the frames in which somebody is upright"),
-        float64("distance_m", "Least distance of the partners' closest joints; NaN without a partner", unit="m"),
-        float64("trunk_m", "Least distance of the partners' spines; NaN without a partner", unit="m"),
-        float64(
-            "twin_m", "Difference of the partners' poses at one size, 95th percentile; NaN without a partner", unit="m"
-        ),
+        *figures("take_quality"),
         *VERDICT,
     ),
 )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pyarrow as pa
 
 from storage_schema.columns import Column, array, float64, integer, text
@@ -23,6 +26,7 @@ __all__ = [
     "TIME_S",
     "VARIANT_ID",
     "VERDICT",
+    "figures",
     "positions",
     "unitquats",
 ]
@@ -63,6 +67,19 @@ LOG_TERMS = (
     float64("log_prior", "Log of the prior (lift eq. 2)"),
     float64("log_likelihood", "Log of the likelihood (lift eq. 6)"),
 )
+
+
+_FIGURES = Path(__file__).with_name("figures.jsonl").read_text(encoding="utf-8")
+
+
+def figures(table: str) -> tuple[Column, ...]:
+    """Describe the figures of a table, as they are declared where they are measured; see `tasks/figures.py`."""
+    rows = map(json.loads, _FIGURES.splitlines())
+    return tuple(
+        Column(name, pa.type_for_alias(alias), meaning, unit, is_nullable=is_nullable)
+        for of, name, alias, meaning, unit, is_nullable in rows
+        if of == table
+    )
 
 
 def positions(skeleton: str, meaning: str, *, num_people: int = 1, dtype: pa.DataType | None = None) -> Column:

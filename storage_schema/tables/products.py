@@ -13,6 +13,7 @@ from storage_schema.tables.common import (
     TIME_S,
     VARIANT_ID,
     VERDICT,
+    figures,
     positions,
     unitquats,
 )
@@ -59,65 +60,7 @@ VARIANT_QUALITY = Table(
         ),
         array("uniform_scale", "Uniform scale of each person, NaN where not uniform", dtype=pa.float64()),
         integer("num_frames", "Frames solved"),
-        integer("num_contact_pairs", "Contacts of points of bones in the source, summed over frames"),
-        float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
-        float64(
-            "contact_drift_m",
-            "Mean change of the distance of the surfaces of contacts against the source; NaN without one",
-            unit="m",
-        ),
-        float64(
-            "contact_drift_fk_m", "The same for plain forward kinematics with the new lengths (the baseline)", unit="m"
-        ),
-        float64(
-            "contact_drift_extremity_m",
-            "Contact drift of two hands or feet; null without such a contact",
-            unit="m",
-            is_nullable=True,
-        ),
-        float64(
-            "contact_drift_mixed_m",
-            "Contact drift of a hand or foot on another part of a body; null without such a contact",
-            unit="m",
-            is_nullable=True,
-        ),
-        float64(
-            "contact_drift_body_m",
-            "Contact drift of bodies without hand or foot; null without such a contact",
-            unit="m",
-            is_nullable=True,
-        ),
-        float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
-        float64(
-            "contact_drift_p95_m",
-            "95th percentile of the change of distance of the surfaces of all contacts; null without one",
-            unit="m",
-            is_nullable=True,
-        ),
-        float64(
-            "stance_excursion_m",
-            "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement",
-            unit="m",
-        ),
-        float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
-        float64(
-            "penetration_m",
-            "95th percentile over frames of the capsule penetration between people beyond the source's",
-            unit="m",
-        ),
-        float64(
-            "self_penetration_m",
-            "The same within each person, beyond the source's and beyond plain forward kinematics with the new lengths",
-            unit="m",
-            is_nullable=True,
-        ),
-        float64(
-            "spine_bend_rad",
-            "95th percentile over frames of the greatest change of an angle between spine bones against the source",
-            unit="rad",
-            is_nullable=True,
-        ),
-        float64("jerk_ratio", "Root mean square jerk over that of the source"),
+        *figures("variant_quality"),
         integer("num_warn_frames", "Frames with a figure that is a warning and none that is a failure"),
         integer("num_fail_frames", "Frames with a figure that is a failure"),
         float64(
@@ -140,26 +83,7 @@ VARIANT_FRAMES = Table(
         TAKE_ID,
         VARIANT_ID,
         FRAME,
-        integer("num_contact_pairs", "Contacts of points of bones in the source"),
-        float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
-        float64(
-            "contact_drift_m", "Mean change of the distance of the surfaces of contacts; NaN without one", unit="m"
-        ),
-        float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
-        float64(
-            "stance_excursion_m",
-            "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement",
-            unit="m",
-        ),
-        float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
-        float64("penetration_m", "Capsule penetration between the two beyond the source's", unit="m"),
-        float64(
-            "self_penetration_m",
-            "The same within each person, beyond the source's and plain forward kinematics', summed",
-            unit="m",
-        ),
-        float64("spine_bend_rad", "Greatest change of an angle between spine bones against the source", unit="rad"),
-        float64("jerk_ratio", "Root mean square jerk over the greater of the source's there and over the take"),
+        *figures("variant_frames"),
         VERDICT[0],
     ),
 )

@@ -14,6 +14,7 @@ from storage_schema.tables.common import (
     TAKE_FRAME,
     TAKE_ID,
     VERDICT,
+    figures,
     positions,
 )
 
@@ -160,15 +161,7 @@ CHAIN_INFO = Table(
     sorted_by=("density", "seed_index", "chain"),
     columns=(
         *CHAIN_ID,
-        integer("num_draws", "Draws kept"),
-        float64("acceptance_rate", "Accepted share of the proposals"),
-        float64("ess_min", "Least effective sample size over the invariants of this chain"),
-        float64("rhat_max", "Greatest R-hat over the invariants and the chains of this seed"),
-        float64("log_density_first", "Log density of the seed"),
-        float64("log_density_mean", "Mean log density of the draws"),
-        float64("ceiling_share", "Share of the draws in the flat top of a truncated density"),
-        float64("sigma_l", "Bandwidth of the likelihood (lift eq. 9); NaN for a density that reads no annotations"),
-        float64("travelled_m", "Mean joint distance between the first draw and the last", unit="m"),
+        *figures("chain_info"),
         *VERDICT,
         text("note", "What is unusual about the annotations it was sampled with; empty when nothing is"),
     ),

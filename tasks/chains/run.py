@@ -21,7 +21,7 @@ from pasdedeux.sampling.density import (
     PairDensity,
     Reads,
 )
-from pasdedeux.sampling.diagnostics import diagnose
+from pasdedeux.sampling.diagnostics import FIGURES, diagnose
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs, Scales
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
@@ -364,21 +364,15 @@ def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> Artifa
         stacked["num_accepted"],
         thin=options.thin,
         log_ceiling=np.inf if facts["log_ceiling"] is None else float(facts["log_ceiling"]),
+        log_seed=float(facts["log_seed"]),
+        sigma_l=np.nan if facts["sigma_l"] is None else float(facts["sigma_l"]),
     )
     count = options.num_chains
     info = {
         "density": [options.name] * count,
         "seed_index": [options.seed_index] * count,
         "chain": list(range(count)),
-        "num_draws": [report.num_draws for report in reports],
-        "acceptance_rate": [report.acceptance_rate for report in reports],
-        "ess_min": [report.ess_min for report in reports],
-        "rhat_max": [report.rhat_max for report in reports],
-        "log_density_first": [float(facts["log_seed"])] * count,
-        "log_density_mean": [report.log_density_mean for report in reports],
-        "ceiling_share": [report.ceiling_share for report in reports],
-        "sigma_l": [np.nan if facts["sigma_l"] is None else float(facts["sigma_l"])] * count,
-        "travelled_m": [report.travelled_m for report in reports],
+        **{name: [getattr(report, name) for report in reports] for name in FIGURES},
         "verdict": [report.verdict.level.value for report in reports],
         "reason": [report.verdict.reason for report in reports],
         "note": [str(facts["note"])] * count,

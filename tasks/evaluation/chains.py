@@ -11,6 +11,7 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.diagnostics import FIGURES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
@@ -20,18 +21,6 @@ from tasks.stage import Parameters, Shard, StageInputs
 __all__ = ["TOPIC"]
 
 _REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "min": np.min, "max": np.max}
-_FIGURES = {
-    "acceptance_rate": ("", "mean"),
-    "ess_min": ("", "min"),
-    "rhat_max": ("", "max"),
-    "travelled_m": ("m", "mean"),
-    "ceiling_share": ("", "mean"),
-    "sigma_l": ("", "mean"),
-    "log_density_first": ("", "mean"),
-    "log_density_mean": ("", "mean"),
-}
-
-
 _NUM_SHOWN = 50
 _DRAWS_PER_S = 5.0
 _STANDING_M = 0.95
@@ -107,12 +96,13 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
     for ref in shard.refs("chains"):
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
-        for name, (unit, kind) in _FIGURES.items():
-            if name == "sigma_l" and np.isnan(table[name]).all():
+        for name, one in FIGURES.items():
+            if one.kind == "int" or (name == "sigma_l" and np.isnan(table[name]).all()):
                 continue
-            figure = {f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
+            kind = name.rpartition("_")[2] if name.endswith(("_min", "_max")) else "mean"
+            figure = {f"{one.metric.removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
             more = {"is_baseline": density == PRIOR_ONLY, "item": f"seed {seed}", "count": table.num_rows}
-            scores += scores_of(figure, density, unit, **more)
+            scores += scores_of(figure, density, one.unit, **more)
         totals[density] += table.num_rows
         for row in np.flatnonzero(table["verdict"] != "pass"):
             said = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"

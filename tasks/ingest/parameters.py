@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
+from functools import partial
 from glob import escape
 from itertools import product
 from pathlib import Path
@@ -15,9 +16,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle, draw_styles
+from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.settle import PeopleSettings
-from pasdedeux.plausibility.capture import LIMITS, complete_limits
+from pasdedeux.plausibility.capture import JUDGED
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.stage import Parameters, stream
 
@@ -262,8 +264,8 @@ def num_people_of(duet: str) -> int:
 class CaptureOptions(Parameters):
     """What is asked of the capture of takes."""
 
-    limits: Annotated[dict[str, tuple[float, float]], AfterValidator(complete_limits)] = Field(
-        default=dict(LIMITS),
+    limits: Annotated[dict[str, tuple[float, float]], AfterValidator(partial(complete_limits, JUDGED))] = Field(
+        default=limits_of(JUDGED),
         description="By figure (a column of `take_quality`): past the first a warning, past the second a failure",
     )
     leave_out_failing: bool = Field(

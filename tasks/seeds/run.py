@@ -97,22 +97,11 @@ def _takes(shard: Shard, store: Store) -> list[str]:
 def _columns(
     origin: str, indices: Sequence[int] | np.ndarray, pairs_m: np.ndarray, log_prior: np.ndarray, **known: Any
 ) -> dict[str, Any]:
-    """Return the table of seeds of one origin; what is not known of them is empty."""
+    """Return the table of seeds of one origin; what is not known of them is null."""
     count = len(pairs_m)
-    unknown = (
-        "take_id",
-        "take_frame",
-        "sequence_id",
-        "sequence_frame",
-        "sequence_person_id",
-        "parent_seed_index",
-        "made_from",
-        "image_distance_m",
-    )
     return {
         "seed_index": indices,
         "origin": [origin] * count,
-        **{name: [None] * count for name in unknown},
         "generation": [0] * count,
         "log_prior": log_prior,
         "pair17_m": pairs_m,

@@ -102,6 +102,11 @@ def test_random_rows_of_every_table_come_back(name: str, num_rows: int, seed: in
         assert_same_values(found[column], values)
 
 
+@pytest.mark.parametrize("name", TABLES)
+def test_no_column_at_all_is_a_table_without_rows(name: str) -> None:
+    assert encode(TABLES[name], {}).equals(encode(TABLES[name], random_columns(name, 0)), check_metadata=True)
+
+
 @given(st.sampled_from(["fixed", "fixed_whole"]), st.lists(st.integers(0, 4), max_size=4), st.integers(1, 3))
 def test_a_wrong_shape_is_refused_by_table_and_column(name: str, shape: list[int], num_rows: int) -> None:
     columns = random_columns(ANY, num_rows)

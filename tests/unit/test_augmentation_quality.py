@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.quality import FRAME_LIMITS, LIMITS, Measured, QualityMeter
+from pasdedeux.augmentation.quality import FIGURES, FRAME_LIMITS, Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
+from pasdedeux.figure import limits_of
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from tests.builders.moving_pairs import swaying_pair
@@ -59,10 +60,11 @@ def test_the_source_itself_passes_in_every_frame() -> None:
 def test_a_figure_beyond_its_limits_is_a_warning_or_a_failure_and_named() -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
     quality = _measure(source, source.positions_m).quality
-    assert quality.judge(LIMITS).level is Level.PASS
-    for name, (warn, fail) in LIMITS.items():
+    limits = limits_of(FIGURES)
+    assert quality.judge(limits).level is Level.PASS
+    for name, (warn, fail) in limits.items():
         for value, level in ((warn, Level.PASS), (0.5 * (warn + fail), Level.WARN), (1.1 * fail, Level.FAIL)):
-            found = replace(quality, **{name: value}).judge(LIMITS)
+            found = replace(quality, **{name: value}).judge(limits)
             assert found.level is level
             assert (" is above " in found.reason) == (level is not Level.PASS)
 

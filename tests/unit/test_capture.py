@@ -12,12 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.choreography import DUETS, make_duet
-from pasdedeux.plausibility.capture import LIMITS, check_capture, complete_limits, judge_capture
+from pasdedeux.figure import complete_limits, limits_of
+from pasdedeux.plausibility.capture import JUDGED, check_capture, judge_capture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
 Array = npt.NDArray[np.float64]
 
+LIMITS = limits_of(JUDGED)
 TURNED = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 Z_READ_AS_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -113,13 +115,13 @@ def test_a_verdict_is_blind_to_place_and_heading(fault: str | None, yaw: float, 
 
 def test_a_limit_is_what_the_study_says() -> None:
     pair = FAULTS["a foot jumps"][0](duet("waltz", 30.0))
-    wide = complete_limits({"jump_m": (0.5, 1.0), "speed_m_s": (50.0, 50.0)})
+    wide = complete_limits(JUDGED, {"jump_m": (0.5, 1.0), "speed_m_s": (50.0, 50.0)})
     assert judge_capture(check_capture(pair, rate_hz=30.0), wide).take.level is Level.WARN
     for wrong in ({"jump_m": (0.4, 0.2)}, {"twin_m": (0.01, 0.02)}, {"sunk_m": (-1.0, 1.0)}):
         with pytest.raises(ValueError, match="allowed is 0 <="):
-            complete_limits(wrong)
+            complete_limits(JUDGED, wrong)
     with pytest.raises(ValueError, match="'jump' is no figure that is judged; there are: stature_factor"):
-        complete_limits({"jump": (0.1, 0.2)})
+        complete_limits(JUDGED, {"jump": (0.1, 0.2)})
 
 
 def test_one_person_and_a_single_frame_have_figures() -> None:

@@ -202,6 +202,7 @@ def test_a_meter_finds_the_solver_good_and_plain_kinematics_apart_from_it_in_eve
     found = meter.measure(variation.bone_scale, {"naive_fk": fk, "same": truth.positions_m}, truth.positions_m)
     solver, plain, same = found["solver"], found["naive_fk"], found["same"]
     assert set(plain) | {"E_r_of_best_baseline"} == set(UNITS)
+    assert solver["stance_excursion"] == pytest.approx(1000.0 * truth.quality.stance_excursion_m), "millimetres"
     assert {name: same[name] for name in solver} == solver
     assert {same[name] for name in set(same) - set(solver)} == {0.0}
     assert solver["energy_gap"] == 0.0

@@ -1,0 +1,129 @@
+"""A figure is declared once, where it is measured: its column, its words, its limits and what is said past them follow.
+
+Whatever measures holds its figures in a dataclass, and each field says what it is:
+
+    drop_m: float = figure("Greatest drop of a joint", (0.1, 0.5))
+
+Tables whose columns they are stand in `tasks/figures.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.verdict import Level
+
+__all__ = ["LEVELS", "Figure", "Limits", "complaints", "complete_limits", "figure", "figures_of", "limits_of"]
+
+Limits = Mapping[str, tuple[float, float]]
+"""By figure: past the first it is a warning, past the second a failure."""
+
+LEVELS = (Level.PASS, Level.WARN, Level.FAIL)
+"""Levels by the number of limits that a figure is past."""
+_UNITS = {"_m_s3": "m/s^3", "_m_s": "m/s", "_m": "m", "_rad": "rad", "_s": "s"}
+"""Units by the ending of a name."""
+_SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
+"""Units as sentences say them, and how many of them one of the figure's is."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What a figure is.
+
+    Args:
+        name: Name of its field, its column and its limits.
+        unit: Its unit, with which the name ends.
+        meaning: What it is, for the data dictionary and the report.
+        better: Which values are, such as smaller or larger; empty where it is not known.
+        limits: Past the first (above it; below where larger is better) it is a warning, past the second a failure; None
+            where it is not judged.
+        words: What people call it.
+        complaint: What is said past a limit, with fields of the dataclass in braces; else its value and the limit.
+        kind: Type of its column: float, int or str.
+        is_nullable: Whether the column may be null.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    better: str = ""
+    limits: tuple[float, float] | None = None
+    words: str = ""
+    complaint: str = ""
+    kind: str = "float"
+    is_nullable: bool = False
+
+    @property
+    def metric(self) -> str:
+        """What its scores are called, but for mean, worst and the like."""
+        return self.name.removesuffix("_m")
+
+    def num_past(self, value: Any, limits: tuple[float, float]) -> npt.NDArray[np.int64]:
+        """Return how many limits a value, or each of an array, is past; none where it is NaN or None."""
+        sign = -1.0 if self.better == "larger" else 1.0
+        warned, failed = (sign * np.asarray(value, dtype=np.float64) > sign * limit for limit in limits)
+        return np.add(warned, failed, dtype=np.int64)
+
+
+def figure(meaning: str = "", limits: tuple[float, float] | None = None, **more: str) -> Any:
+    """Declare a field of a dataclass as a `Figure`, with better, words and complaint where they are said.
+
+    Else the words, and always the unit, are those of the field's name, and what limits go away from is better.
+    """
+    given = {"meaning": meaning, "limits": limits, **more}
+    return field(metadata={name: value for name, value in given.items() if value})
+
+
+def figures_of(owner: type, like: Mapping[str, Figure] = MappingProxyType({})) -> dict[str, Figure]:
+    """Return the figures of a dataclass by name, in its order; what is not given is as in those of `like`."""
+    found = {}
+    for one in fields(owner):
+        if one.metadata or one.name in like:
+            ending = next((ending for ending in _UNITS if one.name.endswith(ending)), "")
+            words = one.name.removesuffix(ending).replace("_", " ")
+            kind = one.type if one.type in ("int", "str") else "float"
+            warn, fail = one.metadata.get("limits", (0.0, 0.0))
+            better = "smaller" if warn < fail else "larger" if fail < warn else ""
+            plain = Figure(one.name, _UNITS.get(ending, ""), "", better, words=words, kind=kind)
+            known = like.get(one.name, plain)
+            found[one.name] = replace(known, is_nullable="None" in str(one.type), **one.metadata)
+    return found
+
+
+def limits_of(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float]]:
+    """Return the limits of the figures that are judged."""
+    return {name: one.limits for name, one in figures.items() if one.limits is not None}
+
+
+def complete_limits(figures: Mapping[str, Figure], given: Limits) -> dict[str, tuple[float, float]]:
+    """Return the limits of all figures that are judged, those given in place of the declared ones.
+
+    Raises:
+        ValueError: A figure that is not judged, or limits that are negative or in the wrong order.
+    """
+    known = limits_of(figures)
+    for name, (warn, fail) in given.items():
+        if name not in known:
+            raise ValueError(f"'{name}' is no figure that is judged; there are: {', '.join(known)}")
+        is_falling = figures[name].better == "larger"
+        if not min(warn, fail) >= 0 or (warn < fail if is_falling else fail < warn):
+            order = "fail <= warn" if is_falling else "warn <= fail"
+            raise ValueError(f"{name} has warn {warn:g}, fail {fail:g}: allowed is 0 <= {order}")
+    return {**known, **given}
+
+
+def complaints(measured: Any, figures: Mapping[str, Figure], limits: Limits) -> Iterator[tuple[Figure, Level, str]]:
+    """Yield each figure of what was measured that is past a limit, how bad that is, and a sentence that says it."""
+    for name, both in limits.items():
+        one, value = figures[name], getattr(measured, name)
+        if count := int(one.num_past(value, both)):
+            unit, factor = _SHOWN.get(one.unit, ("", 1.0))
+            side = "below" if one.better == "larger" else "above"
+            plain = f"{one.words} {factor * value:.3g}{unit} is {side} {factor * both[count - 1]:.3g}{unit}"
+            yield one, LEVELS[count], one.complaint.format(**vars(measured)) or plain

@@ -1,0 +1,46 @@
+"""Which figures are columns of which table; `python -m tasks.figures` writes them down where the tables find them.
+
+The science declares figures and knows no tables, and what lies on disk is read without the science.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pasdedeux.augmentation import quality
+from pasdedeux.plausibility import capture
+from pasdedeux.sampling import diagnostics
+
+__all__ = ["COLUMNS_PATH", "figure_columns", "main"]
+
+COLUMNS_PATH = Path(__file__).parents[1] / "storage_schema" / "tables" / "figures.jsonl"
+
+_FIGURES = {
+    "variant_quality": quality.FIGURES,
+    "variant_frames": quality.FRAME_FIGURES,
+    "take_quality": capture.FIGURES,
+    "chain_info": diagnostics.FIGURES,
+}
+_TYPES = {"int": "int32", "float": "float64", "str": "string"}
+
+
+def figure_columns() -> str:
+    """Return the columns of all figures, a line of JSON each."""
+    return "".join(
+        json.dumps([table, one.name, _TYPES[one.kind], one.meaning, one.unit, one.is_nullable]) + "\n"
+        for table, figures in _FIGURES.items()
+        for one in figures.values()
+    )
+
+
+def main() -> None:
+    """Write the columns of figures, then the data dictionary."""
+    COLUMNS_PATH.write_text(figure_columns(), encoding="utf-8")
+    from storage_schema import dictionary  # reads the columns when it is imported
+
+    dictionary.main()
+
+
+if __name__ == "__main__":
+    main()

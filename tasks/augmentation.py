@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from pasdedeux.augmentation import (
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
+from pasdedeux.figure import LEVELS
 from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
@@ -277,16 +278,15 @@ def _write(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Vari
     everybody["body22_m"] = variant.positions_m.reshape(-1, *variant.positions_m.shape[2:])
     everybody["body22_unitquat"] = rotations.reshape(-1, *rotations.shape[2:])
     writer.append("variants", everybody)
-    figures = {field.name: getattr(variant.frames, field.name) for field in fields(variant.frames)}
-    writer.append("variant_frames", place | figures | {"verdict": [_LEVELS[level] for level in variant.frame_verdicts]})
-    quality = variant.quality
+    levels = [LEVELS[past].value for past in variant.frame_verdicts]
+    writer.append("variant_frames", place | vars(variant.frames) | {"verdict": levels})
     row: dict[str, Any] = {
         "take_id": take_id,
         "variant_id": name,
         "bone_scale": variant.bone_scale.ravel(),
         "uniform_scale": np.array([variant.variation.uniform_scale(person) for person in range(people)]),
         "num_frames": frames,
-        **{field.name: getattr(quality, field.name) for field in fields(quality)},
+        **vars(variant.quality),
         "estimated_gap_m": variant.estimated_gap_m,
         "num_iterations": variant.num_iterations,
         "solver": variant.solver,
@@ -296,9 +296,6 @@ def _write(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Vari
         "reason": variant.verdict.reason,
     }
     writer.append("variant_quality", {column: _one_row(value) for column, value in row.items()})
-
-
-_LEVELS = (Level.PASS.value, Level.WARN.value, Level.FAIL.value)
 
 
 def _one_row(value: Any) -> Any:

@@ -69,6 +69,7 @@ def test_limits_that_are_not_given_are_the_declared_ones() -> None:
     for wrong, said in (
         ({"drop_m": (2.0, 1.0)}, "0 <= warn <= fail"),
         ({"held_share": (0.1, 0.2)}, "0 <= fail <= warn"),
+        ({"drop_m": (-1.0, 1.0)}, "0 <= warn <= fail"),
         ({"drop": (1.0, 2.0)}, "there are: drop_m, speed_m_s, held_share"),
     ):
         with pytest.raises(ValueError, match=said):

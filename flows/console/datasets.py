@@ -47,7 +47,8 @@ def create(
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
     today = (list(refs), source_credits(opened, *refs))
-    same = [one for one in list_datasets(opened) if one.name == name and (list(one.refs), one.sources) == today]
+    versions = [one for one in list_datasets(opened, name) if one.name == name]
+    same = [one for one in versions if (list(one.refs), one.sources) == today]
     if same and version is None:
         dataset, words = same[-1], "exists already with this content"
     else:

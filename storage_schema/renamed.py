@@ -15,6 +15,8 @@ RENAMED_COLUMNS: dict[str, str] = {
     "variant_frames.foot_slide_m": "it is measured by stance now: stance_excursion_m",
     "variant_quality.scale_a": "it is the first number of uniform_scale",
     "variant_quality.scale_b": "it is the second number of uniform_scale",
+    "takes.licence": "licences are beside the data, as they stand today: `show`, CREDITS.txt of exports, datasets",
+    "takes.credit": "credits are beside the data, as they stand today: `show`, CREDITS.txt of exports, datasets",
     "chain_states.kernel_state": "it is now called proposal_state",
     "seeds.gap_m": "it is now called image_distance_m",
 }

@@ -128,9 +128,9 @@ def create_dataset(
             raise DatasetExists(f"dataset {dataset.label} was already made and never changes; name another version")
 
 
-def list_datasets(store: Store) -> list[Dataset]:
-    """Return all datasets of a store, by name and version."""
-    return list(map(_read, _folders(store)))
+def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
+    """Return all datasets of a store, or all versions of one, by name and version."""
+    return list(map(_read, _folders(store, name)))
 
 
 def dataset_labels(store: Store) -> list[str]:

@@ -12,7 +12,16 @@ from flows.console.display import counted
 from flows.planning import PlanError
 from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE, mixture, read_last_run
-from storage_schema import ArtifactRef, Dataset, Store, create_dataset, in_use, list_datasets, source_credits
+from storage_schema import (
+    ArtifactRef,
+    Dataset,
+    SourceCredit,
+    Store,
+    create_dataset,
+    in_use,
+    list_datasets,
+    source_credits,
+)
 from storage_schema.datasets import open_dataset
 
 __all__ = ["app"]
@@ -47,7 +56,14 @@ def create(
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
     today = (list(refs), source_credits(opened, *refs))
-    same = [one for one in list_datasets(opened) if one.name == name and (list(one.refs), one.sources) == today]
+    told = [one for ref in refs for one in opened.manifest(ref).parameters.get("sources", ())]
+    if gone := [one for one in told if SourceCredit(**one) not in today[1]]:
+        raise PlanError(
+            f"the report of study '{study}' says {gone[0]['name']}: {gone[0]['licence']}, which is no longer so; "
+            "run the study to its end first"
+        )
+    versions = [one for one in list_datasets(opened, name) if one.name == name]
+    same = [one for one in versions if (list(one.refs), one.sources) == today]
     if same and version is None:
         dataset, words = same[-1], "exists already with this content"
     else:

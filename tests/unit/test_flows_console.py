@@ -179,6 +179,20 @@ def test_status_and_references_say_what_an_older_program_has_made(
     assert "of study 'toy' is of an older schema in the store" in capsys.readouterr().err
 
 
+def test_a_dataset_of_an_older_program_keeps_nobody_from_making_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    run_toys(write_study(tmp_path), store)
+    (store / "datasets" / "old@1").mkdir(parents=True)
+    (store / "datasets" / "old@1" / "dataset.json").write_text('{"schema_version": 1, "artifacts": []}')
+    for name, code in (("new", 0), ("new", 0), ("old", 2)):
+        assert call("dataset", "create", name, "--study", "toy", "--store", str(store)) == code
+    found = capsys.readouterr()
+    assert "new@1 exists already" in found.out
+    assert "dataset old@1 was written under schema version 1" in found.err
+
+
 def test_show_gives_columns_rows_lineage_and_sources(
     built: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 
 from flows.console.app import run_command_line
+from flows.planning import Selection
 from storage_schema import Store, list_datasets
-from tests.builders.toy_runs import STUDY, build_here, write_study
+from tests.builders.own_sources import write_walk
+from tests.builders.real_study import graph
+from tests.builders.toy_runs import STUDY, build_here, run_toys, write_study
 from tests.builders.toys import TOYS
 
 STRICTER = ("--set", "grow.licence=CC-BY-NC-ND-4.0")
@@ -112,3 +115,21 @@ def test_what_came_with_a_dataset_has_the_licence_that_the_newest_says(study: Pa
     assert "licence: CC-BY-NC-ND-4.0" in text
     assert "CC0-1.0" not in text
     assert "licence: CC0-1.0" in exported(study, "scores:released@1")
+
+
+def test_no_dataset_is_made_of_a_report_that_says_an_old_licence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = tmp_path / "own.toml", tmp_path / "store"
+    take = f'[[ingest.takes]]\nid = "walk"\nfiles = ["{write_walk(tmp_path)}"]\nrate_hz = 120\nlicence = '
+    text = f'[study]\nname = "own"\nstages = ["ingest", "priors", "evaluation"]\n[ingest]\nrate_hz = 12.0\n{take}'
+    create = ("dataset", "create", "all", "--study", "own", "--store", str(store))
+    study.write_text(f'{text}"CC-BY-4.0"')
+    run_toys(study, store, graph=graph())
+    study.write_text(f'{text}"CC-BY-NC-ND-4.0"')
+    run_toys(study, store, selection=Selection(until="ingest"), graph=graph())
+    assert run_command_line(create, graph=graph()) == 2
+    assert "the report of study 'own' says files given in the study: CC-BY-4.0, which is no" in capsys.readouterr().err
+    outcome = run_toys(study, store, graph=graph())
+    assert {one.name: one.num_computed for one in outcome.stages if one.num_computed} == {"evaluation": 1}
+    assert run_command_line(create, graph=graph()) == 0

@@ -334,7 +334,7 @@ FAULTS = (
           '"partition": partition, "name": name, "facts"', '"partition": partition, "facts"',
           "unit/test_storage_keys.py::test_a_content_digest_is_over_all_that_others_may_read"),
     Fault("what follows a forced shard is fresh", "flows/planning.py",
-          " or shard.key in behind:", ":", "unit/test_flows_planning.py::"
+          "if is_forced or shard.key in behind:", "if is_forced:", "unit/test_flows_planning.py::"
           "test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again"),
     Fault("a random stream has no label", "tasks/stage.py", "int.from_bytes(digest[i : i + 4], \"little\")", "0",
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),

@@ -10,6 +10,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.coverage import real_frame_levels
 from pasdedeux.sampling.coverage import CoverageCurve
+from storage_schema import Store
 from tasks import chains
 from tasks.chains import ChainsParameters
 from tasks.evaluation import coverage, reconstruction
@@ -62,12 +63,24 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
             topic.run(shard, store)
 
 
-def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def sampled(inputs: Any) -> tuple[Store, StageInputs]:
+    """Return the store with chains of one seed, and what the topic reads of it."""
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1)
     options = {**QUICK, "num_chains": 1, "densities": ("prior_only",)}
     made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
-    known = StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
+    return store, StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
+
+
+def test_only_takes_that_are_held_out_are_judged(inputs: Any) -> None:
+    store, known = sampled(inputs)
+    planned = TOPIC.plan(known, CoverageSettings(num_truth_pairs=300, num_curve_points=2))
+    judged = {shard.name: set(TOPIC.run(shard, store).items[""].takes) for shard in planned}
+    assert judged == {"annotated": set(), "unannotated": set(), "held_out": {"kept_back"}}
+
+
+def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, known = sampled(inputs)
     compared: list[set[bytes]] = []
 
     def levels(truth_m: np.ndarray, real_m: np.ndarray, generator: np.random.Generator) -> CoverageCurve:

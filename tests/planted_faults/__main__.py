@@ -21,7 +21,7 @@ from tests.planted_faults.faults import FAULTS, Fault
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pasdedeux", "storage_schema", "tasks", "flows")
 LIMIT_S = 900.0
-_FAILED = re.compile(r"^FAILED tests/\S+?::(\S+)", re.MULTILINE)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) tests/\S+?::(\S+)", re.MULTILINE)
 
 
 def main(words: list[str]) -> int:

@@ -188,7 +188,7 @@ FAULTS = (
           "contract/test_evaluation_topics.py::test_only_what_was_held_out_is_judged"),
     Fault("takes that draws were made from are to be covered and judged", "tasks/evaluation/coverage.py",
           '    if split != "held_out":', "    if not split:",
-          "contract/test_evaluation_topics.py::test_only_what_was_held_out_is_judged"),
+          "contract/test_coverage_topic.py::test_only_takes_that_are_held_out_are_judged"),
     Fault("views of learned takes are judged for held-out ones", "tasks/evaluation/views.py",
           'if split == "held_out":', 'if split == "annotated":',
           "contract/test_evaluation_topics.py::test_only_what_was_held_out_is_judged"),

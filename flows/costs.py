@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from flows.building import stages_behind
 from flows.planning import Plan, PlanError, StagePlan
 from flows.records import read_last_run, run_record
-from flows.scheduling import Schedule, stages_behind
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import Manifest, Store
 from storage_schema.store import PROCESSOR_S, SHARD_S
 from tasks.graph import Graph
-from tasks.shards import Pool, ShardDone, ShardFailed
 from tasks.stage import Parameters, Shard, stream
 
 __all__ = ["Cost", "Faults", "Work", "estimate_cost", "planned_work", "scaled_to_takes"]
@@ -176,19 +175,27 @@ def scaled_to_takes(work: Work, graph: Graph, num_takes: int) -> Work:
 
 def estimate_cost(work: Work, graph: Graph, num_workers: int, faults: Faults | None = None) -> Cost:
     """Return what the work takes on so many workers as fast as those measured, by going through it shard by shard."""
-    pool = _ImaginedWorkers(num_workers, work.seconds, faults or Faults())
-    schedule = Schedule(pool, {**stages_behind(graph), _WHOLE: len(graph.stages) + 1})
-
-    def computes(shard: Shard, store: Store) -> ArtifactRef:
-        raise AssertionError("imagined shards are not computed")
-
-    for shards in _by_stage(work.shards).values():
-        schedule.add(computes, shards)
-    while not schedule.is_idle:
-        schedule.start()
-        schedule.next()
-    at_work = pool.busy_s / (num_workers * pool.now_s) if pool.now_s else 0.0
-    return Cost(num_workers, pool.now_s, pool.now_s * num_workers / 3600, at_work)
+    workers = _ImaginedWorkers(num_workers, work.seconds, faults or Faults())
+    urgency = {**stages_behind(graph), _WHOLE: len(graph.stages) + 1}
+    followers: dict[str, list[Shard]] = {}
+    way = dict.fromkeys((shard.key for shard in work.shards), 0)
+    for shard in reversed(work.shards):
+        for key in shard.after:
+            followers.setdefault(key, []).append(shard)
+            way[key] = max(way.get(key, 0), way[shard.key] + 1)
+    waits = {shard.key: sum(key in work.seconds for key in shard.after) for shard in work.shards}
+    place = {shard.key: (-urgency[shard.stage], -way[shard.key], at) for at, shard in enumerate(work.shards)}
+    ready = [(*place[shard.key], shard) for shard in work.shards if not waits[shard.key]]
+    heapq.heapify(ready)
+    while ready or workers.ends:
+        while ready and workers.has_room(ready[0][-1]):
+            workers.start(heapq.heappop(ready)[-1])
+        for shard in followers.get(workers.next().key, ()):
+            waits[shard.key] -= 1
+            if not waits[shard.key]:
+                heapq.heappush(ready, (*place[shard.key], shard))
+    at_work = workers.busy_s / (num_workers * workers.now_s) if workers.now_s else 0.0
+    return Cost(num_workers, workers.now_s, workers.now_s * num_workers / 3600, at_work)
 
 
 class _Collected:
@@ -249,23 +256,23 @@ class _Collected:
         self.shards.append(shard)
 
 
-class _ImaginedWorkers(Pool):
+class _ImaginedWorkers:
     """Workers on a clock of their own, which moves from the end of one shard to that of the next."""
 
     def __init__(self, num_workers: int, seconds: Mapping[str, float], faults: Faults) -> None:
-        self.num_workers = num_workers
+        self._num_workers = num_workers
         self.now_s = self.busy_s = 0.0
         self._seconds, self._faults = seconds, faults
-        self._ends: list[tuple[float, int, Shard]] = []
+        self.ends: list[tuple[float, int, Shard]] = []
         self._num_started = 0
         self._handed_out_s = 0.0
         self._random = stream(0, "faults")
 
     def has_room(self, shard: Shard) -> bool:
         """Tell whether a worker is free; what only marks the end of a stage needs none."""
-        return len(self._ends) < self.num_workers or shard.stage == _WHOLE
+        return len(self.ends) < self._num_workers or shard.stage == _WHOLE
 
-    def start(self, run_shard: object, shard: Shard) -> None:
+    def start(self, shard: Shard) -> None:
         """Give a shard to a worker."""
         takes_s = waits_s = 0.0
         if shard.stage != _WHOLE:
@@ -275,15 +282,12 @@ class _ImaginedWorkers(Pool):
             self.busy_s += self._seconds[shard.key]
             takes_s += OVERHEAD_S
         self._num_started += 1
-        heapq.heappush(self._ends, (self.now_s + waits_s + takes_s, self._num_started, shard))
+        heapq.heappush(self.ends, (self.now_s + waits_s + takes_s, self._num_started, shard))
 
-    def next(self) -> ShardDone | ShardFailed | None:
+    def next(self) -> Shard:
         """Go to the end of the shard that ends first."""
-        self.now_s, _, shard = heapq.heappop(self._ends)
-        return ShardDone(shard, ArtifactRef(shard.stage, shard.key, ""), self._seconds[shard.key])
-
-    def give_up(self) -> None:
-        """Nothing is on its way."""
+        self.now_s, _, shard = heapq.heappop(self.ends)
+        return shard
 
     def _draw(self, seconds: float) -> float:
         """Return how long a shard takes where things go wrong."""
@@ -296,11 +300,3 @@ class _ImaginedWorkers(Pool):
                 break
             lost_s += until_lost_s + faults.restart_s
         return lost_s + seconds
-
-
-def _by_stage(shards: Sequence[Shard]) -> dict[str, list[Shard]]:
-    """Return shards as they can be added: each stage's together, and what marks its end after it."""
-    found: dict[str, list[Shard]] = {}
-    for shard in shards:
-        found.setdefault(shard.stage if shard.stage != _WHOLE else f"{_WHOLE} {shard.partition}", []).append(shard)
-    return found

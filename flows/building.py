@@ -1,86 +1,77 @@
-"""A run at work: stages that wait, are in work, are whole, failed, or were left out for what failed."""
+"""A run at work: a driver that plans stages as what they read is committed, and gives their shards to tasks.
+
+A task is a partition of a stage, done in a thread: it submits the shards that it is given, the longest way first, and
+collects them.  Only the driver plans and records.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from graphlib import TopologicalSorter
+from itertools import chain, islice
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any
 
 from flows.listener import Progress
 from flows.outcomes import Run, StageOutcome
 from flows.planning import Plan, StagePlan, State, plan_stage, stage_inputs
 from flows.records import read_last_run, record_stage
-from flows.scheduling import Schedule, stages_behind
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from storage_schema.store import SHARD_S
-from tasks.shards import Pool, ShardDone, ShardError, Stopped, joined
+from tasks.graph import Graph
+from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, joined
 from tasks.stage import EarlyPlan, Shard, Stage, StageInputs
 
-__all__ = ["Build", "Partition", "Watch", "partitions_to_run"]
+__all__ = ["MAX_TASKS", "Build", "Carry", "stages_behind"]
 
+MAX_TASKS = 200
+"""Of a stage; where it has more partitions, a task has several."""
+_STAGE_FIRST = 1_000_000
+"""By which the priority of a stage counts more than that of a shard that has as many shards after it."""
+_LOOK_UP_S = 0.2
 _SOME = 20
 """Shards of a stage of the last run that are asked what they took."""
-
 _NAMED = 5
 """Of what was not run, so many are named."""
 
-Watch = Callable[[Run, StagePlan, Mapping[str, "Future[None]"]], None]
-"""Is told of a stage that has work, with what ends when a partition of it does; must not wait for that."""
+Carry = Callable[[str, str, Callable[[], None]], Any]
+"""Has a task done in a thread of its own: its stage, its name, and what it does; gives a future."""
 
 
-@dataclass(frozen=True)
-class Partition:
-    """Shards of one stage that a person sees as one step; `needs` are partitions that must be there before."""
+@dataclass(eq=False)
+class _Task:
+    """Partitions of a stage in work.
 
-    name: str
-    shards: tuple[Shard, ...]
-    needs: tuple[str, ...] = ()
+    Args:
+        stage: The stage.
+        inbox: Gets shards to submit with their priorities, each shard again when it has ended, and None: no more.
+        queue: Shards that wait for those of other tasks, in an order in which they can be computed.
+        given: Keys of those that were handed over.
+        num_left: Shards that have not ended.
+    """
+
+    stage: Stage
+    inbox: SimpleQueue[list[tuple[Shard, int]] | Shard | None] = field(default_factory=SimpleQueue)
+    queue: list[Shard] = field(default_factory=list)
+    given: set[str] = field(default_factory=set)
+    num_left: int = 0
+    is_begun: bool = False
 
 
 @dataclass
 class _StageInWork:
-    """A stage whose shards are being computed: those that have not ended, and what ends with each partition."""
+    """A stage that is planned, and those of its shards that have not ended."""
 
     plan: StagePlan
-    left: dict[str, Shard] = field(init=False)
-    partitions: dict[str, Future[None]] = field(init=False)
+    left: set[str]
     started: float = field(default_factory=time.perf_counter)
-
-    def __post_init__(self) -> None:
-        """Count what is to be done."""
-        self.left = {shard.key: shard for shard in self.plan.todo}
-        self._shards_of: dict[str, list[Shard]] = {}
-        for shard in self.plan.todo:
-            self._shards_of.setdefault(shard.partition, []).append(shard)
-        self.partitions = {name: Future() for name in self._shards_of}
-        self._num_left = {name: len(shards) for name, shards in self._shards_of.items()}
-
-    def settle(self, schedule: Schedule) -> None:
-        """Take note of the shards that have ended."""
-        for shard in [shard for shard in self.left.values() if schedule.has_ended(shard)]:
-            self.end(shard, schedule)
-
-    def end(self, shard: Shard, schedule: Schedule) -> None:
-        """Take note of one that has."""
-        del self.left[shard.key]
-        self._num_left[shard.partition] -= 1
-        if not self._num_left[shard.partition]:
-            everybody = self._shards_of[shard.partition]
-            error: Exception | None = schedule.error_of(everybody)
-            if error is None and any(one.key in schedule.behind for one in everybody):
-                error = Stopped("it needs what failed")
-            future = self.partitions[shard.partition]
-            future.set_result(None) if error is None else future.set_exception(error)
-
-    def give_up(self) -> None:
-        """End the partitions that have not ended."""
-        for future in self.partitions.values():
-            if not future.done():
-                future.set_exception(Stopped("given up"))
 
 
 class Build:
@@ -91,14 +82,14 @@ class Build:
         run_id: Name of the run, for the record.
         plan: The plan made beforehand.
         pool: Computes shards.
-        watch: Is told of every stage that has work.
+        carry: Does tasks.
     """
 
-    def __init__(self, run: Run, run_id: str, plan: Plan, pool: Pool, watch: Watch | None) -> None:
-        self._run, self._run_id, self._pool, self._watch = run, run_id, pool, watch
+    def __init__(self, run: Run, run_id: str, plan: Plan, pool: Pool, carry: Carry) -> None:
+        self._run, self._run_id, self._pool, self._carry = run, run_id, pool, carry
         self._first = {stage.stage.name: stage for stage in plan.stages}
         self._writer = {table: stage.name for stage in run.graph.stages for table in stage.writes}
-        self._schedule = Schedule(pool, stages_behind(run.graph))
+        self._urgency = stages_behind(run.graph)
         self._waiting = [name for name, stage in self._first.items() if stage.is_selected]
         self._in_work: dict[str, _StageInWork] = {}
         self._failures: dict[str, ShardError | InputError] = {}
@@ -110,6 +101,16 @@ class Build:
         self._news: dict[tuple[str, int], list[Manifest]] = {
             (name, at): [] for name in self._waiting for at, _ in enumerate(self._first[name].stage.early)
         }
+        self._tasks: dict[str, list[_Task]] = {name: [] for name in self._first}
+        self._task_of: dict[tuple[str, str], _Task] = {}
+        self._held: list[_Task] = []
+        self._flying: dict[str, int] = {}
+        self._by_priority: dict[int, dict[str, Shard]] = {}
+        self._ended: dict[str, ShardDone | ShardFailed] = {}
+        self._num_left, self._num_ended, self._num_measured = Counter[str](), Counter[str](), Counter[str]()
+        self._seconds: dict[str, float] = {}
+        self._is_over = False
+        self._told: SimpleQueue[ShardDone | ShardFailed | Exception | None] = SimpleQueue()
 
     @property
     def outcomes(self) -> tuple[StageOutcome, ...]:
@@ -124,35 +125,86 @@ class Build:
 
         Raises:
             ShardError, InputError: Something failed.
+            ClusterError: There is nobody left to compute.
         """
         self._advance()
-        while not self._schedule.is_idle:
-            heed()
-            self._schedule.start()
-            self._run.listener.progressed(self._progress())
-            ended = self._schedule.next()
-            if ended is None:
-                continue
-            name = ended.shard.stage
-            if isinstance(ended, ShardDone):
-                self._keep(ended)
-            if name in self._in_work:
-                work = self._in_work[name]
-                if not isinstance(ended, ShardDone):
-                    work.settle(self._schedule)
-                elif ended.shard.key in work.left:
-                    work.end(ended.shard, self._schedule)
-                if not work.left:
-                    self._finish(name)
-            self._advance()
         self._run.listener.progressed(self._progress())
+        while self._flying:
+            heed()
+            if (ended := self._next()) is not None:
+                self._settle(ended)
+                self._release()
+                self._advance()
+                self._run.listener.progressed(self._progress())
         self._raise_failures()
 
-    def give_up(self) -> None:
-        """Drop what is not done."""
+    def end_tasks(self) -> None:
+        """Tell the tasks that nothing more comes, and drop what has not ended."""
+        self._is_over = True
+        for task in chain.from_iterable(self._tasks.values()):
+            task.inbox.put(None)
         self._pool.give_up()
-        for work in self._in_work.values():
-            work.give_up()
+
+    def _do_task(self, task: _Task) -> None:
+        """Be a task."""
+        task.is_begun = True
+        num_left, failures = 0, []
+        try:
+            while (message := task.inbox.get()) is not None:
+                if isinstance(message, list):
+                    num_left += len(message)
+                    for shard, priority in message:
+                        self._pool.submit(task.stage.run_shard, shard, priority, task.inbox.put)
+                    self._told.put(None)
+                elif (ended := self._pool.ended(message)) is None:
+                    task.inbox.put(message)
+                else:
+                    num_left -= 1
+                    failures += [ended.error] if isinstance(ended, ShardFailed) and not ended.is_behind else []
+                    self._told.put(ended)
+        except Exception as error:
+            self._told.put(error)
+            raise
+        if failures:
+            raise joined(failures)
+        if num_left:
+            raise Stopped("given up")
+
+    def _next(self) -> ShardDone | ShardFailed | None:
+        """Return what ended, None where nothing has for a moment; an error after which none can do better is raised."""
+        is_computed = self._pool.work()
+        while True:
+            try:
+                told = self._told.get(timeout=_LOOK_UP_S)
+            except Empty:
+                return None
+            if isinstance(told, Exception):
+                raise told
+            if told is not None or not is_computed:
+                return told
+
+    def _settle(self, ended: ShardDone | ShardFailed) -> None:
+        """Take note of a shard that has ended."""
+        shard, name = ended.shard, ended.shard.stage
+        del self._by_priority[self._flying.pop(shard.key)][shard.key]
+        self._ended[shard.key] = ended
+        self._num_left[name] -= 1
+        if isinstance(ended, ShardDone):
+            self._num_ended[name] += 1
+            self._num_measured[name] += 1
+            self._seconds[name] = self._seconds.get(name, 0.0) + ended.seconds
+            self._tell(self._run.store.manifest(ended.ref))
+            self._run.listener.shard_done(ended)
+        elif not ended.is_behind:
+            self._num_ended[name] += 1
+            if ended.error.is_fatal:
+                raise ended.error
+        self._task_of[name, shard.partition].num_left -= 1
+        if (work := self._in_work.get(name)) is not None:
+            self._end_done_tasks(name)
+            work.left.discard(shard.key)
+            if not work.left:
+                self._finish(name)
 
     def _advance(self) -> None:
         """Begin with every stage that can be planned, and with what can be begun with of those that cannot."""
@@ -176,7 +228,7 @@ class Build:
         """Plan a stage of which all that it reads is there, and have it computed."""
         first, run = self._first[name], self._run
         # What this run began is its work, also where it is committed and that was not heard of yet.
-        begun = self._schedule.done | self._schedule.running.keys()
+        begun = self._flying.keys() | {key for key, ended in self._ended.items() if isinstance(ended, ShardDone)}
         stage, plan, is_forced = first.stage, first, name in run.selection.force
         if first.is_pending:
             inputs = stage_inputs(stage, run.study.head.seed, {n: self._whole[n] for n in self._upstream(name)})
@@ -187,12 +239,11 @@ class Build:
             if item.manifest is not None and not item.shard.replaces and item.shard.key not in begun:
                 self._tell(item.manifest)
         run.listener.stage_started(plan)
-        work = self._in_work[name] = _StageInWork(plan)
-        self._schedule.add(stage.run_shard, plan.todo)
-        if plan.todo and self._watch is not None:
-            self._watch(run, plan, work.partitions)
-        work.settle(self._schedule)
-        if not work.left:
+        self._take(plan.todo)
+        left = {shard.key for shard in plan.todo if shard.key in self._flying}
+        self._in_work[name] = _StageInWork(plan, left)
+        self._end_done_tasks(name)
+        if not left:
             self._finish(name)
 
     def _begin_early(self, stage: Stage, at: int, early: EarlyPlan) -> None:
@@ -209,8 +260,68 @@ class Build:
         with suppress(InputError):  # said when the stage is planned
             inputs = StageInputs(manifests=held, seed=self._run.study.head.seed)
             shards = early.plan(inputs, self._run.study.parameters[stage.name])
-            missing = [shard for shard in shards if self._run.store.find(stage.name, shard.key) is None]
-            self._schedule.add(stage.run_shard, missing)
+            self._take([shard for shard in shards if self._run.store.find(stage.name, shard.key) is None])
+
+    def _take(self, shards: Iterable[Shard]) -> None:
+        """Have shards of a stage computed, but those that were taken before, with the priority of how many follow."""
+        new = {one.key: one for one in shards if one.key not in self._flying and one.key not in self._ended}
+        order = list(
+            TopologicalSorter({key: [k for k in one.after if k in new] for key, one in new.items()}).static_order()
+        )
+        followers = dict.fromkeys(order, 0)
+        for key in reversed(order):
+            for before in new[key].after:
+                followers[before] = max(followers.get(before, 0), followers[key] + 1)
+        for key in order:
+            shard = new[key]
+            self._flying[key] = self._urgency[shard.stage] * _STAGE_FIRST + followers[key]
+            self._by_priority.setdefault(self._flying[key], {})[key] = shard
+            self._num_left[shard.stage] += 1
+            task = self._task_of.get((shard.stage, shard.partition)) or self._new_task(shard)
+            task.num_left += 1
+            task.queue.append(shard)
+            self._held += [] if task in self._held else [task]
+        self._release()
+
+    def _new_task(self, shard: Shard) -> _Task:
+        """Return the task of a partition that had none: its own, or where there are many one that others have too."""
+        tasks = self._tasks[shard.stage]
+        is_more = len(tasks) < MAX_TASKS
+        tasks += [_Task(self._first[shard.stage].stage)] if is_more else []
+        task = self._task_of[shard.stage, shard.partition] = tasks[-1 if is_more else len(self._task_of) % MAX_TASKS]
+        return task
+
+    def _release(self) -> None:
+        """Hand over what waits for no shard of another task any more."""
+        for task in self._held:
+            ready, queue = [], []
+            for shard in task.queue:
+                if all(key in task.given or key not in self._flying for key in shard.after):
+                    task.given.add(shard.key)
+                    ready.append((shard, self._flying[shard.key]))
+                else:
+                    queue.append(shard)
+            is_new = len(task.given) == len(ready)
+            task.queue = queue
+            if ready:
+                task.inbox.put(ready)
+            if ready and is_new:
+                first, *more = dict.fromkeys(shard.partition for shard, _ in ready)
+                name = f"{first} and {len(more)} more" if more else first
+                future = self._carry(task.stage.name, name, partial(self._do_task, task))
+                future.add_done_callback(partial(self._do_if_left, task))
+        self._held = [task for task in self._held if task.queue]
+
+    def _do_if_left(self, task: _Task, _: object) -> None:
+        """Do a task that could not be begun: Prefect shows less then, and is not needed."""
+        if not (task.is_begun or self._is_over):
+            Thread(target=self._do_task, args=[task], daemon=True).start()
+
+    def _end_done_tasks(self, name: str) -> None:
+        """Let the tasks of a stage that is planned end of which nothing is left."""
+        for task in self._tasks[name]:
+            if not task.num_left:
+                task.inbox.put(None)
 
     def _upstream(self, name: str) -> tuple[str, ...]:
         return self._run.graph.needed(name, self._run.study.parameters[name])
@@ -222,11 +333,6 @@ class Build:
         """Return what the stage that writes a table has made; nothing where none of the graph does."""
         return self._whole[self._writer[table]] if table in self._writer else ()
 
-    def _keep(self, done: ShardDone) -> None:
-        """Take a committed shard to those that may be read."""
-        self._tell(self._run.store.manifest(done.ref))
-        self._run.listener.shard_done(done)
-
     def _tell(self, manifest: Manifest) -> None:
         """Offer an artifact to the stages that can begin with it."""
         self._made[manifest.ref.key] = manifest
@@ -237,9 +343,8 @@ class Build:
     def _finish(self, name: str) -> None:
         """Record a stage of which all is there, or that it failed."""
         work, run = self._in_work.pop(name), self._run
-        error = self._schedule.error_of(work.plan.todo)
-        if error is not None:
-            self._failures[name] = error
+        if failed := self._errors_of(work.plan.todo):
+            self._failures[name] = joined(failed)
             return
         found = tuple(self._made[item.shard.key] for item in work.plan.shards)
         record_stage(run.store, run.study.name, self._run_id, name, found)
@@ -250,19 +355,27 @@ class Build:
 
     def _progress(self) -> Progress:
         """Return how far the run is."""
-        schedule = self._schedule
-        num_left = dict(schedule.num_left)
+        num_left = dict(self._num_left)
         for name in self._waiting:
             had = sum(count for _, count in self._first[name].last_partitions)
-            num_left[name] = max(num_left.get(name, 0), had - schedule.num_ended[name])
-        means = {name: schedule.mean_seconds(name) or self._last_mean_s(name) for name in num_left}
+            num_left[name] = max(num_left.get(name, 0), had - self._num_ended[name])
+        means = {
+            name: self._seconds[name] / self._num_measured[name] if name in self._seconds else self._last_mean_s(name)
+            for name in num_left
+        }
         return Progress(
-            num_done=sum(schedule.num_ended.values()),
-            num_shards=sum(schedule.num_ended.values()) + sum(num_left.values()),
-            running=tuple(schedule.running.values()),
+            num_done=sum(self._num_ended.values()),
+            num_shards=sum(self._num_ended.values()) + sum(num_left.values()),
+            running=self._running(),
             left_s=sum(count * (means[name] or 0.0) for name, count in num_left.items()) / self._pool.num_workers,
             is_all=all(means.values()),
         )
+
+    def _running(self) -> tuple[Shard, ...]:
+        """Return what workers are at: as many as there are, of the highest priority, of those that wait for nothing."""
+        levels = (self._by_priority[priority].values() for priority in sorted(self._by_priority, reverse=True))
+        ready = (shard for shard in chain.from_iterable(levels) if not any(key in self._flying for key in shard.after))
+        return tuple(islice(ready, self._pool.num_workers))
 
     def _last_mean_s(self, name: str) -> float | None:
         """Return what a shard of a stage took in the last run, in the mean of some; None where that is not known."""
@@ -276,15 +389,24 @@ class Build:
             self._last_means[name] = sum(took) / len(took) if took else None
         return self._last_means[name]
 
+    def _errors_of(self, shards: Iterable[Shard]) -> list[ShardError]:
+        """Return the errors of those that failed, in this order."""
+        ends = (self._ended.get(shard.key) for shard in shards)
+        return [end.error for end in ends if isinstance(end, ShardFailed) and not end.is_behind]
+
     def _raise_failures(self) -> None:
         """Raise one error for all that failed, stage by stage, and say what was not run because of it."""
-        begun = {name: self._schedule.errors_of_stage(name) for name in self._left_out}
+        early = sorted((one.shard for one in self._ended.values()), key=lambda shard: (shard.partition, shard.name))
+        begun = {n: self._errors_of([shard for shard in early if shard.stage == n]) for n in self._left_out}
         failures = {
-            name: error for name in self._first if (error := self._failures.get(name) or begun.get(name)) is not None
+            name: error
+            for name in self._first
+            if (error := self._failures.get(name) or (joined(begun[name]) if begun.get(name) else None)) is not None
         }
         if not failures:
             return
-        shards = [f"{one.stage} {one.partition} {one.name}" for one in self._schedule.behind.values()]
+        behind = [one.shard for one in self._ended.values() if isinstance(one, ShardFailed) and one.is_behind]
+        shards = [f"{one.stage} {one.partition} {one.name}" for one in behind]
         if unseen := len(shards) - _NAMED:
             shards = shards if unseen < 0 else [*shards[:_NAMED], f"{unseen} more shards"]
         if self._left_out or shards:
@@ -292,19 +414,13 @@ class Build:
         raise _as_one(failures)
 
 
-def partitions_to_run(plan: StagePlan) -> list[Partition]:
-    """Return the shards that are not fresh by partition, each partition after those whose shards it reads."""
-    home = {shard.key: shard.partition for shard in plan.todo}
-    shards: dict[str, list[Shard]] = {}
-    needs: dict[str, set[str]] = {}
-    for shard in plan.todo:
-        shards.setdefault(shard.partition, []).append(shard)
-        needs.setdefault(shard.partition, set()).update(
-            home[key] for key in shard.after if home.get(key, shard.partition) != shard.partition
-        )
-    # Sorted: sets of names have another order in every process, and partitions would have.
-    order = TopologicalSorter({name: sorted(before) for name, before in needs.items()}).static_order()
-    return [Partition(name, tuple(shards[name]), tuple(sorted(needs[name]))) for name in order]
+def stages_behind(graph: Graph) -> dict[str, int]:
+    """Return for each stage how many stages, one after the other, wait for it: what is urgent waits for no branch."""
+    behind: dict[str, int] = {}
+    for name in reversed(graph.names):
+        below = [behind[other] for other in behind if name in graph.upstream[other]]
+        behind[name] = 1 + max(below, default=0)
+    return behind
 
 
 def _as_one(failures: Mapping[str, ShardError | InputError]) -> Exception:

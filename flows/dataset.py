@@ -1,26 +1,21 @@
-"""The Prefect flows: one per stage, made from the registry, and one that runs the graph; Dask does the work.
+"""The Prefect flow: its body plans, its tasks are partitions of stages, and Dask computes their shards.
 
 Importing this module imports Prefect, so nothing above it does so before there is work.
 """
 
 from __future__ import annotations
 
-import logging
 import os
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from contextvars import copy_context
 from pathlib import Path
 from typing import Any
 
-from flows.building import partitions_to_run
+from flows.building import MAX_TASKS
 from flows.execution import begin, execute, outcome_of_fresh
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.outcomes import Outcome, Run
-from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
+from flows.planning import Plan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.publishing import CHANGES_FILE, Published, publish, refuse_unpublished
 from flows.study import load_study
@@ -31,14 +26,10 @@ from tasks.shards import (
     ClusterSettings,
     HerePool,
     Pool,
-    ShardError,
-    Stopped,
     connect,
     in_one_line,
     worker_environment,
 )
-
-_log = logging.getLogger(__name__)
 
 telemetry_off()
 
@@ -55,11 +46,15 @@ from prefect.settings import (  # noqa: E402
     temporary_settings,
 )
 from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
+from prefect.utilities.annotations import quote  # noqa: E402
 
 __all__ = ["dataset", "orchestrate"]
 
-_MAX_PARTITIONS_AT_ONCE = 16
-_LAST_WORDS_S = 30.0  # that Prefect may take to be told of the end
+_MAX_THREADS = 20 * MAX_TASKS  # they wait; one that a task had to wait for would hold up what is urgent
+
+
+def _threads() -> Any:
+    return ThreadPoolTaskRunner(max_workers=_MAX_THREADS)
 
 
 def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
@@ -75,7 +70,7 @@ def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
         return _graph_flow(run, plan, pool)
 
 
-@flow(name="pasdedeux-dataset", retries=0, persist_result=False)
+@flow(name="pasdedeux-dataset", retries=0, persist_result=False, task_runner=_threads())
 def dataset(
     study: str = "duets",
     store: str = "store",
@@ -101,9 +96,7 @@ def dataset(
         else:
             run.store.prepare()
             with in_use(run.store), _pool(run, where) as pool:
-                record = begin(run, plan)
-                with _Shown(record.run_id) as shown:
-                    outcome = execute(run, record, plan, pool, shown.stage)
+                outcome = execute(run, begin(run, plan), plan, pool, _submit_task)
         published = publish(run, outcome)
     _show(run, outcome, published)
     refuse_nothing(outcome.missing)
@@ -161,7 +154,7 @@ def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> Non
 
 
 def _graph_flow(run: Run, plan: Plan, pool: Pool) -> Outcome:
-    """Run the whole graph as one flow whose stages are flows of their own.
+    """Run the graph as one flow.
 
     What was done, or what failed, is said also where Prefect cannot be told any more.
     """
@@ -169,14 +162,19 @@ def _graph_flow(run: Run, plan: Plan, pool: Pool) -> Outcome:
     done: list[Outcome] = []
     failed: list[Exception] = []
 
-    @flow(name="pasdedeux-dataset", flow_run_name=folder.run_id, retries=0, persist_result=False)
+    @flow(
+        name="pasdedeux-dataset",
+        flow_run_name=folder.run_id,
+        retries=0,
+        persist_result=False,
+        task_runner=_threads(),
+    )
     def build(study: str, run_id: str) -> None:
-        with _Shown(run_id) as shown:
-            try:
-                done.append(execute(run, folder, plan, pool, shown.stage))
-            except Exception as error:
-                failed.append(error)
-                raise
+        try:
+            done.append(execute(run, folder, plan, pool, _submit_task))
+        except Exception as error:
+            failed.append(error)
+            raise
 
     try:
         build(study=run.study.name, run_id=folder.run_id)
@@ -189,75 +187,16 @@ def _graph_flow(run: Run, plan: Plan, pool: Pool) -> Outcome:
     return done[0]
 
 
-class _Shown:
-    """Shows Prefect what is built: a flow for each stage with a task for each partition, on threads of this process.
-
-    They wait for the work and do none of it: a Prefect server that dies takes nothing with it.
-    """
-
-    def __init__(self, run_id: str) -> None:
-        self._run_id = run_id
-        self._threads: list[threading.Thread] = []
-
-    def __enter__(self) -> _Shown:
-        """Begin to show."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Wait until all that has ended is shown to have."""
-        deadline = time.monotonic() + _LAST_WORDS_S
-        for thread in self._threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
-
-    def stage(self, run: Run, plan: StagePlan, partitions: Mapping[str, Future[None]]) -> None:
-        """Show a stage that has work, until every partition of it has ended."""
-        show = _stage_flow(run, plan, partitions, self._run_id)
-        thread = threading.Thread(target=copy_context().run, args=(show,), name=plan.stage.name, daemon=True)
-        self._threads.append(thread)
-        thread.start()
+@task(task_run_name="{name}", retries=0, cache_policy=NO_CACHE, persist_result=False)
+def _partition(name: str, work: Callable[[], None]) -> None:
+    """Compute shards of a stage, of one partition or of several: what Prefect shows, times and says to have failed."""
+    work()
 
 
-def _stage_flow(run: Run, plan: StagePlan, partitions: Mapping[str, Future[None]], run_id: str) -> Callable[[], object]:
-    """Return what shows one stage."""
-    in_order = partitions_to_run(plan)
-    runner: Any = ThreadPoolTaskRunner(max_workers=min(len(in_order), _MAX_PARTITIONS_AT_ONCE))
-
-    @task(
-        name=f"{plan.stage.name}-partition",
-        task_run_name="{name}",
-        retries=0,
-        cache_policy=NO_CACHE,
-        persist_result=False,
-    )
-    def show_partition(name: str) -> None:
-        partitions[name].result()
-
-    @flow(
-        name=plan.stage.name,
-        flow_run_name=f"{plan.stage.name}-{run_id}",
-        retries=0,
-        persist_result=False,
-        task_runner=runner,
-    )
-    def show_stage(study: str, run_id: str) -> None:
-        futures: dict[str, Any] = {}
-        for partition in in_order:
-            waits = [futures[name] for name in partition.needs]
-            futures[partition.name] = show_partition.submit(partition.name, wait_for=waits, return_state=False)
-        for future in futures.values():
-            future.wait()
-        for ended in partitions.values():
-            ended.result()
-
-    def show() -> None:
-        try:
-            show_stage(study=run.study.name, run_id=run_id)
-        except (ShardError, Stopped):
-            return  # it is the run that says what failed
-        except Exception as error:  # noqa: BLE001 - Prefect only shows what is done: the run goes on without it
-            _log.warning("Prefect does not show stage %s: %s", plan.stage.name, in_one_line(error))
-
-    return show
+def _submit_task(stage: str, name: str, work: Callable[[], None]) -> Any:
+    """Have a task done in a thread of the flow in whose body this is called."""
+    given: Any = quote(work)  # Prefect would look for futures in it, and gives the task what is quoted
+    return _partition.with_options(name=stage).submit(name, given, return_state=False)
 
 
 @contextmanager

@@ -5,10 +5,11 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from types import FrameType
 
-from flows.building import Build, Watch
+from flows.building import MAX_TASKS, Build, Carry
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
 from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
@@ -18,7 +19,7 @@ from tasks.shards import HerePool, Pool
 __all__ = ["begin", "execute", "outcome_of_fresh"]
 
 
-def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, watch: Watch | None = None) -> Outcome:
+def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, carry: Carry | None = None) -> Outcome:
     """Bring every selected stage of the study up to date; the record of the last run follows stage by stage.
 
     A shard starts when what it reads is there, whatever its stage.  A stage is recorded when all of it is there, by the
@@ -29,14 +30,15 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, watch: Watch | 
         folder: Where the run is recorded, from `begin`.
         plan: The plan made beforehand.
         pool: Computes shards.
-        watch: Is told of every stage that has work.
+        carry: Does tasks; threads where nothing is said.
 
     Raises:
         ShardError, InputError: Shards or stages failed; those that need nothing of them are up to date.
         ClusterError: There is nobody left to compute.
     """
     status, peak = "failed", None
-    build = Build(run, folder.run_id, plan, pool, watch)
+    threads = ThreadPoolExecutor(MAX_TASKS * len(plan.stages))
+    build = Build(run, folder.run_id, plan, pool, carry or (lambda _stage, _name, work: threads.submit(work)))
     try:
         with _remembered_ctrl_c() as heed:
             build.bring_up_to_date(heed)
@@ -45,7 +47,8 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, watch: Watch | 
         status = "interrupted"
         raise
     finally:
-        build.give_up()
+        build.end_tasks()
+        threads.shutdown()
         # On a disk that is full the record fails as well: what is said is what went wrong first.
         with nullcontext() if status == "finished" else suppress(StorageError):
             run.store.clear_leftovers()

@@ -2,12 +2,14 @@
 
 from tasks.shards.cluster import ClusterSettings, connect, worker_environment
 from tasks.shards.errors import ClusterError, ShardError, Stopped, in_one_line, joined
-from tasks.shards.running import ClusterPool, HerePool, Pool, ShardDone, ShardFailed, run
+from tasks.shards.running import Call, ClusterPool, HereClient, HerePool, Pool, ShardDone, ShardFailed, run
 
 __all__ = [
+    "Call",
     "ClusterError",
     "ClusterPool",
     "ClusterSettings",
+    "HereClient",
     "HerePool",
     "Pool",
     "ShardDone",

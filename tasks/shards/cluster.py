@@ -101,6 +101,9 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
         "distributed.nanny.pre-spawn-environ": environment,
         "distributed.admin.system-monitor.gil.enabled": False,
         "distributed.worker.memory.pause": False,
+        # Shards that come after others wait in the queue of priorities as well, with whatever is ready.
+        "distributed.scheduler.rootish-taskgroup-dependencies": float("inf"),
+        "distributed.scheduler.work-stealing-interval": "100ms",
     }
     with dask.config.set(options):
         if settings.scheduler is not None:

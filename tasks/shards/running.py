@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import queue
 import sys
 import threading
 import time
 import traceback
 import uuid
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from threadpoolctl import ThreadpoolController
 
 from storage_schema import ArtifactRef, CorruptArtifact, StorageError, Store, lineage
+from storage_schema.store import SHARD_S
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
 from tasks.stage import Shard, artifact_fields
@@ -25,13 +27,11 @@ from tasks.stage import Shard, artifact_fields
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["ClusterPool", "HerePool", "Pool", "ShardDone", "ShardFailed", "run"]
+__all__ = ["Call", "ClusterPool", "HereClient", "HerePool", "Pool", "ShardDone", "ShardFailed", "run"]
 
 RunShard = Callable[[Shard, Store], ArtifactRef]
 
-_LOOK_UP_S = 0.2  # how long a pool waits for a shard to end before it says that none has
 _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone
-_SHORT_S = 0.3  # a worker has a second shard of this length waiting, so that it need not wait for the next
 _COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
 _NO_WORKER_S = 60.0  # how long it may have none after one had to leave
 _ONE_AT_A_TIME = threading.RLock()
@@ -49,17 +49,23 @@ class ShardDone:
 
 @dataclass(frozen=True)
 class ShardFailed:
-    """What a shard leaves that failed."""
+    """What a shard leaves that failed, or was not tried because one failed that it comes after: the error names it."""
 
     shard: Shard
     error: ShardError
 
+    @property
+    def is_behind(self) -> bool:
+        """Tell whether it was not tried."""
+        return self.error.where != _where(self.shard)
 
-def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef, float]:
-    """Compute one shard in this process: the only function that workers are sent.
 
-    Returns the artifact and the seconds it took. Whatever goes wrong is raised as a ShardError, which survives the way
-    back from the worker even where the original error would not.
+def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> tuple[ArtifactRef, float]:
+    """Compute one shard in this process: the only function that workers are sent, with what those before it gave.
+
+    Returns the artifact and the seconds it took: one that is there is not computed again, unless it is to be replaced.
+    Whatever goes wrong is raised as a ShardError, which survives the way back from the worker even where the original
+    error would not.
 
     The linear algebra has one thread, also where the process was started with more: sums of several threads are
     rounded otherwise, and the bytes would differ. A process computes one shard at a time, whatever threads it has: that
@@ -75,6 +81,8 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     started = time.perf_counter()
     try:
         store = Store(store_root)
+        if not shard.replaces and (found := store.find(shard.stage, shard.key)) is not None:
+            return found.ref, found.timings.get(SHARD_S, 0.0)
         store.measure()
         with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
             ref = run_shard(shard, store)
@@ -97,125 +105,170 @@ def _drop_damaged(shard: Shard, store: Store) -> str:
     return ""
 
 
-class Pool(ABC):
-    """Takes shards whose inputs are all there, computes and commits them, and gives them back as they end."""
+class Pool:
+    """Gives shards to a client, Dask's or one like it, and tells how they end.
+
+    Args:
+        client: Computes what has the highest priority first.
+        store_root: Where shards commit.
+    """
 
     num_workers: int = 1
 
-    @abstractmethod
-    def has_room(self, shard: Shard) -> bool:
-        """Tell whether a shard may be started now: where no worker would come to it soon, a better one may come up."""
+    def __init__(self, client: Any, store_root: str) -> None:
+        self.client = client
+        self._store_root = store_root
+        self._run_id = f"shards-{uuid.uuid4().hex[:8]}"
+        self._futures: dict[str, Any] = {}
 
-    @abstractmethod
-    def start(self, run_shard: RunShard, shard: Shard) -> None:
-        """Take a shard."""
+    def submit(self, run_shard: RunShard, shard: Shard, priority: int, tell: Callable[[Shard], None]) -> None:
+        """Submit a shard with the futures of those that it comes after; `tell` is called, in any thread, at its end.
 
-    @abstractmethod
-    def next(self) -> ShardDone | ShardFailed | None:
-        """Return a shard that has ended; None when none has for a moment.
+        One that it comes after has a higher priority, and was submitted before or is committed.
+        """
+        before = [future for key in shard.after if (future := self._futures.get(key)) is not None]
+        # One group for all: the scheduler then keeps every shard in the queue of its priorities until a worker is free.
+        name = (self._run_id, f"{_where(shard)}, {shard.key[:12]}")
+        future = self.client.submit(
+            run, run_shard, shard, self._store_root, *before, key=name, priority=priority, pure=False
+        )
+        self._futures[shard.key] = future
+        future.add_done_callback(lambda _: tell(shard))
+
+    def ended(self, shard: Shard) -> ShardDone | ShardFailed | None:
+        """Return how a shard ended; None where its result was lost with a worker, and it is computed again.
 
         Raises:
             ClusterError: There is nobody left to compute.
         """
+        future = self._futures[shard.key]
+        try:
+            ended = ShardDone(shard, *self._result(future, shard))
+        except TimeoutError:
+            return None
+        except ShardError as error:
+            return ShardFailed(shard, error)  # its future stays: what comes after it fails by it
+        del self._futures[shard.key]
+        return ended
 
-    @abstractmethod
+    def work(self) -> bool:
+        """Do what has to be done now and then; tells whether a shard was computed here."""
+        return False
+
     def give_up(self) -> None:
-        """Drop what was started and has not ended."""
+        """Cancel what was submitted and has not ended."""
+        if self._futures:
+            self.client.cancel(list(self._futures.values()), force=True)
+            self._futures.clear()
 
     def peak_memory_bytes(self) -> int:
         """Return the most memory that this process, or any that computes, has held."""
         return peak_memory_bytes(None)
 
+    def _result(self, future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
+        result: tuple[ArtifactRef, float] = future.result()
+        return result
+
+
+@dataclass(order=True)
+class Call:
+    """A call that `HereClient` has to make."""
+
+    place: tuple[int, int]
+    future: Future[Any] = field(compare=False)
+    function: Callable[..., Any] = field(compare=False)
+    arguments: tuple[Any, ...] = field(compare=False)
+
+    @property
+    def is_ready(self) -> bool:
+        """Tell whether all arguments are there."""
+        return all(one.done() for one in self.arguments if isinstance(one, Future))
+
+    def make(self) -> tuple[ArtifactRef, float]:
+        """Make the call; raises what futures among its arguments failed with."""
+        result: tuple[ArtifactRef, float]
+        result = self.function(*(one.result() if isinstance(one, Future) else one for one in self.arguments))
+        return result
+
+
+class HereClient:
+    """Computes where `work` is called, one call after the other; has of a Dask client what a pool uses."""
+
+    def __init__(self) -> None:
+        self.waiting: queue.PriorityQueue[Call] = queue.PriorityQueue()
+        self._count = itertools.count()
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, priority: int, **_: object) -> Future[Any]:
+        """Take a call, to be made when futures among its arguments have ended."""
+        call = Call((-priority, next(self._count)), Future(), function, arguments)
+        self.waiting.put(call)
+        return call.future
+
+    def work(self) -> bool:
+        """Make the call of the highest priority; tells whether there was one."""
+        if (call := self.next_call()) is None:
+            return False
+        try:
+            call.future.set_result(call.make())
+        except ShardError as error:
+            call.future.set_exception(error)
+        return True
+
+    def next_call(self) -> Call | None:
+        """Return the call of the highest priority that can be made, which waits no longer; None where there is none."""
+        later: list[Call] = []
+        found: Call | None = None
+        while found is None and not self.waiting.empty():
+            call = self.waiting.get()
+            if call.is_ready:
+                found = call
+            else:
+                later.append(call)
+        for call in later:
+            self.waiting.put(call)
+        return found
+
+    def cancel(self, futures: Sequence[Future[Any]], *, force: bool) -> None:
+        """Forget all calls that were not made."""
+        self.waiting = queue.PriorityQueue()
+
 
 class HerePool(Pool):
-    """Computes in this process, one shard after the other."""
+    """Computes in this process, one shard after the other, in the thread that calls `work`."""
 
-    def __init__(self, store_root: str) -> None:
-        self._store_root = store_root
-        self._waiting: list[tuple[RunShard, Shard]] = []
+    client: HereClient
 
-    def has_room(self, shard: Shard) -> bool:
-        """Tell whether nothing waits."""
-        return not self._waiting
+    def __init__(self, store_root: str, client: HereClient | None = None) -> None:
+        super().__init__(client or HereClient(), store_root)
 
-    def start(self, run_shard: RunShard, shard: Shard) -> None:
-        """Take a shard, to be computed when the next one is asked for."""
-        self._waiting.append((run_shard, shard))
-
-    def next(self) -> ShardDone | ShardFailed | None:
-        """Compute the shard that waits."""
-        if not self._waiting:
-            return None
-        run_shard, shard = self._waiting.pop()
-        try:
-            return ShardDone(shard, *run(run_shard, shard, self._store_root))
-        except ShardError as error:
-            return ShardFailed(shard, error)
-
-    def give_up(self) -> None:
-        """Drop the shard that waits."""
-        self._waiting.clear()
+    def work(self) -> bool:
+        """Compute the shard of the highest priority."""
+        return self.client.work()
 
 
 class ClusterPool(Pool):
-    """Computes on a client's workers, somebody's (`is_shared`) or the run's own.
+    """Computes on the workers of a Dask client, somebody's (`is_shared`) or the run's own.
 
     A shard whose worker dies is sent again by the scheduler; one that kills several workers fails, and is named.
     """
 
     def __init__(self, client: Client, store_root: str, *, is_shared: bool = False) -> None:
-        self.client = client
-        self._store_root = store_root
+        super().__init__(client, store_root)
         self._is_shared = is_shared
-        self._flying: dict[Any, Shard] = {}
-        self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._seconds: dict[str, float] = {}
         self._num_refused_before = len(refusals(client)) if is_shared else 0
         self._seen_at = time.monotonic()
         self._count_workers()
 
-    def has_room(self, shard: Shard) -> bool:
-        """Tell whether a worker is free; one shard more for each where it is a short one, or others wait as well."""
-        ahead = self._is_shared or self._seconds.get(shard.stage, _SHORT_S) < _SHORT_S
-        return len(self._flying) < self.num_workers * (2 if ahead else 1)
-
-    def start(self, run_shard: RunShard, shard: Shard) -> None:
-        """Submit a shard."""
-        name = f"{shard.stage}-{shard.key[:16]}-{uuid.uuid4().hex[:8]}"
-        future = self.client.submit(run, run_shard, shard, self._store_root, key=name, pure=False)
-        self._flying[future] = shard
-        future.add_done_callback(self._arrived.put)
-
-    def next(self) -> ShardDone | ShardFailed | None:
-        """Wait a moment for a shard to end."""
+    def work(self) -> bool:
+        """Count the workers of somebody's cluster: they come and go; ClusterError where none is left."""
         if self._is_shared and time.monotonic() - self._counted_at > _COUNT_AGAIN_S:
             self._count_workers()
-        try:
-            future = self._arrived.get(timeout=_LOOK_UP_S)
-        except queue.Empty:
-            return None
-        shard = self._flying[future]
-        try:
-            ref, seconds = self._result(future, shard)
-        except TimeoutError:
-            # Lost on its way, with the worker that held it: the scheduler computes the shard again.
-            self._arrived.put(future)
-            return None
-        except ShardError as error:
-            ended: ShardDone | ShardFailed = ShardFailed(shard, error)
-        else:
-            ended = ShardDone(shard, ref, seconds)
-            self._seconds[shard.stage] = 0.5 * (seconds + self._seconds.get(shard.stage, seconds))
-        del self._flying[future]
-        future.release()
-        return ended
+        return False
 
     def give_up(self) -> None:
-        """Cancel what is on its way."""
-        if self._flying:
-            with suppress(ClusterError), _scheduler_is_there():
-                self.client.cancel(list(self._flying), force=True)
-            self._flying.clear()
+        """Cancel what is on its way, as far as there is a scheduler."""
+        with suppress(ClusterError), _scheduler_is_there():
+            super().give_up()
 
     def peak_memory_bytes(self) -> int:
         """Return the most memory that this process or any worker alive has held."""
@@ -242,12 +295,13 @@ class ClusterPool(Pool):
         try:
             with _scheduler_is_there():
                 result: tuple[ArtifactRef, float] = future.result(timeout=_FETCH_S)
-        except KilledWorker:
+        except KilledWorker as error:
             reason = (
                 f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "
                 "than a worker may have"
             )
-            raise ShardError(_where(shard), "KilledWorker", reason) from None
+            name = cast(tuple[str, str], error.task)[1]
+            raise ShardError(name.rpartition(", ")[0], "KilledWorker", reason) from None
         return result
 
 

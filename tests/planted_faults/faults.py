@@ -340,8 +340,8 @@ FAULTS = (
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
     Fault("a random stream has no seed", "tasks/stage.py", "words = [seed]", "words = [0]",
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
-    Fault("a shard starts before what it comes after", "flows/scheduling.py", "            elif waits:",
-          "            elif None:", "unit/test_flows_execution.py::"
+    Fault("a shard starts before what it comes after", "tasks/shards/running.py",
+          "self._store_root, *before, key", "self._store_root, key", "unit/test_flows_execution.py::"
           "test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest"),
     Fault("the record has the order of finishing", "flows/building.py",
           "tuple(self._made[item.shard.key] for item in work.plan.shards)",
@@ -385,8 +385,8 @@ FAULTS = (
           "        match_related=[\n",
           "end_to_end/test_scheduled_builds.py::test_only_runs_of_our_deployments_are_marked_as_crashed"),
     Fault("a half stage is on record", "flows/building.py",
-          "self._failures[name] = error\n            return",
-          "self._failures[name] = error\n            record_stage(run.store, run.study.name, self._run_id, name, ())"
+          "self._failures[name] = joined(failed)\n            return",
+          "self._failures[name] = joined(failed)\n            record_stage(run.store, run.study.name, self._run_id, name, ())"
           "\n            return",
           "unit/test_flows_execution.py::"
           "test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest"),

@@ -6,33 +6,67 @@ import itertools
 import shutil
 import signal
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
+from threading import Thread
 from typing import Any, Self
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flows.building import stages_behind
 from flows.console.display import LineListener, progress_text
 from flows.execution import begin, execute
 from flows.listener import Listener, Progress
 from flows.outcomes import Outcome, Run
 from flows.planning import Selection, StagePlan, make_plan
 from flows.records import describe_runs
-from flows.scheduling import stages_behind
 from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, CorruptArtifact, Store, create_dataset, read_latest, verify
+from storage_schema.errors import FullDisk
 from tasks.graph import Graph
-from tasks.shards import HerePool, ShardDone, ShardError, ShardFailed
+from tasks.shards import Call, ClusterPool, ClusterSettings, HereClient, HerePool, Pool, ShardDone, ShardError, connect
 from tasks.stage import Parameters, Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
+
+
+class Workers(HereClient):
+    """Computes when a worker is free what is ready by then, and tells of what has ended in any order."""
+
+    def __init__(self, num_workers: int, order: list[int], fail: frozenset[str]) -> None:
+        super().__init__()
+        self.num_workers, self.order, self.fail = num_workers, order, fail
+        self.started: list[str] = []
+        self._ended: list[tuple[Call, Any]] = []
+
+    def work(self) -> bool:
+        while len(self._ended) < self.num_workers and (call := self.next_call()) is not None:
+            try:
+                self._ended.append((call, self._make(call)))
+            except ShardError as error:
+                self._ended.append((call, error))
+        if not self._ended:
+            return False
+        call, result = self._ended.pop(self.order.pop(0) % len(self._ended) if self.order else 0)
+        call.future.set_exception(result) if isinstance(result, ShardError) else call.future.set_result(result)
+        return True
+
+    def _make(self, call: Call) -> Any:
+        _, shard, _, *before = call.arguments
+        for one in before:
+            one.result()
+        self.started.append(name_of(shard))
+        if name_of(shard) in self.fail:
+            raise ShardError(f"stage {shard.stage}, {shard.partition}, shard {shard.name}", "Error", "broken")
+        return call.make()
 
 
 class ManyWorkers(HerePool):
@@ -49,25 +83,13 @@ class ManyWorkers(HerePool):
         order: list[int] | None = None,
         fail: frozenset[str] = frozenset(),
     ) -> None:
-        super().__init__(str(store))
-        self.num_workers, self.order, self.fail = num_workers, list(order or []), fail
-        self.started: list[str] = []
-        self._ended: list[ShardDone | ShardFailed | None] = []
+        self.workers = Workers(num_workers, list(order or []), fail)
+        super().__init__(str(store), self.workers)
+        self.num_workers = num_workers
 
-    def has_room(self, shard: Shard) -> bool:
-        return len(self._ended) < self.num_workers
-
-    def start(self, run_shard: Any, shard: Shard) -> None:
-        self.started.append(name_of(shard))
-        if name_of(shard) in self.fail:
-            where = f"stage {shard.stage}, {shard.partition}, shard {shard.name}"
-            self._ended.append(ShardFailed(shard, ShardError(where, "Error", "broken")))
-        else:
-            super().start(run_shard, shard)
-            self._ended.append(super().next())
-
-    def next(self) -> ShardDone | ShardFailed | None:
-        return self._ended.pop(self.order.pop(0) % len(self._ended) if self.order else 0) if self._ended else None
+    @property
+    def started(self) -> list[str]:
+        return self.workers.started
 
 
 def name_of(shard: Shard) -> str:
@@ -77,10 +99,11 @@ def name_of(shard: Shard) -> str:
 class Deaf(HerePool):
     """Somebody presses Ctrl-C while it waits, and it goes on; so does Python where a finalizer is interrupted."""
 
-    def next(self) -> ShardDone | ShardFailed | None:
-        with suppress(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-        return super().next()
+    def work(self) -> bool:
+        if is_there := not self.client.waiting.empty():
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        return super().work() and is_there
 
 
 @pytest.fixture(scope="module")
@@ -166,6 +189,38 @@ def test_ctrl_c_ends_the_run_also_where_what_it_raises_is_lost(tmp_path: Path) -
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_a_full_disk_ends_the_work_at_once(tmp_path: Path) -> None:
+    tried: list[str] = []
+
+    def find_no_room(shard: Shard, store: Store) -> ArtifactRef:
+        tried.append(name_of(shard))
+        raise FullDisk("no room")
+
+    stages = tuple(replace(one, run_shard=find_no_room) if one.name == "grow" else one for one in TOYS.stages)
+    with pytest.raises(ShardError, match=r"^stage grow, t0, shard s0: no room$"):
+        run_toys(write_study(tmp_path), tmp_path / "store", graph=Graph(stages))
+    assert tried == ["grow t0 s0"]
+
+
+@pytest.mark.parametrize("is_on_cluster", [False, True])
+def test_a_thousand_shards_one_after_the_other_fail_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_on_cluster: bool
+) -> None:
+    store, gates = tmp_path / "store", tmp_path / "gates"
+    for folder in (store, gates):
+        folder.mkdir()
+    (gates / "fail-grow-t0-s1").touch()
+    monkeypatch.setenv("TOY_FOLDER", str(gates))
+    with ExitStack() as stack:
+        pool: Pool = HerePool(str(store))
+        if is_on_cluster:
+            pool = ClusterPool(stack.enter_context(connect(ClusterSettings(1), store_root=str(store))), str(store))
+        with pytest.raises(ShardError, match=r"^stage grow, t0, shard s1: \[Errno 28\]") as caught:
+            run_toys(write_study(tmp_path), store, "grow.num_segments=1000", "grow.num_takes=1", pool=pool)
+    assert caught.value.others == ()
+    assert [name for name in names(store) if name.startswith("grow")] == ["grow t0 s0"]
+
+
 def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     pool = ManyWorkers(tmp_path / "store", num_workers=2)
@@ -174,6 +229,51 @@ def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tm
     assert began[:2] == ["grow t0 s0", "aside aside all"]
     assert began.index("bend t0 s0") < began.index("grow t0 s2"), "of a stage that cannot be planned yet"
     assert stages_behind(TOYS) == {"aside": 1, "judge": 1, "bend": 2, "grow": 3}
+
+
+@pytest.mark.parametrize("max_tasks", [200, 2])
+def test_a_task_is_a_partition_or_some_and_begins_when_what_others_compute_for_it_is_committed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, max_tasks: int
+) -> None:
+    def plan_linked(*given: Any) -> list[Shard]:
+        shards = [replace(shard, after=()) for shard in TOYS.stage("grow").plan(*given)]
+        last = replace(shards[0], partition="a-last", after=tuple(shard.key for shard in shards))
+        return [last, *shards]
+
+    monkeypatch.setattr("flows.building.MAX_TASKS", max_tasks)
+    store, tasks = tmp_path / "store", {}
+    with ThreadPoolExecutor(9) as threads:
+
+        def carry(stage: str, name: str, work: Callable[[], None]) -> Future[None]:
+            tasks[f"{stage} {name}"] = set(names(store)) if Store(store).root.exists() else set()
+            return threads.submit(work)
+
+        stages = tuple(replace(one, plan=plan_linked) if one.name == "grow" else one for one in TOYS.stages)
+        settings = ["grow.num_takes=3", "grow.num_segments=2"]
+        chosen, graph = load_study(str(write_study(tmp_path)), Graph(stages), settings=settings, environment={})
+        run = Run(chosen, graph, Store(store), Selection(until="grow"))
+        plan = make_plan(chosen, graph, run.store, run.selection)
+        execute(run, begin(run, plan), plan, HerePool(str(store)), carry)
+    takes = {f"grow t{take} s{segment}" for take in range(3) for segment in range(2)}
+    assert set(names(store)) == {*takes, "grow a-last s0"}
+    if max_tasks == 2:
+        assert len(tasks) == 2
+    else:
+        assert set(tasks) == {"grow t0", "grow t1", "grow t2", "grow a-last"}
+        assert tasks["grow a-last"] == takes
+
+
+def test_a_task_that_cannot_be_begun_is_done_all_the_same(undisturbed: Path, tmp_path: Path) -> None:
+    def carry(stage: str, name: str, work: Callable[[], None]) -> Future[None]:
+        future: Future[None] = Future()
+        Thread(target=future.set_exception, args=[RuntimeError("no server")], daemon=True).start()
+        return future
+
+    chosen, graph = load_study(str(write_study(tmp_path)), TOYS, environment={})
+    run = Run(chosen, graph, Store(tmp_path / "store"))
+    plan = make_plan(chosen, graph, run.store)
+    execute(run, begin(run, plan), plan, HerePool(str(tmp_path / "store")), carry)
+    assert digests(tmp_path / "store") == digests(undisturbed)
 
 
 def test_what_was_begun_early_counts_as_computed_and_is_told_once(tmp_path: Path) -> None:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.building import Partition, partitions_to_run
-from flows.planning import PlanError, Selection, ShardPlan, StagePlan, State
+from flows.planning import PlanError, Selection
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store, create_dataset, read_latest, source_credits, verify
 from tasks.graph import Graph
@@ -203,31 +202,6 @@ def test_two_shards_with_one_key_are_refused(study: Path, store: Path) -> None:
     stages = tuple(replace(s, plan=_plan_twice) if s.name == "aside" else s for s in TOYS.stages)
     with pytest.raises(PlanError, match="twice"):
         plan_toys(study, store, graph=Graph(stages))
-
-
-def test_partitions_come_after_those_they_need() -> None:
-    a, b, c = (_shard(name, ()) for name in "abc")
-    d = _shard("b2", (a.key,), partition="b")
-    assert partitions_to_run(_plan_of(d, b, a, c)) == [
-        Partition("a", (a,)),
-        Partition("c", (c,)),
-        Partition("b", (d, b), ("a",)),
-    ]
-
-
-def test_partitions_have_the_same_order_in_every_process() -> None:
-    first = [_shard(name, ()) for name in "hgfedcba"]
-    last = _shard("last", tuple(shard.key for shard in first))
-    assert [partition.name for partition in partitions_to_run(_plan_of(last, *first))] == [*"abcdefgh", "last"]
-
-
-def _shard(name: str, after: tuple[str, ...], partition: str | None = None) -> Shard:
-    return Shard(stage="toy", version=1, partition=partition or name, name=name, parameters=Parameters(), after=after)
-
-
-def _plan_of(*shards: Shard) -> StagePlan:
-    stage = TOYS.stage("aside")
-    return StagePlan(stage, is_selected=True, shards=tuple(ShardPlan(shard, State.MISSING) for shard in shards))
 
 
 def _second_version(inputs: object, parameters: object) -> list[Shard]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from flows.building import stages_behind
 from flows.planning import Plan, PlanError, StagePlan
 from flows.records import read_last_run, run_record
 from storage_schema import Manifest, Store

@@ -386,8 +386,8 @@ FAULTS = (
           "end_to_end/test_scheduled_builds.py::test_only_runs_of_our_deployments_are_marked_as_crashed"),
     Fault("a half stage is on record", "flows/building.py",
           "self._failures[name] = joined(failed)\n            return",
-          "self._failures[name] = joined(failed)\n            record_stage(run.store, run.study.name, self._run_id, name, ())"
-          "\n            return",
+          "self._failures[name] = joined(failed)\n            record_stage(run.store, run.study.name, self._run_id, "
+          "name, ())\n            return",
           "unit/test_flows_execution.py::"
           "test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest"),
     Fault("an unknown key of a study is passed over", "pasdedeux/settings.py", 'extra="forbid"', 'extra="ignore"',

@@ -25,8 +25,10 @@ def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef],
     """Write the licence and credit lines of every source of an export into a folder, beside those that are there."""
     path = out / CREDITS_NAME
     before = _read(path)
-    ours = _OURS.search(before)
-    exports, sources, artifacts = ({*ours[name].split(end)} if ours else set() for name, end in _ENDS.items())
+    ours = list(_OURS.finditer(before))  # several where somebody has joined the texts of two folders
+    exports, sources, artifacts = (
+        {part for one in ours for part in one[name].split(end)} for name, end in _ENDS.items()
+    )
     exports.add(f"Exported from {text} by pasdedeux.")
     artifacts |= {f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in refs}
     for source in credited:

@@ -253,6 +253,19 @@ def test_an_export_beside_another_keeps_its_credits(store: Store, tmp_path: Path
     assert "waltz_A: 15 frames" in (tmp_path / "UNITS.txt").read_text()
 
 
+def test_credits_of_folders_that_somebody_has_joined_are_kept(store: Store, tmp_path: Path) -> None:
+    texts = references(store)
+    said = [
+        export_reference(store, texts[table], "bvh", tmp_path / table)[-1].read_text() for table in ("poses", "seeds")
+    ]
+    notice = tmp_path / "CREDITS.txt"
+    notice.write_text("".join(said))
+    export_reference(store, texts["poses"], "npz", tmp_path)
+    lines = notice.read_text().splitlines()
+    assert {line for one in said for line in one.splitlines()} <= {*lines}
+    assert lines.count("Sources, their licences and credits:") == 1
+
+
 def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tmp_path: Path) -> None:
     text = references(store)["poses"]
     with pytest.raises(InputError, match=r"chosen for BVH files of poses and variants, not for 'poses@.*' as CSV"):

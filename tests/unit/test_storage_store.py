@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from storage_schema import (
     Store,
     TableData,
     artifact_key,
+    create_dataset,
     record_latest,
     source_credits,
 )
@@ -273,6 +275,17 @@ def test_a_licence_that_a_study_says_anew_reaches_what_was_made_before(store: St
         record = ShardRecord.of(store.manifest(ref), store)
         record_latest(store, "study", "run", {"ingest": [record]})
         assert source_credits(store, made) == (source,)
+
+
+def test_a_source_that_a_dataset_calls_otherwise_keeps_its_credits_where_no_run_is_on_record(store: Store) -> None:
+    own = SourceCredit("motion files given in the study", "not stated", "not stated")
+    old = commit_rows(store, stage="ingest", partition="a", sources=(own,))
+    made = commit_rows(store, stage="chains", inputs=(old,))
+    new = commit_rows(store, stage="ingest", partition="a", sources=(CMU,), version=2)
+    record_latest(store, "study", "run", {"ingest": [ShardRecord.of(store.manifest(new), store)]})
+    assert create_dataset(store, "released", [new, made]).sources == (CMU,)
+    shutil.rmtree(store.root / "runs")
+    assert source_credits(store, made) == (CMU,)
 
 
 def test_licences_are_known_beside_studies_that_only_an_older_program_has_run(store: Store) -> None:

@@ -23,7 +23,7 @@ from storage_schema import (
     create_dataset,
     source_credits,
 )
-from storage_schema.datasets import newest_version
+from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists
 from tasks.summary import product_verdicts, summary_of
 
@@ -94,10 +94,10 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         words = f"{name} is not published: {len(failures)} of {len(required)} required verdicts fail"
         return Published(name, words, failures=failures)
     while True:
+        version = next_version(store, name)  # first: what another run publishes after that takes it, and is seen
         before = newest_version(store, name)
         if before is not None and _content(before.refs) == _content(refs) and before.sources == sources:
             return Published(name, f"{before.label} stays: nothing has changed since", before)
-        version = str(int(before.version) + 1) if before is not None else "1"
         files = _files(run, outcome, refs, sources, f"{name}@{version}", before)
         note = f"run {outcome.run_id}"
         try:

@@ -102,13 +102,14 @@ def read_recorded(store: Store, name: str) -> Recorded:
         )
     folder = open_run(store, name).path
     refs = _made(store, name)
+    artifacts = artifacts_by_place(store, refs)
     return Recorded(
         name,
         _read(folder, STUDY_FILE),
         _read(folder, ENVIRONMENT_FILE),
-        artifacts_by_place(store, refs),
+        artifacts,
         frozenset(ref.stage for ref in refs),
-        merge_credits(*(store.manifest(ref).sources for ref in refs)),
+        merge_credits(*(one.sources for one in artifacts.values())),
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from flows.console.app import run_command_line
+from flows.planning import Selection
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -53,6 +54,15 @@ def test_two_runs_differ_by_what_was_changed_between_them(
     assert "scores: 1 of 1 differ" in out
     assert [len(line.split()) for line in out.splitlines() if line.startswith("  grow.scale")] == [3]
     assert max(map(len, out.splitlines())) < 120
+
+
+def test_a_run_of_a_part_has_the_licences_of_all_that_it_was_computed_from(
+    runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = ["bend.step=2", f"grow.source={tmp_path / 'source.txt'}", "grow.num_takes=3", "grow.scale=2.0"]
+    part = run_toys(write_study(tmp_path), tmp_path / "store", *settings, selection=Selection(only=("bend",))).run_id
+    assert call("diff", runs[1], part, "--store", str(tmp_path / "store"), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["licences"] == {}
 
 
 def test_a_dataset_differs_from_an_older_run_as_its_own_run_does(

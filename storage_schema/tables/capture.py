@@ -56,8 +56,6 @@ TAKES = Table(
             unit="m",
             joints="body22",
         ),
-        text("licence", "Licence of the source"),
-        text("credit", "Credit line of the source"),
     ),
 )
 

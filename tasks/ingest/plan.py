@@ -36,7 +36,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 15
+VERSION = 16
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:

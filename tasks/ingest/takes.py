@@ -310,8 +310,6 @@ def _takes(
         "body22_weight": [one.weight.reshape(-1) for one in maps],
         "body22_offset_m": [one.offset_m.reshape(-1) for one in maps],
         "body22_rest_m": np.stack([pose.body22_rest_m for pose in poses]),
-        "licence": [parameters.source.licence] * count,
-        "credit": [parameters.source.credit] * count,
     }
 
 

@@ -59,8 +59,6 @@ def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: b
         "body22_weight": [np.eye(22).reshape(-1)] * num_persons,
         "body22_offset_m": [np.zeros(22 * 22 * 3)] * num_persons,
         "body22_rest_m": np.stack([standing_person()] * num_persons),
-        "licence": ["CC0"] * num_persons,
-        "credit": ["nobody"] * num_persons,
     }
     rows = len(people)
     poses, facts = take_rows(

@@ -84,6 +84,12 @@ def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_g
     assert collect(store, NOW).num_bytes == 0
 
 
+def test_a_damaged_record_of_a_run_hinders_neither_gc_nor_new_datasets(store: Store) -> None:
+    (list_runs(store)[0].path / "run.json").write_text("[]")
+    assert find_garbage(store, NOW).num_datasets == 1
+    assert call("dataset", "create", "again", "--study", "toy", "--store", str(store)) == 0
+
+
 def test_what_a_dataset_of_an_older_schema_names_stays(store: Store) -> None:
     going = {one.place for one in find_garbage(store, NOW).artifacts.going}
     list_as_of_schema_1(store.root / "datasets" / "first@1")

@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,14 +21,13 @@ from storage_schema import (
     SourceCredit,
     StorageError,
     Store,
-    TableData,
     artifact_key,
     create_dataset,
     record_latest,
     source_credits,
 )
 from storage_schema.errors import NewerSchema
-from storage_schema.parquet_files import ROW_GROUP_ROWS, read_table
+from storage_schema.parquet_files import ROW_GROUP_ROWS
 from storage_schema.version import SCHEMA_VERSION
 from tests.builders.storage_rows import assert_same_values, commit_rows, random_columns
 
@@ -185,8 +185,8 @@ def test_a_misfit_is_refused_by_table_and_column(store: Store, change: dict, wor
 
 def test_a_missing_column_and_bad_lists_are_refused_by_name(store: Store) -> None:
     columns = random_columns("takes", 2)
-    without = {name: values for name, values in columns.items() if name != "credit"}
-    with pytest.raises(SchemaError, match="table 'takes': column 'credit' is missing"):
+    without = {name: values for name, values in columns.items() if name != "layout"}
+    with pytest.raises(SchemaError, match="table 'takes': column 'layout' is missing"):
         store.commit(**about(tables={"takes": without}))
     with pytest.raises(SchemaError, match="column 'joint_names' has 'abc' in row 0; a list of texts"):
         store.commit(**about(tables={"takes": columns | {"joint_names": ["abc", []]}}))
@@ -358,18 +358,27 @@ def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.L
     assert list((store.root / "tmp").iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda store, ref: store.read(ref, "scores"),
+        lambda store, ref: list(store.iter_batches(ref, "scores")),
+        lambda store, ref: store.attachment(ref, "note.txt"),
+    ],
+    ids=["table", "batches", "attachment"],
+)
 def test_what_takes_the_place_of_an_artifact_while_it_is_read_is_not_taken_for_it(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+    store: Store, monkeypatch: pytest.MonkeyPatch, read: Callable[[Store, ArtifactRef], object]
 ) -> None:
-    ref = commit_rows(store, attachments={"note.txt": b"1"})
+    ref, found = commit_rows(store, attachments={"note.txt": b"1"}), Store.data_file
 
-    def read_late(*told: Any, **more: Any) -> TableData:
+    def find_late(*told: Any) -> Path:
         commit_rows(store, attachments={"note.txt": b"2"}, replaces=True)
-        return read_table(*told, **more)
+        return found(*told)
 
-    monkeypatch.setattr("storage_schema.store_reader.read_table", read_late)
+    monkeypatch.setattr(Store, "data_file", find_late)
     with pytest.raises(CorruptArtifact, match="it was rebuilt with other bytes"):
-        store.read(ref, "scores")
+        read(store, ref)
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "no manifest", "bad manifest", "other columns", "other key"])

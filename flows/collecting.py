@@ -15,11 +15,11 @@ from storage_schema import (
     Store,
     in_use,
     latest_studies,
-    list_datasets,
     list_runs,
     open_run,
     read_latest,
 )
+from storage_schema.datasets import dataset_labels, named_places
 from storage_schema.garbage import StageKey, Sweep, find_unneeded, folder_bytes, remove_unneeded
 
 __all__ = ["Collection", "StoreInUseError", "collect", "find_garbage"]
@@ -55,8 +55,7 @@ def find_garbage(store: Store, since: datetime) -> Collection:
     Raises:
         CorruptArtifact: A dataset or the record of a study cannot be read: what it needs is not known.
     """
-    datasets = list_datasets(store)
-    needed: set[StageKey] = {(ref.stage, ref.key) for dataset in datasets for ref in dataset.refs}
+    needed: set[StageKey] = named_places(store)
     runs = set()
     latest = [last for study in latest_studies(store) if (last := read_latest(store, study)) is not None]
     for last in latest:
@@ -77,7 +76,7 @@ def find_garbage(store: Store, since: datetime) -> Collection:
         artifacts=find_unneeded(store, needed, since),
         kept_runs={run_id: size for run_id, size in sizes.items() if run_id in runs},
         going_runs={run_id: size for run_id, size in sizes.items() if run_id not in runs},
-        num_datasets=len(datasets),
+        num_datasets=len(dataset_labels(store)),
     )
 
 

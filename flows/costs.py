@@ -11,7 +11,7 @@ import numpy as np
 
 from flows.planning import Plan, PlanError, StagePlan
 from flows.records import read_last_run, run_record
-from storage_schema import Manifest, Store
+from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.store import PROCESSOR_S, SHARD_S
 from tasks.graph import Graph
 
@@ -101,8 +101,8 @@ def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None 
     measured = measured or store
     last = read_last_run(measured, plan.study)
     refs = [ref for stage in plan.stages for ref in (last.refs(stage.stage.name) if last else ())]
-    found = {ref.key: measured.find(ref.stage, ref.key) for ref in refs}
-    had = {key: one for key, one in found.items() if one is not None and SHARD_S in one.timings}
+    found = {ref: measured.find(ref.stage, ref.key) for ref in refs}
+    had = {ref: one for ref, one in found.items() if one is not None and SHARD_S in one.timings}
     work = Work(worker_bytes=run_record(measured, last.run_id).get("peak_memory_bytes") if last else None)
     numbers: dict[tuple[str, str, str], int] = {}
     ends: dict[str, int] = {}
@@ -129,7 +129,7 @@ def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None 
 def _add_stage(
     work: Work,
     stage: StagePlan,
-    had: Mapping[str, Manifest],
+    had: Mapping[ArtifactRef, Manifest],
     numbers: dict[tuple[str, str, str], int],
     waits: tuple[int, ...],
 ) -> None:
@@ -144,7 +144,7 @@ def _add_stage(
         if place in planned:
             reads = [(name, *places[key]) for key in planned[place].after if key in places]
         else:
-            reads = [(ref.stage, one.partition, one.name) for ref in before[place].inputs if (one := had.get(ref.key))]
+            reads = [(ref.stage, one.partition, one.name) for ref in before[place].inputs if (one := had.get(ref))]
         seconds, processor_s, num_bytes = took.get(place, means)
         numbers[name, *place] = len(work.jobs)
         after = (*waits, *(numbers[at] for at in reads if at in numbers))

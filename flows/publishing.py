@@ -24,7 +24,7 @@ from storage_schema import (
     source_credits,
 )
 from storage_schema.ancestry import has_lineage
-from storage_schema.datasets import newest_version
+from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists
 from tasks.summary import product_verdicts, summary_of
 
@@ -96,11 +96,11 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         words = f"{name} is not published: {len(failures)} of {len(required)} required verdicts fail"
         return Published(name, words, failures=failures)
     while True:
+        version = next_version(store, name)  # first: what another run publishes after that takes it, and is seen
         before = newest_version(store, name)
         is_same = before is not None and _content(before.refs) == _content(refs) and before.sources == sources
         if before is not None and is_same and has_lineage(store, before.refs, {ref.place for ref in refs}):
             return Published(name, f"{before.label} stays: nothing has changed since", before)
-        version = str(int(before.version) + 1) if before is not None else "1"
         files = _files(run, outcome, refs, sources, f"{name}@{version}", before)
         note = f"run {outcome.run_id}"
         try:

@@ -202,12 +202,12 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
 
 
 def run_record(store: Store, run_id: str) -> dict[str, Any]:
-    """Return how a run ended and what it did; empty where that is gone."""
+    """Return how a run ended and what it did; empty where that is gone or damaged."""
     try:
-        record: dict[str, Any] = json.loads(open_run(store, run_id).read(_RUN))
+        record = json.loads(open_run(store, run_id).read(_RUN))
     except (MissingArtifact, ValueError):
         return {}
-    return record
+    return record if isinstance(record, dict) else {}
 
 
 def environment() -> dict[str, Any]:

@@ -118,12 +118,18 @@ def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, A
 
 
 def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
-    """Return the credits of a source as the newest dataset that needs it says them, else as it says itself."""
+    """Return the credits of a source as the newest dataset that needs it says them, else as it says itself.
+
+    Where a source has another name there than it had, all that the dataset says: its own may be among them.
+    """
     from storage_schema.datasets import datasets_with  # here: a dataset is made with the credits of its sources
 
     found = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
+    if not found:
+        return source.sources
     names = {one.name for one in source.sources}
-    return tuple(one for one in found[-1].sources if one.name in names) if found else source.sources
+    said = tuple(one for one in found[-1].sources if one.name in names)
+    return said if names == {one.name for one in said} else found[-1].sources
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:

@@ -42,8 +42,10 @@ __all__ = [
     "datasets_with",
     "digest_of",
     "list_datasets",
+    "named_places",
     "needed_by",
     "newest_version",
+    "next_version",
     "open_dataset",
 ]
 
@@ -118,7 +120,7 @@ def create_dataset(
     digest = digest_of(refs, sources)
     store.prepare()
     while True:
-        chosen = version or _next_version(store, name)
+        chosen = version or next_version(store, name)
         path = store.root / "datasets" / f"{name}@{chosen}"
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
         dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
@@ -129,8 +131,36 @@ def create_dataset(
 
 
 def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
-    """Return all datasets of a store, or all versions of one, by name and version."""
-    return list(map(_read, _folders(store, name)))
+    """Return the datasets of a store, or the versions of one, but those of an older schema (`dataset_labels` has all).
+
+    Raises:
+        CorruptArtifact: The list of one cannot be read.
+    """
+    found = []
+    for path in _folders(store, name):
+        with suppress(OlderSchema):
+            found.append(_read(path))
+    return found
+
+
+def named_places(store: Store) -> set[tuple[str, str]]:
+    """Return stage and key of all that the datasets of a store name, also those of an older schema.
+
+    Raises:
+        CorruptArtifact: The list of one cannot be read: what it names is not known.
+    """
+    found = set[tuple[str, str]]()
+    for path in _folders(store):
+        try:
+            found.update(ref.place for ref in _read(path).refs)
+        except OlderSchema:  # whose form is not known, but for what all have
+            try:
+                found.update(
+                    (ref["stage"], ref["key"]) for ref in json.loads((path / DATASET_FILE).read_bytes())["refs"]
+                )
+            except (KeyError, TypeError) as error:
+                raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
+    return found
 
 
 def dataset_labels(store: Store) -> list[str]:
@@ -139,13 +169,15 @@ def dataset_labels(store: Store) -> list[str]:
 
 
 def newest_version(store: Store, name: str) -> Dataset | None:
-    """Return the numbered version of a dataset with the greatest number; None where there is none.
+    """Return the numbered version of a dataset with the greatest number; None without one, or of an older schema.
 
     Raises:
         CorruptArtifact: Its list cannot be read.
     """
     numbered = [path for path in _folders(store, name) if _version(path).isdecimal()]
-    return _read(numbered[-1]) if numbered else None
+    with suppress(OlderSchema):
+        return _read(numbered[-1]) if numbered else None
+    return None
 
 
 def open_dataset(store: Store, label: str) -> Dataset:
@@ -261,7 +293,8 @@ def _read(path: Path) -> Dataset:
     return dataset_from_json((path / DATASET_FILE).read_bytes, path)
 
 
-def _next_version(store: Store, name: str) -> str:
+def next_version(store: Store, name: str) -> str:
+    """Return the version that follows the numbered ones of a dataset."""
     numbers = [int(_version(path)) for path in _folders(store, name) if _version(path).isdecimal()]
     return str(max(numbers, default=0) + 1)
 

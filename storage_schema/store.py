@@ -266,8 +266,9 @@ class Store(StoreReader):
             if not replaces or not is_valid:
                 return is_valid
             has_same_keys = [one.key for one in found.inputs] == [one.key for one in new.inputs]
+            is_as_said = found.computed_digest == ref.content_digest
             # Into a bucket the parts have just come again.
-            return has_same_keys and (self.mirror is not None or not self.damaged_files(found))
+            return has_same_keys and is_as_said and (self.mirror is not None or not self.damaged_files(found))
         if is_valid and not replaces:
             self._say_other_bytes(ref, found.ref)
             return True

@@ -153,7 +153,13 @@ class StoreReader:
         self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None
     ) -> Iterator[TableData]:
         """Read the artifact's part of a table some 10,000 rows at a time; raises what `read` raises."""
-        return iter_table(self.table_path(ref, table), TABLES[table], columns=columns)
+        batches = iter_table(self.table_path(ref, table), TABLES[table], columns=columns)
+
+        def checked() -> Iterator[TableData]:
+            yield from batches
+            self.manifest(ref)  # as in `read`
+
+        return checked()
 
     def attachment(self, ref: ArtifactRef, name: str) -> bytes:
         """Return the bytes of an attached file.
@@ -169,7 +175,9 @@ class StoreReader:
         path = self.data_file(ref, name, manifest.attachments[name])
         if not path.is_file():
             raise CorruptArtifact(f"{path} is missing though its manifest names it")
-        return path.read_bytes()
+        data = path.read_bytes()
+        self.manifest(ref)  # as in `read`
+        return data
 
     def load(self, stage: str, key: str) -> Manifest:
         """Return the manifest that stands under a key, whether or not its files are there.

@@ -22,7 +22,7 @@ from storage_schema import (
     list_datasets,
     source_credits,
 )
-from storage_schema.datasets import open_dataset
+from storage_schema.datasets import dataset_labels, open_dataset
 
 __all__ = ["app"]
 
@@ -77,7 +77,8 @@ def create(
 @_group.command("list", help="List the datasets of a store.")
 def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """List the datasets of a store."""
-    found = list_datasets(open_store(store))
+    opened = open_store(store)
+    found = list_datasets(opened)
     if as_json:
         print_json([_describe(dataset) for dataset in found])
         return
@@ -85,7 +86,10 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
         typer.echo(
             f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  {dataset.note}".rstrip()
         )
-    if not found:
+    older = [label for label in dataset_labels(opened) if label not in {dataset.label for dataset in found}]
+    for label in older:
+        typer.echo(f"{label}  is of an older schema; `pasdedeux verify` names what reads it")
+    if not found and not older:
         typer.echo(f"store {store}: no datasets yet")
 
 

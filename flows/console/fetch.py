@@ -166,8 +166,8 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
     coming = path.with_name(f"{path.name}.part")  # an AMC file cut off between two frames is a good one
     try:
         coming.write_bytes(data)
+        note_fetched(path, data)
         coming.replace(path)
-        note_fetched(path)
     except OSError as error:
         raise FetchError(f"{path} cannot be written: {error.strerror}") from None
     finally:

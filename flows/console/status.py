@@ -16,6 +16,7 @@ from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_
 from storage_schema import verify as verify_store
 from storage_schema.manifest import RESERVED_NAMES
 from storage_schema.references import what_is_wrong
+from storage_schema.verification import ProblemKind
 from tasks.summary import stage_verdict
 
 __all__ = ["app"]
@@ -69,7 +70,8 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         size = f"{found.num_artifacts} artifacts, {found.num_files} files, {found.num_bytes / 1e6:.1f} MB"
         typer.echo(f"{size}: " + ("all as their manifests say" if found.is_ok else f"{len(found.problems)} problems"))
     if not found.is_ok:
-        stages = sorted({problem.stage for problem in found.problems} - RESERVED_NAMES)
+        damaged = {problem.stage for problem in found.problems if problem.kind is not ProblemKind.EXTRA}
+        stages = sorted(damaged - RESERVED_NAMES)
         if stages and not as_json:
             force = " ".join(f"--force {stage}" for stage in stages)
             typer.echo(f"what is damaged is computed again by `pasdedeux run STUDY {force}`")

@@ -19,31 +19,31 @@ _OURS = re.compile(
     r"(?P<sources>(\S.*\n  licence: .*\n  credit: .*\n\n)*)"
     rf"{re.escape(_ARTIFACTS)}\n(?P<artifacts>(  .*\n)*)"
 )
+_ENDS = {"exports": "\n", "sources": "\n\n", "artifacts": "\n"}
 
 
 def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef], text: str, out: Path) -> Path:
     """Write the licence and credit lines of every source of an export into a folder, beside those that are there."""
     path = out / CREDITS_NAME
     before = _read(path)
-    ours = _OURS.search(before)
-    exports, sources, artifacts = ({*ours[name].split(end)} if ours else set() for name, end in _ENDS.items())
+    ours = list(_OURS.finditer(before))  # several where somebody has joined the texts of two folders
+    exports, sources, artifacts = (
+        {part for one in ours for part in one[name].split(end)} for name, end in _ENDS.items()
+    )
     exports.add(f"Exported from {text} by pasdedeux.")
     artifacts |= {f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in refs}
     for source in credited:
         name, licence, credit = (" ".join(said.split()) for said in (source.name, source.licence, source.credit))
         sources.add(f"{name}\n  licence: {licence}\n  credit:  {credit}")
     parts = (_lines(exports), f"\n{_SOURCES}\n\n", _lines(sources, "\n\n"), f"{_ARTIFACTS}\n", _lines(artifacts))
-    return write_text(path, _with_notice(_OURS.sub("", before), "".join(parts)))
+    return _write(path, _with_notice(_OURS.sub("", before), "".join(parts)))
 
 
 def add_notice(path: Path, notice: str) -> None:
     """Put a notice on top of a text of credits, unless it stands there."""
     before = _read(path)
     if notice.strip() not in before:
-        write_text(path, _with_notice(notice, before))
-
-
-_ENDS = {"exports": "\n", "sources": "\n\n", "artifacts": "\n"}
+        _write(path, _with_notice(notice, before))
 
 
 def _lines(said: set[str], end: str = "\n") -> str:
@@ -53,6 +53,11 @@ def _lines(said: set[str], end: str = "\n") -> str:
 def _with_notice(notice: str, text: str) -> str:
     """Join what others wrote and our text."""
     return "\n\n".join(part.strip("\n") for part in (notice, text) if part.strip()) + "\n"
+
+
+def _write(path: Path, text: str) -> Path:
+    """Put a whole text in the place of the one that is there, which stays where there is no room for it."""
+    return write_text(path.with_name(f".{path.name}.part"), text).replace(path)
 
 
 def _read(path: Path) -> str:

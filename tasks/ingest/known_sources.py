@@ -72,13 +72,18 @@ def usual_rate_hz(file_name: str) -> float | None:
     return _SALSA_RATE_HZ if subject in _SALSA_METRES_PER_UNIT else _USUAL_RATE_HZ
 
 
-def note_fetched(path: Path) -> None:
-    """Note beside a file that `pasdedeux fetch` brought it from CMU: name and digest, as `sha256sum --check` reads."""
+def note_fetched(path: Path, data: bytes) -> None:
+    """Note beside a file that `pasdedeux fetch` brought it from CMU: name and digest, as `sha256sum --check` reads.
+
+    It is noted before the file is there: of one that is found there it could not be known any more.
+    """
     notes = path.with_name(FETCHED_FILE)
     lines = notes.read_text(encoding="utf-8").splitlines() if notes.is_file() else []
     lines = [line for line in lines if not line.endswith(f"  {path.name}")]
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    notes.write_text("".join(f"{line}\n" for line in [*lines, f"{digest}  {path.name}"]), encoding="utf-8")
+    digest = hashlib.sha256(data).hexdigest()
+    coming = notes.with_name(f"{notes.name}.part")
+    coming.write_text("".join(f"{line}\n" for line in [*lines, f"{digest}  {path.name}"]), encoding="utf-8")
+    coming.replace(notes)
 
 
 def was_fetched(path: Path, sha256: str) -> bool:

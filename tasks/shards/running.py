@@ -98,7 +98,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> tuple
 
 def _drop_damaged(shard: Shard, store: Store) -> str:
     """Remove what is damaged of all that a shard comes from, the nearest alone; gives its name, empty where none is."""
-    with suppress(StorageError):
+    with suppress(StorageError, OSError):
         for step in lineage(store, *artifact_fields(shard, store)["inputs"]):
             if step.manifest is not None and store.drop_damaged(step.manifest):
                 return f"{step.ref.stage}@{step.ref.key[:12]}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import re
 from collections.abc import Callable
 from contextlib import suppress
@@ -251,6 +252,33 @@ def test_an_export_beside_another_keeps_its_credits(store: Store, tmp_path: Path
     add_notice(notice, "Motions of a studio.\n")
     assert notice.read_text() == said
     assert "waltz_A: 15 frames" in (tmp_path / "UNITS.txt").read_text()
+
+
+def test_credits_stay_where_there_is_no_room_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    notice = tmp_path / "CREDITS.txt"
+    add_notice(notice, "Motions of a studio.\n")
+
+    def full(path: Path, *_: object, **__: object) -> int:
+        path.open("w").close()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space"):
+        add_notice(notice, "Motions of another one.\n")
+    assert notice.read_text() == "Motions of a studio.\n"
+
+
+def test_credits_of_folders_that_somebody_has_joined_are_kept(store: Store, tmp_path: Path) -> None:
+    texts = references(store)
+    said = [
+        export_reference(store, texts[table], "bvh", tmp_path / table)[-1].read_text() for table in ("poses", "seeds")
+    ]
+    notice = tmp_path / "CREDITS.txt"
+    notice.write_text("".join(said))
+    export_reference(store, texts["poses"], "npz", tmp_path)
+    lines = notice.read_text().splitlines()
+    assert {line for one in said for line in one.splitlines()} <= {*lines}
+    assert lines.count("Sources, their licences and credits:") == 1
 
 
 def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tmp_path: Path) -> None:

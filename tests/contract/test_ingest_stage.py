@@ -42,6 +42,19 @@ def test_one_of_a_pair_may_lie_on_the_floor_all_the_time(tmp_path: Path, pair: t
     assert (np.argmax(np.abs(trunk), axis=-1) == np.array([[0], [1]])).all(), "the first lies along x, the other stands"
 
 
+def test_another_licence_is_in_no_bytes_so_that_nothing_after_is_computed(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    made = []
+    for licence in ("CC-BY-4.0", "CC-BY-NC-ND-4.0"):
+        take = {"id": "dance", "files": list(pair), "licence": licence, "credit": f"A studio ({licence})"}
+        made.append(run(Store(tmp_path / "store"), planned(takes=[take], rate_hz=30.0)))
+        assert made[-1]["dance", "take"].sources[0].licence == licence
+    refs = [{place: one.ref for place, one in found.items()} for found in made]
+    assert refs[0] == refs[1], "stage and content are the same"
+    assert all(refs[0][place].key != refs[1][place].key for place in refs[0])
+
+
 def test_a_pair_becomes_takes_poses_annotations_and_cameras(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     store = Store(tmp_path / "store")
     shards = planned(

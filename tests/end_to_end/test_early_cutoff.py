@@ -110,8 +110,7 @@ def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
     assert not changes.pairs["licences"]
 
 
-def test_a_key_without_effect_and_another_licence_leave_everything_fresh(small: BuiltStudy, tmp_path: Path) -> None:
-    """The two changes of a study that most often leave the bytes of `ingest` alone."""
+def test_a_key_without_effect_leaves_everything_fresh(small: BuiltStudy, tmp_path: Path) -> None:
     store = tmp_path / "store"
     shutil.copytree(small.store, store)
     run_toys(small.study, store, "ingest.capture.leave_out_failing=true", graph=graph())

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from flows.console.fetch import FetchError, app, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
+from tasks.ingest.known_sources import was_fetched
 from tests.builders.source_samples import AMC, ASF
 
 PAGE = '<a href="subjects/60/60_01.amc">amc</a> <a href="subjects/60/60_02.amc">amc</a> <a href="61_01.amc">x</a>'
@@ -125,6 +126,26 @@ def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_who
     assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
     list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
+
+
+def test_a_file_is_known_to_be_cmus_also_where_its_fetch_was_killed_as_it_came(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace = Path.replace
+
+    def killed(path: Path, target: Path) -> Path:
+        there = replace(path, target)
+        if target.suffix == ".amc":
+            raise KeyboardInterrupt
+        return there
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    *_, motion = fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0)
+    assert motion.was_there
+    assert was_fetched(motion.path, hashlib.sha256(AMC.encode()).hexdigest())
 
 
 def test_a_site_that_is_busy_is_asked_again(site: Site, tmp_path: Path) -> None:

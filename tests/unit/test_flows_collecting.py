@@ -30,7 +30,7 @@ from storage_schema import (
     verify,
 )
 from tasks.shards import ClusterSettings, HerePool
-from tests.builders.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows, list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -82,6 +82,19 @@ def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_g
     assert plan_toys(study, store.root).is_fresh, "the dataset keeps what its run needs"
     assert not plan_toys(study, store.root, "grow.scale=2.0").is_fresh
     assert collect(store, NOW).num_bytes == 0
+
+
+def test_a_damaged_record_of_a_run_hinders_neither_gc_nor_new_datasets(store: Store) -> None:
+    (list_runs(store)[0].path / "run.json").write_text("[]")
+    assert find_garbage(store, NOW).num_datasets == 1
+    assert call("dataset", "create", "again", "--study", "toy", "--store", str(store)) == 0
+
+
+def test_what_a_dataset_of_an_older_schema_names_stays(store: Store) -> None:
+    going = {one.place for one in find_garbage(store, NOW).artifacts.going}
+    list_as_of_schema_1(store.root / "datasets" / "first@1")
+    found = find_garbage(store, NOW)
+    assert ({one.place for one in found.artifacts.going}, found.num_datasets) == (going, 1)
 
 
 def test_a_run_of_some_stages_does_not_push_out_the_last_one_of_the_others(store: Store, study: Path) -> None:

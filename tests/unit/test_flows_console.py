@@ -212,11 +212,19 @@ def test_verify_finds_a_changed_byte(tmp_path: Path, capsys: pytest.CaptureFixtu
     store = tmp_path / "store"
     run_toys(write_study(tmp_path), store)
     assert call("verify", "--store", str(store)) == 0
+    stray = next(store.glob("grow/*/*")) / "stray.txt"
+    stray.write_text("")
+    capsys.readouterr()
+    assert call("verify", "--store", str(store)) == 1
+    assert "--force" not in capsys.readouterr().out, "nothing of it is damaged"
+    stray.unlink()
     page = next(store.glob("judge/*/*/report.html"))
     page.write_bytes(page.read_bytes().replace(b"toys", b"boys"))
     capsys.readouterr()
     assert call("verify", "--store", str(store)) == 1
-    assert "report.html" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "report.html" in out
+    assert "computed again by `pasdedeux run STUDY --force judge`" in out
 
 
 def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from flows.console.app import run_command_line
 from flows.study import StudyError, load_study
 from storage_schema import Dataset, Store, list_datasets, open_table
+from tests.builders.storage_rows import list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, build_here, write_study
 from tests.builders.toys import TOYS
 
@@ -67,6 +68,18 @@ def test_nothing_new_makes_no_new_version(study: Path, capsys: pytest.CaptureFix
     assert len(list(store.artifacts("grow"))) == 12, "every key is another one"
     assert "released@1 stays: nothing has changed" in capsys.readouterr().out
     assert len(versions(study)) == 1
+
+
+def test_a_version_follows_one_of_an_older_schema(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(study) == 0
+    list_as_of_schema_1(versions(study)[0].path)
+    capsys.readouterr()
+    assert run(study) == 0
+    assert "released@2 is published" in capsys.readouterr().out
+    assert [one.label for one in versions(study)] == ["released@2"]
+    store = str(study.parent / "store")
+    assert run_command_line(["dataset", "list", "--store", store], graph=TOYS) == 0
+    assert "released@1  is of an older schema" in capsys.readouterr().out
 
 
 def test_a_rebuild_that_stopped_is_published_compared_rerun_and_built_upon(study: Path, tmp_path: Path) -> None:

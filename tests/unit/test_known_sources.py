@@ -41,7 +41,7 @@ def test_rate_and_licence_of_cmu_are_those_of_files_that_fetch_brought_and_of_no
     with pytest.raises(InputError, match=r"set rate_hz .* \(CMU's file of this name has 120 Hz\)"):
         find_person(path, take, PersonOptions(), {})
     assert credit_of([find_person(path, take, PersonOptions(rate_hz=60), {})], None, None).licence == NOT_STATED
-    note_fetched(path)
+    note_fetched(path, path.read_bytes())
     brought = find_person(path, take, PersonOptions(), {})
     assert brought.told.rate_hz == 120
     assert credit_of([brought], None, None) == CMU_CREDIT

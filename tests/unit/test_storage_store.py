@@ -3,6 +3,8 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +21,13 @@ from storage_schema import (
     SourceCredit,
     StorageError,
     Store,
-    TableData,
     artifact_key,
+    create_dataset,
     record_latest,
     source_credits,
 )
 from storage_schema.errors import NewerSchema
-from storage_schema.parquet_files import ROW_GROUP_ROWS, read_table
+from storage_schema.parquet_files import ROW_GROUP_ROWS
 from storage_schema.version import SCHEMA_VERSION
 from tests.builders.storage_rows import assert_same_values, commit_rows, random_columns
 
@@ -275,6 +277,17 @@ def test_a_licence_that_a_study_says_anew_reaches_what_was_made_before(store: St
         assert source_credits(store, made) == (source,)
 
 
+def test_a_source_that_a_dataset_calls_otherwise_keeps_its_credits_where_no_run_is_on_record(store: Store) -> None:
+    own = SourceCredit("motion files given in the study", "not stated", "not stated")
+    old = commit_rows(store, stage="ingest", partition="a", sources=(own,))
+    made = commit_rows(store, stage="chains", inputs=(old,))
+    new = commit_rows(store, stage="ingest", partition="a", sources=(CMU,), version=2)
+    record_latest(store, "study", "run", {"ingest": [ShardRecord.of(store.manifest(new), store)]})
+    assert create_dataset(store, "released", [new, made]).sources == (CMU,)
+    shutil.rmtree(store.root / "runs")
+    assert source_credits(store, made) == (CMU,)
+
+
 def test_licences_are_known_beside_studies_that_only_an_older_program_has_run(store: Store) -> None:
     made = commit_rows(store, stage="chains", inputs=(commit_rows(store, stage="ingest", sources=(CMU,)),))
     record_latest(store, "older", "run", {})
@@ -357,18 +370,27 @@ def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.L
     assert list((store.root / "tmp").iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda store, ref: store.read(ref, "scores"),
+        lambda store, ref: list(store.iter_batches(ref, "scores")),
+        lambda store, ref: store.attachment(ref, "note.txt"),
+    ],
+    ids=["table", "batches", "attachment"],
+)
 def test_what_takes_the_place_of_an_artifact_while_it_is_read_is_not_taken_for_it(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+    store: Store, monkeypatch: pytest.MonkeyPatch, read: Callable[[Store, ArtifactRef], object]
 ) -> None:
-    ref = commit_rows(store, attachments={"note.txt": b"1"})
+    ref, found = commit_rows(store, attachments={"note.txt": b"1"}), Store.data_file
 
-    def read_late(*told: Any, **more: Any) -> TableData:
+    def find_late(*told: Any) -> Path:
         commit_rows(store, attachments={"note.txt": b"2"}, replaces=True)
-        return read_table(*told, **more)
+        return found(*told)
 
-    monkeypatch.setattr("storage_schema.store_reader.read_table", read_late)
+    monkeypatch.setattr(Store, "data_file", find_late)
     with pytest.raises(CorruptArtifact, match="it was rebuilt with other bytes"):
-        store.read(ref, "scores")
+        read(store, ref)
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "no manifest", "bad manifest", "other columns", "other key"])

@@ -70,6 +70,15 @@ def test_every_kind_of_damage_is_named_and_nothing_else(store: Store, refs: list
     }
 
 
+def test_a_manifest_whose_facts_were_changed_gives_way_to_what_is_computed_again(store: Store) -> None:
+    ref = commit_rows(store, facts={"is_held_out": True})
+    as_of(store, ref, facts={"is_held_out": False})
+    (problem,) = verify(store).problems
+    assert (problem.file_name, problem.kind) == ("manifest.json", ProblemKind.CHANGED)
+    commit_rows(store, facts={"is_held_out": True}, replaces=True)
+    assert verify(store).is_ok
+
+
 def test_damaged_records_and_lists_are_named_and_nothing_else(store: Store, refs: list[ArtifactRef]) -> None:
     create_dataset(store, "released", refs)
     runs = [new_run(store, "duets") for _ in range(3)]

@@ -144,7 +144,7 @@ def test_a_rate_that_only_a_name_tells_is_doubted(tmp_path: Path, capsys: pytest
         "rate_hz = 120         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
         in (tmp_path / "mine.toml").read_text()
     )
-    note_fetched(path)
+    note_fetched(path, path.read_bytes())
     assert new_study("s", [path]).doubts == ()
 
 

@@ -38,8 +38,8 @@ EVERYTHING = {
     "unseen_views_deg": (0.0,),
     "num_realism_variants": 4,
     "num_downstream_seeds": 1,
-    "classifier": {"num_steps": 1, "clips_per_step": 2},
-    "predictor": {"num_steps": 1, "clips_per_step": 2},
+    "classifier": {"num_steps": 1},
+    "predictor": {"num_steps": 1},
 }
 """Settings under which every topic has something to do on the small study."""
 

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 44
+VERSION = 45
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -28,7 +28,7 @@ _DEVIATION_DEG = {"flexion": 15.0, "lateral": 8.0, "torsion": 14.0, "shrug": 8.0
 """How much trunks bend and shoulders move in everyday and dance motion, standard deviations."""
 
 
-def proportions_torso_basis(*, num_components: int = 4) -> TorsoBasis:
+def proportions_torso_basis() -> TorsoBasis:
     """Return a torso basis of an average body that bends, twists and moves its shoulders; it has seen no take.
 
     The torsos are drawn once from a fixed stream, so the basis is always the same.
@@ -52,7 +52,7 @@ def proportions_torso_basis(*, num_components: int = 4) -> TorsoBasis:
         pivot = pose[:, [PAIR17.index(joint)]].copy()
         turn = _turn(x=0.5 * angle["flexion"], y=0.5 * angle["torsion"], z=0.5 * angle["lateral"])
         pose[:, upper] = pivot + np.einsum("nij,nkj->nki", turn, pose[:, upper] - pivot)
-    return learn_torso_basis(pose, num_components=num_components)
+    return learn_torso_basis(pose)
 
 
 def _turn(*, x: Array | float = 0.0, y: Array | float = 0.0, z: Array | float = 0.0) -> Array:

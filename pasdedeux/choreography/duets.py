@@ -121,7 +121,7 @@ def style_of(name: str, **style: object) -> DuetStyle:
 
 
 @lru_cache
-def duet_torso_basis(*, num_components: int = 4) -> TorsoBasis:
+def duet_torso_basis() -> TorsoBasis:
     """Return the torso basis learned from both people of every default duet, 10 s each at 6 Hz.
 
     For studies that name no prior takes.  It has seen those duets: what is evaluated on them takes
@@ -130,7 +130,7 @@ def duet_torso_basis(*, num_components: int = 4) -> TorsoBasis:
     style = {"duration_s": _TORSO_DURATION_S, "rate_hz": _TORSO_RATE_HZ}
     motions = [motion for name in DEFAULT_DUETS for motion in make_duet(name, **style).motions]
     poses = [derive_working_poses(motion, LAYOUTS["body22"]).pair17_m for motion in motions]
-    return learn_torso_basis(np.concatenate(poses), num_components=num_components)
+    return learn_torso_basis(np.concatenate(poses))
 
 
 def _nearest(name: str, known: list[str]) -> str:

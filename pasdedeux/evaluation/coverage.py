@@ -71,7 +71,7 @@ def coverage_scores(
     """Return the curves and their ends as scores; prior-only and the real frames are baselines."""
     scores = []
     for method, curve in {**curves, "real_frames": levels}.items():
-        is_baseline = method.startswith((PRIOR_ONLY, "real_frames", "seeds"))
+        is_baseline = method == "real_frames" or is_trivial(method)
         for measure, values, unit in _measures(curve):
             points = [*zip(curve.num_draws.tolist(), values.tolist(), strict=True)]
             points.append((float("nan"), float(values[-1])))
@@ -95,15 +95,15 @@ def _measures(curve: CoverageCurve) -> list[tuple[str, Array, str]]:
 
 
 def is_trivial(method: str) -> bool:
-    """Tell whether draws are of a trivial way: of the prior alone, or the seeds as they are."""
-    return method.startswith((PRIOR_ONLY, "seeds"))
+    """Tell whether draws are a baseline: those of the prior alone, also from the first seed or with grown seeds."""
+    return method.startswith(PRIOR_ONLY)
 
 
 def nearest_by_method(curves: Mapping[str, CoverageCurve], grown: str) -> dict[str, Array]:
     """Return the least D_C of each real pair (truth,), metres, to draws, and to draws and grown seeds together."""
     alone = {method: curve.min_cartesian_m for method, curve in curves.items()}
-    both = {f"{name}_and_{grown}": np.minimum(own, alone[grown]) for name, own in alone.items() if grown in alone}
-    return alone | {name: least for name, least in both.items() if name != f"{grown}_and_{grown}"}
+    others = [name for name in alone if name != grown and grown in alone]
+    return alone | {f"{name}_and_{grown}": np.minimum(alone[name], alone[grown]) for name in others}
 
 
 def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, grown: str, *, split: str) -> list[Score]:
@@ -163,7 +163,7 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
                         in_words(name),
                         counts,
                         factor * measures[index][1],
-                        is_baseline=name.startswith((PRIOR_ONLY, "seeds")),
+                        is_baseline=is_trivial(name),
                     )
                     for name, (measures, counts) in by_method.items()
                 ],

@@ -12,12 +12,24 @@ from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.learning.clip_classifier import CLIP_HZ
 
-__all__ = ["HORIZONS_S", "STILL", "WITH", "WITHOUT", "prediction_scores", "prediction_table", "recognition_table"]
+__all__ = [
+    "BASELINES",
+    "HORIZONS_S",
+    "LARGEST",
+    "STILL",
+    "WITH",
+    "WITHOUT",
+    "prediction_scores",
+    "prediction_table",
+    "recognition_table",
+]
 
 Array = npt.NDArray[np.float64]
 
 WITH, WITHOUT = "with_augmentation", "without_augmentation"
-STILL = "last_pose_held"
+STILL, LARGEST = "last_pose_held", "largest_class"
+BASELINES = (WITHOUT, STILL, LARGEST)
+"""What learning with variants has to beat."""
 HORIZONS_S = (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
@@ -25,7 +37,7 @@ def prediction_scores(jme: Array, ame: Array, method: str, *, split: str, item: 
     """Return JME and AME (n, 10) of clips, cm, at the published horizons, and their means over the whole second."""
     scores = []
     for metric, errors in (("JME", jme), ("AME", ame)):
-        more: dict[str, Any] = {"is_baseline": method == STILL, "split": split, "item": item, "count": len(errors)}
+        more: dict[str, Any] = {"is_baseline": method in BASELINES, "split": split, "item": item, "count": len(errors)}
         scores.append(Score(f"{metric}_mean", method, float(errors.mean()), "cm", **more))
         for horizon in HORIZONS_S:
             at = round(horizon * CLIP_HZ) - 1

@@ -62,8 +62,9 @@ class Items:
         }
         takes = [take for one in parts for take in one.takes]
         times_s = [float(time) for one in parts for time in one.times_s]
-        counts = [len(one.takes) if one.count is None else one.count for one in parts]
-        return cls(values, takes, times_s, {name for one in parts for name in one.baselines}, sum(counts))
+        counts = [one.count for one in parts if one.count is not None]
+        baselines = {name for one in parts for name in one.baselines}
+        return cls(values, takes, times_s, baselines, sum(counts) if counts else None)
 
     def paired(self, methods: Sequence[str] = (), *, is_larger_better: bool = False) -> Paired | None:
         """Return the first of these methods that was scored, else the best that is no baseline, beside the baselines.
@@ -133,7 +134,7 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
             if not hardest
             else f"{paired.count:,} {thing} in {num_blocks} blocks of 1 s, and {FEWEST_BLOCKS} are needed"
             if num_blocks
-            else _NOTHING
+            else f"no {thing} have figures of {method} and of every baseline"
         )
     else:
         lead, (low, high) = sign * (mean[hardest] - mean[paired.method]), intervals[hardest]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import BETA_M, edge_weights
+from pasdedeux.interaction.dissimilarity import edge_weights
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 
@@ -43,13 +43,13 @@ class EdgeTable:
     counts: npt.NDArray[np.int32]
 
 
-def edge_table(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
+def edge_table(points: Array) -> EdgeTable:
     """Return the Delaunay edges and weights (eq. 8) of point sets (set, n, 2), metres; NaN where not seen."""
     edges, counts = delaunay_edges_fast(points)
-    return _weigh(points, edges, counts, beta_m)
+    return _weigh(points, edges, counts)
 
 
-def edge_table_3d(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
+def edge_table_3d(points: Array) -> EdgeTable:
     """Return edges of the Delaunay tetrahedra, and weights, of point sets (set, n, 3), metres (scipy, 0.3 ms a set).
 
     Raises:
@@ -63,13 +63,13 @@ def edge_table_3d(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
     edges = np.zeros((len(points), longest, 2), dtype=np.int32)
     for row, own in enumerate(per_set):
         edges[row, : len(own)] = own
-    return _weigh(points, edges, np.array([len(own) for own in per_set], dtype=np.int32), beta_m)
+    return _weigh(points, edges, np.array([len(own) for own in per_set], dtype=np.int32))
 
 
-def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.int32], beta_m: float) -> EdgeTable:
+def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.int32]) -> EdgeTable:
     weights = np.zeros(edges.shape[:2])
     for row, count in enumerate(counts):
-        weights[row, :count] = edge_weights(points[row], edges[row, :count], beta_m=beta_m)
+        weights[row, :count] = edge_weights(points[row], edges[row, :count])
     return EdgeTable(edges=edges, weights=weights, counts=counts)
 
 

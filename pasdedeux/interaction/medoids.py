@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import BETA_M
 from pasdedeux.interaction.kernels import edge_table, keep_seen_edges, side_sum
 
 __all__ = ["choose_medoids", "dissimilarity_matrix"]
@@ -18,12 +17,12 @@ Indices = npt.NDArray[np.int64]
 _MAX_ROUNDS = 30
 
 
-def dissimilarity_matrix(points: Array, *, beta_m: float = BETA_M) -> Array:
+def dissimilarity_matrix(points: Array) -> Array:
     """Return d_I (eq. 8 of Yin et al. 2018), metres, between all planar point sets (set, n, 2): (set, set), symmetric.
 
     Points that are NaN are not seen.  Sets that share no edge are as far apart as any two sets are.
     """
-    table = edge_table(points, beta_m=beta_m)
+    table = edge_table(points)
     is_seen = np.isfinite(points).all(axis=-1)
     matrix = np.zeros((len(points), len(points)))
     _fill(np.ascontiguousarray(points), is_seen, table.edges, table.weights, table.counts, matrix)

@@ -29,6 +29,8 @@ CLIP_HZ = 10.0
 CLIP_FRAMES = 20
 _STRIDE = 5
 """A clip begins every half second."""
+_CLIPS_PER_STEP = 24
+"""Clips of a step of training, drawn from all classes alike."""
 _NUM_FEATURES = 32
 _CHANNELS = (6, 24, 32, _NUM_FEATURES)
 _TIME = 5
@@ -39,7 +41,6 @@ class ClassifierSettings(TorchSettings):
 
     num_steps: int = Field(200, ge=1, description="Steps of training")
     learning_rate: float = Field(0.003, gt=0, le=1, description="Learning rate of Adam at the start")
-    clips_per_step: int = Field(24, ge=1, le=1000, description="Clips of a step, drawn from all classes alike")
 
 
 def pair_frame(motion_m: Array, frame: int) -> Array:
@@ -121,7 +122,7 @@ class ClipClassifier:
             )
 
         def draw() -> Batch:
-            which = generator.integers(len(labels), size=settings.clips_per_step)
+            which = generator.integers(len(labels), size=_CLIPS_PER_STEP)
             found = np.stack([clips[labels[one]][generator.integers(len(clips[labels[one]]))] for one in which])
             swapped = generator.random(len(found)) < 0.5
             found[swapped] = pair_frame(found[swapped][:, :, ::-1], CLIP_FRAMES // 2)

@@ -25,6 +25,7 @@ Narrow = npt.NDArray[np.float32]
 
 HISTORY, HORIZON = 20, 10
 """Frames known and predicted, at 10 Hz."""
+_CLIPS_PER_STEP = 32
 
 
 class PredictorSettings(TorchSettings):
@@ -32,7 +33,6 @@ class PredictorSettings(TorchSettings):
 
     num_steps: int = Field(300, ge=1, description="Steps of training")
     learning_rate: float = Field(0.003, gt=0, le=1, description="Learning rate of Adam at the start")
-    clips_per_step: int = Field(32, ge=1, le=1000, description="Clips of a step")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class MotionPredictor:
         flat = clips.reshape(*clips.shape[:2], -1).astype(np.float32)
 
         def draw() -> Batch:
-            return Batch({"clips": flat[generator.integers(len(flat), size=settings.clips_per_step)]}, "clips")
+            return Batch({"clips": flat[generator.integers(len(flat), size=_CLIPS_PER_STEP)]}, "clips")
 
         weights = train_whole(
             "motion_predictor",

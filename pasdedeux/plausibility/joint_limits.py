@@ -39,6 +39,8 @@ Flags = npt.NDArray[np.bool_]
 
 MAX_INVALID_ANGLES = 8
 """A person with more invalid angles than this is impossible (Yin et al. 2018, section 4.1)."""
+_LEFT_OUT_PERCENT = 0.5
+"""Share of captured angles at each end that ranges are not widened for."""
 
 _MIRROR = [ANGLE_INDEX[PAIR17.joint_names[PAIR17.mirror[PAIR17.index(angle.joint)]], angle.angle] for angle in ANGLES]
 
@@ -94,13 +96,12 @@ class JointLimits:
             source=tuple(angle.source for angle in ANGLES),
         )
 
-    def widened(self, pair17_m: Array, *, name: str, percentile: float = 0.5) -> JointLimits:
+    def widened(self, pair17_m: Array, *, name: str) -> JointLimits:
         """Return limits that also hold the middle of the angles seen in capture; left and right get the same ranges.
 
         Args:
             pair17_m: Captured poses, (*batch, joint=17, 3), metres.
             name: What they are, for `source`.
-            percentile: Share of the observed angles left out at each end, percent.
         """
         angles, slack = angles_and_slack(as_poses(pair17_m))
         if len(angles) == 0:
@@ -111,7 +112,7 @@ class JointLimits:
             seen = angles[:, pair][slack[:, pair] < 2 * SLACK_RAD]
             if len(seen) == 0:
                 continue
-            low, high = np.percentile(seen, [percentile, 100.0 - percentile])
+            low, high = np.percentile(seen, [_LEFT_OUT_PERCENT, 100.0 - _LEFT_OUT_PERCENT])
             if low < lower[index] or high > upper[index]:
                 lower[index], upper[index] = min(lower[index], low), max(upper[index], high)
                 source[index] = f"{self.source[index]} + {name}"

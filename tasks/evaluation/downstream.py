@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.evaluation.downstream import (
+    BASELINES,
+    LARGEST,
     STILL,
     WITH,
     WITHOUT,
@@ -87,9 +89,9 @@ def _recognise(shard: Shard, store: Store) -> TopicResult:
         classifier = ClipClassifier.train(clips, told.learned.classifier, generator)
         scores.append(_accuracy(method, classifier.accuracy(tested), told, tested))
     largest = max(map(len, tested.values())) / sum(map(len, tested.values()))
-    scores.append(_accuracy("largest_class", 100.0 * largest, told, tested, is_baseline=True))
+    scores.append(_accuracy(LARGEST, 100.0 * largest, told, tested))
     values = {score.method: np.array([score.value]) for score in scores}
-    items = Items(values, [_repetition(told)], [0.0], (WITHOUT, "largest_class"), sum(map(len, tested.values())))
+    items = Items(values, [_repetition(told)], [0.0], BASELINES, sum(map(len, tested.values())))
     return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)], items={"": items})
 
 
@@ -98,11 +100,9 @@ def _repetition(told: OneTraining) -> str:
     return f"{told.shares} seed {told.seed}"
 
 
-def _accuracy(
-    method: str, value: float, told: OneTraining, tested: dict[str, np.ndarray], *, is_baseline: bool = False
-) -> Score:
+def _accuracy(method: str, value: float, told: OneTraining, tested: dict[str, np.ndarray]) -> Score:
     count = sum(map(len, tested.values()))
-    return Score("accuracy", method, value, "%", is_baseline, told.shares, f"seed {told.seed}", count=count)
+    return Score("accuracy", method, value, "%", method in BASELINES, told.shares, f"seed {told.seed}", count=count)
 
 
 def _predict(shard: Shard, store: Store) -> TopicResult:
@@ -131,7 +131,7 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
             jme, ame = joint_errors(guess(clips[:, :HISTORY]), clips[:, HISTORY:])
             errors[method] = jme.mean(axis=1)
             scores += prediction_scores(jme, ame, method, split=told.shares, item=f"{kind}, seed {told.seed}")
-        parts.append(Items(errors, [_repetition(told)] * len(clips), [number] * len(clips), (WITHOUT, STILL)))
+        parts.append(Items(errors, [_repetition(told)] * len(clips), [number] * len(clips), BASELINES))
     return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)], items={"": Items.joined(parts)})
 
 

@@ -69,7 +69,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     def scores_where(item: str, rows: Sequence[int]) -> list[Score]:
         mine = {name: [found[row] for row in rows] for name, found in errors.items()}
         own = None if facts["shares_takes"] else [tested[row].take_id for row in rows]
-        return model_scores(mine, baselines=BASELINES, split=split, item=item, takes=own) if rows else []
+        return model_scores(mine, baselines=trivial, split=split, item=item, takes=own) if rows else []
 
     distances = {name: found for name, found in errors.items() if name != SOLVER}
     scores = [
@@ -87,18 +87,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += scores_where(motion, own)
         largest = [row for row in own if np.isclose(tested[row].furthest_scale, LARGEST_SCALE)]
         scores += scores_where(f"{motion} at {LARGEST_SCALE}", largest)
-    scores += _generated(models, meters, split, partial(stream, shard.seed, "evaluation", "generated", split))
+    streams = partial(stream, shard.seed, "evaluation", "generated", split)
+    scores += _generated(models, meters, streams, baselines=trivial, split=split)
     shared = " The takes are those of the training set, at other scales." if facts["shares_takes"] else ""
     pictures = {
         f"models-{facts['split']}.svg": model_figure(
-            [key.furthest_scale for key in tested], distances, baselines=BASELINES, split=facts["split"]
+            [key.furthest_scale for key in tested], distances, baselines=trivial, split=facts["split"]
         )
     }
     captions = {
         f"models-{facts['split']}.svg": f"Error of each model on the {len(tested)} test variants of split "
         f"{facts['split']}: lower is better, dashed are the trivial ways.{shared}"
     }
-    shown = best_model(scores, split=split, baselines=BASELINES)
+    shown = best_model(scores, split=split, baselines=trivial)
     if shown is not None:
         cases = extreme_cases([found["E_r"] for found in errors[shown]])
         name = f"cases-{facts['split']}.player.json"
@@ -138,8 +139,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 def _generated(
     models: Mapping[str, VariantModel],
     meters: Mapping[str, ModelMeter],
-    split: str,
     streams: Callable[..., np.random.Generator],
+    *,
+    baselines: Sequence[str],
+    split: str,
 ) -> list[Score]:
     """Score motions that models draw with their scales for every take, beside baselines at these scales."""
     errors: dict[str, list[dict[str, float]]] = {}
@@ -148,7 +151,7 @@ def _generated(
             for name, found in meter.measure_generated(models, partial(streams, take_id, draw)).items():
                 errors.setdefault(name, []).append(found)
     takes = [take_id for take_id in meters for _ in range(_DRAWS)]
-    return model_scores(errors, baselines=BASELINES, split=split, item=GENERATED, takes=takes)
+    return model_scores(errors, baselines=baselines, split=split, item=GENERATED, takes=takes)
 
 
 def _named(by_take: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:

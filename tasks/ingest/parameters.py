@@ -289,6 +289,7 @@ class VirtualCameras(Parameters):
         default=10.0, ge=0, description="Standard deviation of the elevation; inf for uniform"
     )
     noise_px: float = Field(default=1.0, ge=0, le=200, description="Noise of each coordinate for a person 600 px tall")
+    occlusion: float = Field(default=0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
 
 
 class DetectorOptions(Parameters):

@@ -92,7 +92,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         view = _view(parameters, pair17[frames], angles, index)
         exact = _see(view, pair17[frames], op14[frames])
         shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))
-        occlusion = parameters.detector.occlusion if parameters.detector else 0.0
+        occlusion = parameters.detector.occlusion if parameters.detector else parameters.occlusion
         seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
         if parameters.detector:
             sequence_id += ".detector"
@@ -355,5 +355,5 @@ def _add_camera(cameras: Columns, parameters: VideoParameters, sequence_id: str,
         camera_position_m=[camera.position_m],
         camera_from_world_rotmat=[camera.camera_from_world_rotmat],
         noise_px=[parameters.noise_px],
-        occlusion=[parameters.detector.occlusion if parameters.detector else 0.0],
+        occlusion=[parameters.detector.occlusion if parameters.detector else parameters.occlusion],
     )

@@ -38,8 +38,8 @@ EVERYTHING = {
     "unseen_views_deg": (0.0,),
     "num_realism_variants": 4,
     "num_downstream_seeds": 1,
-    "classifier": {"num_steps": 1, "clips_per_step": 2},
-    "predictor": {"num_steps": 1, "clips_per_step": 2},
+    "classifier": {"num_steps": 1},
+    "predictor": {"num_steps": 1},
 }
 """Settings under which every topic has something to do on the small study."""
 
@@ -132,6 +132,25 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
                 assert not np.isnan(score.at) or f"<td>{format_score(score)}</td>" in section
             shown += table.num_rows
     assert shown > 0
+
+
+def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_baselines(
+    evaluated: tuple[Store, list[Manifest], str],
+) -> None:
+    store, made, _ = evaluated
+    judged = 0
+    for part in made:
+        metrics = {one.name: one.metric for topic in TOPICS if topic.name == part.partition for one in topic.yardsticks}
+        for name, verdict in verdicts_of_parts(part).items():
+            if (paired := verdict.paired) is None:
+                continue
+            table = store.read(part.ref, "scores")
+            is_mine = table["metric"] == metrics[name]
+            marked = set(table["method"][is_mine & table["is_baseline"]])
+            assert marked.issuperset(paired.baselines), (part.partition, name)
+            assert paired.method in set(table["method"][is_mine]) - marked, (part.partition, name)
+            judged += 1
+    assert judged > 8
 
 
 def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(

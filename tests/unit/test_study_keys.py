@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from pasdedeux.sampling.prior import PriorSettings
 from tasks.graph import load_graph
 
 KEYS = {key.name: key for key in study_keys(load_graph())}
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_every_key_says_what_it_means() -> None:
@@ -29,6 +31,14 @@ def test_keys_of_lists_and_of_named_tables_have_the_path_that_an_override_takes(
     assert KEYS["ingest.pairs.NAME.folder"].is_needed
     assert KEYS["ingest.pairs.NAME.persons.N.yaw_deg"].unit == "deg"
     assert KEYS["ingest.virtual_video.noise_px"].type == "number >= 0, <= 200"
+
+
+def test_keys_that_studies_and_documents_set_in_commands_are_keys() -> None:
+    pages = [*(ROOT / "flows/studies").glob("*.toml"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
+    told = {key for page in pages for key in re.findall(r"--set '?([\w.]+)=", page.read_text(encoding="utf-8"))}
+    paths = [re.compile(re.escape(key).replace("NAME", r"\w+").replace(r"\.N", r"\.\d+")) for key in KEYS]
+    assert len(told) > 10
+    assert sorted(key for key in told if not any(path.fullmatch(key) for path in paths)) == []
 
 
 def test_only_the_keys_of_one_section_are_told_when_it_is_named() -> None:

@@ -99,8 +99,10 @@ def test_a_bound_is_no_baseline_and_is_never_what_is_judged() -> None:
 def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> None:
     some = items(takes=["a"], seconds=24, fitted=0.1, lifting=0.2)
     gaps = np.where(np.arange(24) % 2, np.nan, some.values["lifting"])
-    verdict = verdict_on(replace(some, values={**some.values, "lifting": gaps}))
-    assert (verdict.level, verdict.count) == (Level.PASS, 12)
+    sparse = replace(some, values={**some.values, "lifting": gaps})
+    for one in (sparse, Items.joined([sparse])):
+        verdict = verdict_on(one)
+        assert (verdict.level, verdict.count) == (Level.PASS, 12)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +113,10 @@ def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> Non
         (items(takes=["a"], seconds=12, fitted=np.nan, lifting=0.2), "fitted draws has no figure that is finite"),
         (items(takes=["a"], seconds=12, fitted=np.inf, lifting=0.2), "fitted draws has no figure that is finite"),
         (Items(), "nothing of it was held out"),
+        (
+            Items.joined([items(takes=["a"], seconds=12, **{one: 0.1}) for one in ("fitted", "lifting")]),
+            "no images have figures of fitted draws and of every baseline",
+        ),
     ],
 )
 def test_too_little_is_not_judged_and_never_counts_as_a_pass(some: Items, words: str) -> None:

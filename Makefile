@@ -36,7 +36,7 @@ test: $(VENV)/.tested lint
 soak: $(VENV)/.tested
 	$(BIN)/python -m tests.fault.soak --minutes 30 --every 20
 
-# Plants faults in copies of the sources and tells which of them no test notices, a quarter of an hour; not among the tests.
+# Plants faults in copies of the sources and tells which of them no test notices, half an hour; not among the tests.
 faults: $(VENV)/.tested
 	$(BIN)/python -m tests.planted_faults
 

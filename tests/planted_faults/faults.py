@@ -285,7 +285,7 @@ FAULTS = (
           "[order].reshape(", ".reshape(",
           "unit/test_tasks_poses.py::test_rows_in_any_order_give_everybody_in_every_frame"),
     Fault("poses with somebody twice are read", "tasks/poses.py",
-          "if not (np.array_equal(frame[order], expected[0])", "if not (len(frame)",
+          "if not (np.array_equal(frame", "if not (True or np.array_equal(frame",
           "unit/test_tasks_poses.py::test_poses_with_somebody_missing_or_twice_are_refused"),
     Fault("files of two takes are trimmed to one", "flows/console/study_new.py",
           "is_near = min(lengths) >= ONE_TAKE * max(lengths)", "is_near = True",

@@ -304,8 +304,9 @@ def test_where_two_studies_say_different_licences_of_the_same_bytes_each_has_its
     one = commit_rows(store, stage="ingest", partition="a", sources=(CMU,))
     two = commit_rows(store, stage="ingest", partition="a", sources=(stricter,), version=2)
     made = commit_rows(store, stage="chains", inputs=(one,))
-    for study, ref in (("one", one), ("two", two)):
-        record_latest(store, study, "run", {"ingest": [ShardRecord.of(store.manifest(ref), store)]})
+    for study, source in (("one", one), ("two", two)):
+        records = {ref.stage: [ShardRecord.of(store.manifest(ref), store)] for ref in (source, made)}
+        record_latest(store, study, "run", records)
     assert source_credits(store, made, one) == (CMU,)
     assert source_credits(store, made, two) == (stricter,)
     assert source_credits(store, made) == (stricter, CMU), "nobody says which of the two is meant"

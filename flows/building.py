@@ -7,24 +7,22 @@ collects them.  Only the driver plans and records.
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from graphlib import TopologicalSorter
-from itertools import chain, islice
+from itertools import chain
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any
 
-from flows.listener import Progress
 from flows.outcomes import Run, StageOutcome
 from flows.planning import Plan, StagePlan, State, plan_stage, stage_inputs
-from flows.records import read_last_run, record_stage
+from flows.progress import Tally
+from flows.records import record_stage
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
-from storage_schema.store import SHARD_S
 from tasks.graph import Graph
 from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, joined
 from tasks.stage import EarlyPlan, Shard, Stage, StageInputs
@@ -36,8 +34,6 @@ MAX_TASKS = 200
 _STAGE_FIRST = 1_000_000
 """By which the priority of a stage counts more than that of a shard that has as many shards after it."""
 _LOOK_UP_S = 0.2
-_SOME = 20
-"""Shards of a stage of the last run that are asked what they took."""
 _NAMED = 5
 """Of what was not run, so many are named."""
 
@@ -59,7 +55,7 @@ class _Task:
 
     stage: Stage
     inbox: SimpleQueue[list[tuple[Shard, int]] | Shard | None] = field(default_factory=SimpleQueue)
-    queue: list[Shard] = field(default_factory=list)
+    queue: list[tuple[Shard, int]] = field(default_factory=list)
     given: set[str] = field(default_factory=set)
     num_left: int = 0
     is_begun: bool = False
@@ -97,18 +93,15 @@ class Build:
         self._outcomes: dict[str, StageOutcome] = {}
         self._whole = {name: first.manifests for name, first in self._first.items() if not first.is_selected}
         self._made: dict[str, Manifest] = {}
-        self._last_means: dict[str, float | None] = {}
         self._news: dict[tuple[str, int], list[Manifest]] = {
             (name, at): [] for name in self._waiting for at, _ in enumerate(self._first[name].stage.early)
         }
         self._tasks: dict[str, list[_Task]] = {name: [] for name in self._first}
         self._task_of: dict[tuple[str, str], _Task] = {}
         self._held: list[_Task] = []
-        self._flying: dict[str, int] = {}
-        self._by_priority: dict[int, dict[str, Shard]] = {}
+        self._flying: set[str] = set()
         self._ended: dict[str, ShardDone | ShardFailed] = {}
-        self._num_left, self._num_ended, self._num_measured = Counter[str](), Counter[str](), Counter[str]()
-        self._seconds: dict[str, float] = {}
+        self._tally = Tally(run.store, run.study.name)
         self._is_over = False
         self._told: SimpleQueue[ShardDone | ShardFailed | Exception | None] = SimpleQueue()
 
@@ -128,15 +121,19 @@ class Build:
             ClusterError: There is nobody left to compute.
         """
         self._advance()
-        self._run.listener.progressed(self._progress())
+        self._show_progress()
         while self._flying:
             heed()
             if (ended := self._next()) is not None:
                 self._settle(ended)
                 self._release()
                 self._advance()
-                self._run.listener.progressed(self._progress())
+                self._show_progress()
         self._raise_failures()
+
+    def _show_progress(self) -> None:
+        waiting = [self._first[name] for name in self._waiting]
+        self._run.listener.progressed(self._tally.progress(waiting, self._pool.num_workers))
 
     def end_tasks(self) -> None:
         """Tell the tasks that nothing more comes, and drop what has not ended."""
@@ -186,19 +183,14 @@ class Build:
     def _settle(self, ended: ShardDone | ShardFailed) -> None:
         """Take note of a shard that has ended."""
         shard, name = ended.shard, ended.shard.stage
-        del self._by_priority[self._flying.pop(shard.key)][shard.key]
+        self._flying.discard(shard.key)
         self._ended[shard.key] = ended
-        self._num_left[name] -= 1
+        self._tally.end(ended)
         if isinstance(ended, ShardDone):
-            self._num_ended[name] += 1
-            self._num_measured[name] += 1
-            self._seconds[name] = self._seconds.get(name, 0.0) + ended.seconds
             self._tell(self._run.store.manifest(ended.ref))
             self._run.listener.shard_done(ended)
-        elif not ended.is_behind:
-            self._num_ended[name] += 1
-            if ended.error.is_fatal:
-                raise ended.error
+        elif ended.error.is_fatal:
+            raise ended.error
         self._task_of[name, shard.partition].num_left -= 1
         if (work := self._in_work.get(name)) is not None:
             self._end_done_tasks(name)
@@ -228,7 +220,7 @@ class Build:
         """Plan a stage of which all that it reads is there, and have it computed."""
         first, run = self._first[name], self._run
         # What this run began is its work, also where it is committed and that was not heard of yet.
-        begun = self._flying.keys() | {key for key, ended in self._ended.items() if isinstance(ended, ShardDone)}
+        begun = self._flying | {key for key, ended in self._ended.items() if isinstance(ended, ShardDone)}
         stage, plan, is_forced = first.stage, first, name in run.selection.force
         if first.is_pending:
             inputs = stage_inputs(stage, run.study.head.seed, {n: self._whole[n] for n in self._upstream(name)})
@@ -274,12 +266,12 @@ class Build:
                 followers[before] = max(followers.get(before, 0), followers[key] + 1)
         for key in order:
             shard = new[key]
-            self._flying[key] = self._urgency[shard.stage] * _STAGE_FIRST + followers[key]
-            self._by_priority.setdefault(self._flying[key], {})[key] = shard
-            self._num_left[shard.stage] += 1
+            priority = self._urgency[shard.stage] * _STAGE_FIRST + followers[key]
+            self._flying.add(key)
+            self._tally.add(shard, priority)
             task = self._task_of.get((shard.stage, shard.partition)) or self._new_task(shard)
             task.num_left += 1
-            task.queue.append(shard)
+            task.queue.append((shard, priority))
             self._held += [] if task in self._held else [task]
         self._release()
 
@@ -294,15 +286,13 @@ class Build:
     def _release(self) -> None:
         """Hand over what waits for no shard of another task any more."""
         for task in self._held:
-            ready, queue = [], []
-            for shard in task.queue:
+            ready = []
+            for shard, priority in task.queue:
                 if all(key in task.given or key not in self._flying for key in shard.after):
                     task.given.add(shard.key)
-                    ready.append((shard, self._flying[shard.key]))
-                else:
-                    queue.append(shard)
+                    ready.append((shard, priority))
             is_new = len(task.given) == len(ready)
-            task.queue = queue
+            task.queue = [item for item in task.queue if item[0].key not in task.given]
             if ready:
                 task.inbox.put(ready)
             if ready and is_new:
@@ -353,42 +343,6 @@ class Build:
         outcome = self._outcomes[name] = StageOutcome.of(work.plan, found, seconds)
         run.listener.stage_finished(work.plan, seconds, outcome.verdict)
 
-    def _progress(self) -> Progress:
-        """Return how far the run is."""
-        num_left = dict(self._num_left)
-        for name in self._waiting:
-            had = sum(count for _, count in self._first[name].last_partitions)
-            num_left[name] = max(num_left.get(name, 0), had - self._num_ended[name])
-        means = {
-            name: self._seconds[name] / self._num_measured[name] if name in self._seconds else self._last_mean_s(name)
-            for name in num_left
-        }
-        return Progress(
-            num_done=sum(self._num_ended.values()),
-            num_shards=sum(self._num_ended.values()) + sum(num_left.values()),
-            running=self._running(),
-            left_s=sum(count * (means[name] or 0.0) for name, count in num_left.items()) / self._pool.num_workers,
-            is_all=all(means.values()),
-        )
-
-    def _running(self) -> tuple[Shard, ...]:
-        """Return what workers are at: as many as there are, of the highest priority, of those that wait for nothing."""
-        levels = (self._by_priority[priority].values() for priority in sorted(self._by_priority, reverse=True))
-        ready = (shard for shard in chain.from_iterable(levels) if not any(key in self._flying for key in shard.after))
-        return tuple(islice(ready, self._pool.num_workers))
-
-    def _last_mean_s(self, name: str) -> float | None:
-        """Return what a shard of a stage took in the last run, in the mean of some; None where that is not known."""
-        if name not in self._last_means:
-            run = self._run
-            last = read_last_run(run.store, run.study.name)
-            refs = last.refs(name) if last is not None else []
-            some = refs[:: max(1, len(refs) // _SOME)]
-            found = (run.store.find(ref.stage, ref.key) for ref in some)
-            took = [one.timings[SHARD_S] for one in found if one is not None and SHARD_S in one.timings]
-            self._last_means[name] = sum(took) / len(took) if took else None
-        return self._last_means[name]
-
     def _errors_of(self, shards: Iterable[Shard]) -> list[ShardError]:
         """Return the errors of those that failed, in this order."""
         ends = (self._ended.get(shard.key) for shard in shards)
@@ -397,12 +351,10 @@ class Build:
     def _raise_failures(self) -> None:
         """Raise one error for all that failed, stage by stage, and say what was not run because of it."""
         early = sorted((one.shard for one in self._ended.values()), key=lambda shard: (shard.partition, shard.name))
-        begun = {n: self._errors_of([shard for shard in early if shard.stage == n]) for n in self._left_out}
-        failures = {
-            name: error
-            for name in self._first
-            if (error := self._failures.get(name) or (joined(begun[name]) if begun.get(name) else None)) is not None
-        }
+        for name in self._left_out:
+            if failed := self._errors_of(shard for shard in early if shard.stage == name):
+                self._failures[name] = joined(failed)
+        failures = {name: self._failures[name] for name in self._first if name in self._failures}
         if not failures:
             return
         behind = [one.shard for one in self._ended.values() if isinstance(one, ShardFailed) and one.is_behind]

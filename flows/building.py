@@ -27,8 +27,6 @@ from tasks.graph import Graph
 from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, joined
 from tasks.stage import EarlyPlan, Shard, Stage, StageInputs
 
-__all__ = ["MAX_TASKS", "Build", "Carry", "stages_behind"]
-
 MAX_TASKS = 200
 """Of a stage; where it has more partitions, a task has several."""
 _STAGE_FIRST = 1_000_000

@@ -22,8 +22,6 @@ from storage_schema import (
 from storage_schema.datasets import dataset_labels, named_places
 from storage_schema.garbage import StageKey, Sweep, find_unneeded, folder_bytes, remove_unneeded
 
-__all__ = ["Collection", "StoreInUseError", "collect", "find_garbage"]
-
 _BEGUN = re.compile(r"\d{8}T\d{6}(?=-)")
 
 

@@ -48,8 +48,6 @@ from prefect.settings import (  # noqa: E402
 from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
 from prefect.utilities.annotations import quote  # noqa: E402
 
-__all__ = ["dataset", "orchestrate"]
-
 _MAX_THREADS = 20 * MAX_TASKS  # they wait; one that a task had to wait for would hold up what is urgent
 
 

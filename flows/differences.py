@@ -13,8 +13,6 @@ from flows.recorded import Place, Recorded, environment_changes
 from storage_schema import Manifest, Store
 from storage_schema.comparison import Difference, compare_artifacts
 
-__all__ = ["Changes", "Comparison", "Figure", "ScoreChange", "changelog", "compare", "differences"]
-
 _WHICH = ("same", "other", "only_a", "only_b")
 
 

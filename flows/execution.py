@@ -16,8 +16,6 @@ from flows.records import begin_record, copy_report, end_record, is_on_record, r
 from storage_schema import ArtifactRef, RunFolder, StorageError, new_run
 from tasks.shards import HerePool, Pool
 
-__all__ = ["begin", "execute", "outcome_of_fresh"]
-
 
 def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, carry: Carry | None = None) -> Outcome:
     """Bring every selected stage of the study up to date; the record of the last run follows stage by stage.

@@ -10,8 +10,6 @@ from pasdedeux.verdict import Verdict
 from tasks.shards import ShardDone
 from tasks.stage import Shard
 
-__all__ = ["Listener", "Progress"]
-
 
 @dataclass(frozen=True)
 class Progress:

@@ -12,19 +12,6 @@ from tasks.shards import ClusterSettings, worker_environment
 from tasks.shards.cluster import pinned_instructions
 from tasks.shards.profiles import read_profile
 
-__all__ = [
-    "GIB",
-    "WORKER_MEMORY_GB",
-    "cluster_settings",
-    "free_bytes",
-    "memory_bytes",
-    "nearest_folder",
-    "num_workers",
-    "processor",
-    "thread_settings",
-    "usable_cores",
-]
-
 GIB = 1024**3
 WORKER_MEMORY_GB = 2.0
 """Of one local worker, where nothing else is said."""

@@ -15,8 +15,6 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.graph import Graph
 from tasks.summary import stage_verdict
 
-__all__ = ["Outcome", "Run", "StageOutcome"]
-
 
 @dataclass(frozen=True)
 class Run:

@@ -20,21 +20,6 @@ from tasks.graph import Graph, GraphError
 from tasks.stage import Shard, Stage, StageInputs
 from tasks.summary import stage_verdict
 
-__all__ = [
-    "NothingMadeError",
-    "Plan",
-    "PlanError",
-    "Selection",
-    "ShardPlan",
-    "StagePlan",
-    "State",
-    "make_plan",
-    "plan_stage",
-    "refuse_nothing",
-    "stage_inputs",
-    "what_is_missing",
-]
-
 
 class PlanError(Exception):
     """A study cannot be planned as asked; the message is one clear sentence."""

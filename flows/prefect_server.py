@@ -18,8 +18,6 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["LocalServer", "ServerError", "check_server", "starting_server", "telemetry_off"]
-
 _STARTUP_TIMEOUT_VARIABLE = "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS"
 _STARTUP_TIMEOUT_S = 120.0
 _QUIET = {

@@ -14,8 +14,6 @@ from storage_schema.store import SHARD_S
 from tasks.shards import ShardDone, ShardFailed
 from tasks.stage import Shard
 
-__all__ = ["Tally"]
-
 _SOME = 20
 """Shards of a stage of the last run that are asked what they took."""
 

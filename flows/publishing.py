@@ -28,8 +28,6 @@ from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists
 from tasks.summary import product_verdicts, summary_of
 
-__all__ = ["CHANGES_FILE", "Published", "VerdictError", "publish", "refuse_bad_verdicts", "refuse_unpublished"]
-
 CHANGES_FILE = "CHANGES.md"
 """File of a dataset that says what is different from the version before."""
 

@@ -11,8 +11,6 @@ from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
 from storage_schema.keys import plain_json
 from tasks.stage import Shard, Stage
 
-__all__ = ["Reasons", "StageRecord", "changed_leaves", "shorten"]
-
 _MAX_NAMED = 3  # differences named one by one; more are counted
 _MAX_CHARACTERS = 40  # of a value that is shown
 

@@ -18,16 +18,6 @@ from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, list_runs
 from storage_schema.credits import merge_credits
 from storage_schema.datasets import open_dataset
 
-__all__ = [
-    "Place",
-    "Recorded",
-    "artifacts_by_place",
-    "environment_changes",
-    "portable_files",
-    "read_environment",
-    "read_recorded",
-]
-
 Place = tuple[str, str, str]
 """Where an artifact stands in a study: stage, partition, shard."""
 

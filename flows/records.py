@@ -28,26 +28,6 @@ from storage_schema import (
 )
 from storage_schema.provenance import code_version, package_versions, source_digest
 
-__all__ = [
-    "ENVIRONMENT_FILE",
-    "PLAN_FILE",
-    "STUDY_FILE",
-    "begin_record",
-    "copy_report",
-    "describe_runs",
-    "end_record",
-    "environment",
-    "is_on_record",
-    "last_manifests",
-    "last_sections",
-    "mixture",
-    "read_last_run",
-    "record_stage",
-    "report_folder",
-    "run_record",
-    "uncollected",
-]
-
 STUDY_FILE, PLAN_FILE, ENVIRONMENT_FILE = "study.json", "plan.json", "environment.json"
 """Files of a run's folder: the resolved study, what was planned, what it ran on."""
 

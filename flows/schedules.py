@@ -22,8 +22,6 @@ from prefect.workers.process import ProcessWorker
 
 from flows.dataset import dataset
 
-__all__ = ["deploy", "zombies"]
-
 _HEARTBEAT_S = 30
 _ZOMBIE_AFTER = timedelta(seconds=4 * _HEARTBEAT_S)
 _ZOMBIES = "pasdedeux: builds whose process is gone"

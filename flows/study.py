@@ -15,17 +15,6 @@ from pasdedeux.settings import Settings
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
-__all__ = [
-    "PublishSettings",
-    "Study",
-    "StudyError",
-    "StudyHead",
-    "load_study",
-    "shared_keys",
-    "study_from_record",
-    "study_from_tree",
-]
-
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")

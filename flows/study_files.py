@@ -12,8 +12,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-__all__ = ["HEAD", "PUBLISH", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "study_text", "unknown"]
-
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 HEAD = "study"
 """Section of a study that says what it is called, what it extends, and which stages it has."""

@@ -18,8 +18,6 @@ from flows.study import PublishSettings, StudyHead, shared_keys
 from flows.study_files import HEAD, PUBLISH
 from tasks.graph import Graph
 
-__all__ = ["StudyKey", "study_keys"]
-
 _UNITS = {"m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "hz": "Hz", "kg": "kg"}
 _UNIT_WORDS = {"metres": "m", "seconds": "s", "pixels": "px", "degrees": "deg", "radians": "rad"}
 _TYPES = {bool: "true or false", int: "whole number", float: "number", str: "text", Path: "path"}

@@ -11,8 +11,6 @@ from threading import RLock
 from types import ModuleType
 from typing import Any
 
-__all__ = ["compiled", "intrinsic"]
-
 _ONE_AT_A_TIME = RLock()
 """Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
 

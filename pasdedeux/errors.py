@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["FormatError", "InputError", "PasdedeuxError"]
-
 
 class PasdedeuxError(Exception):
     """Root of every error that the science raises on purpose; the message is one clear sentence."""

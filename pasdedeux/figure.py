@@ -19,8 +19,6 @@ import numpy.typing as npt
 
 from pasdedeux.verdict import Level
 
-__all__ = ["LEVELS", "Figure", "Limits", "complaints", "complete_limits", "figure", "figures_of", "limits_of"]
-
 Limits = Mapping[str, tuple[float, float]]
 """By figure: past the first it is a warning, past the second a failure."""
 

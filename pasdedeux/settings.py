@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict
 
-__all__ = ["Settings"]
-
 
 class Settings(BaseModel):
     """Settings of one part of the science: frozen, and unknown names are refused.

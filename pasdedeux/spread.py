@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["evenly_spread"]
-
 
 def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArray[np.int64]:
     """Return at most `count` indices below `total`, evenly spread and rising; two or more hold the first and the last.

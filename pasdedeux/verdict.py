@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-__all__ = ["Level", "Paired", "Verdict"]
-
 
 class Level(StrEnum):
     """How good a result is, the worst last; what there was too little of to judge is no pass."""

@@ -12,8 +12,6 @@ from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.runs import LatestRun, latest_studies, read_latest
 from storage_schema.store import Store
 
-__all__ = ["LineageStep", "SourceFileUse", "has_lineage", "lineage", "source_credits", "source_files"]
-
 
 @dataclass(frozen=True)
 class LineageStep:

@@ -14,8 +14,6 @@ from storage_schema.joints import JOINT_NAMES
 from storage_schema.keys import canonical_json
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["Kind", "arrow_schema", "column_kind", "schema_digest", "value_type"]
-
 
 class Kind(Enum):
     """How a column's values look in Python."""

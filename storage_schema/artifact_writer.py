@@ -14,8 +14,6 @@ from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Table
 from storage_schema.parquet_files import TableWriter
 from storage_schema.tables import TABLES
 
-__all__ = ["ArtifactWriter"]
-
 
 class ArtifactWriter:
     """What `Store.writer` gives: append rows, attach files, note facts; `ref` is there once the block has ended.

@@ -23,8 +23,6 @@ from storage_schema.errors import BadName, CorruptArtifact, StorageError
 if TYPE_CHECKING:
     from obstore import ObjectMeta
 
-__all__ = ["AT_ONCE", "RemoteError", "RemoteStore"]
-
 _URL = re.compile(r"s3://(?P<bucket>[A-Za-z0-9][A-Za-z0-9.-]*)(/(?P<prefix>[^?#]*))?")
 _ADDRESS = re.compile(r"https?://\S+")
 AT_ONCE = 8

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 
 import pyarrow as pa
 
-__all__ = ["Column", "Table", "array", "boolean", "float64", "integer", "is_plain_name", "text", "text_list"]
-
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 
 

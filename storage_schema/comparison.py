@@ -20,8 +20,6 @@ from storage_schema.store_reader import StoreReader
 from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
 
-__all__ = ["RELATIVE_TOLERANCE", "TOLERANCES", "Difference", "compare_artifacts", "tolerances_text"]
-
 TOLERANCES = {
     "": 1e-4,
     "Hz": 1e-6,

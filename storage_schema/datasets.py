@@ -31,24 +31,6 @@ from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = [
-    "DATASET_FILE",
-    "Dataset",
-    "Needed",
-    "add_dataset",
-    "create_dataset",
-    "dataset_from_json",
-    "dataset_labels",
-    "datasets_with",
-    "digest_of",
-    "list_datasets",
-    "named_places",
-    "needed_by",
-    "newest_version",
-    "next_version",
-    "open_dataset",
-]
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 DATASET_FILE = "dataset.json"
 

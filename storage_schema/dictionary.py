@@ -11,8 +11,6 @@ from storage_schema.joints import JOINT_NAMES
 from storage_schema.tables import TABLES
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["DICTIONARY_PATH", "data_dictionary", "main"]
-
 DICTIONARY_PATH = Path(__file__).with_name("DATA_DICTIONARY.md")
 
 _PREAMBLE = f"""# Data dictionary

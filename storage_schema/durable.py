@@ -15,8 +15,6 @@ from typing import Any
 
 from storage_schema.errors import FullDisk, StorageError
 
-__all__ = ["HashingFile", "exchange", "make_folder", "sync_folder", "write_errors", "write_file"]
-
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _REFUSED = {errno.EROFS, errno.EACCES, errno.EPERM}
 _CANNOT_EXCHANGE = {errno.EINVAL, errno.ENOSYS, errno.ENOENT, errno.EOPNOTSUPP, errno.EXDEV}

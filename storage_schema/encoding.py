@@ -13,8 +13,6 @@ from storage_schema.arrow import Kind, arrow_schema, column_kind, value_type
 from storage_schema.columns import Column, Table
 from storage_schema.errors import SchemaError
 
-__all__ = ["encode"]
-
 _EXACT_BELOW = 2.0**53
 """Whole numbers below this are exact as float64."""
 

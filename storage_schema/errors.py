@@ -6,21 +6,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-__all__ = [
-    "BadName",
-    "CorruptArtifact",
-    "DatasetExists",
-    "FullDisk",
-    "MissingArtifact",
-    "NamedByDataset",
-    "NewerSchema",
-    "NotAStore",
-    "OlderSchema",
-    "SchemaError",
-    "StorageError",
-    "UnknownReference",
-]
-
 
 class StorageError(Exception):
     """Root of every error that the store raises on purpose; the message is one clear sentence.

@@ -15,8 +15,6 @@ from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
 from storage_schema.manifest import MANIFEST_NAME, Manifest
 from storage_schema.store import Store
 
-__all__ = ["StageKey", "Stored", "Sweep", "find_unneeded", "folder_bytes", "remove_unneeded"]
-
 StageKey = tuple[str, str]
 """An artifact, whatever it holds."""
 

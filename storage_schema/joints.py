@@ -6,8 +6,6 @@ holds the two equal.
 
 from __future__ import annotations
 
-__all__ = ["JOINT_NAMES"]
-
 _LEFT_ARM, _LEFT_LEG = ("left_shoulder", "left_elbow", "left_wrist"), ("left_hip", "left_knee", "left_ankle")
 _RIGHT_ARM, _RIGHT_LEG = ("right_shoulder", "right_elbow", "right_wrist"), ("right_hip", "right_knee", "right_ankle")
 

@@ -13,8 +13,6 @@ import orjson
 from storage_schema.errors import StorageError
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["artifact_key", "canonical_json", "content_digest", "file_sha256", "plain_json"]
-
 _BLOCK_BYTES = 1 << 20
 _ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 _STRICT = orjson.OPT_PASSTHROUGH_DATACLASS | orjson.OPT_PASSTHROUGH_DATETIME

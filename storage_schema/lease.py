@@ -21,8 +21,6 @@ from typing import Any
 from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.errors import StorageError
 
-__all__ = ["Lease", "each_beat"]
-
 LEASE_S = 60.0
 """A lease that was not renewed for so long belongs to nobody."""
 _BEAT_S = 4.0

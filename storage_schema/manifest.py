@@ -14,8 +14,6 @@ from storage_schema.errors import CorruptArtifact, NewerSchema, OlderSchema, Sto
 from storage_schema.keys import content_digest
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["MANIFEST_NAME", "RESERVED_NAMES", "ArtifactRef", "FileEntry", "Manifest", "TableFile", "with_fields"]
-
 MANIFEST_NAME = "manifest.json"
 RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
 """Folders of a store that are not stages."""

@@ -38,8 +38,6 @@ from storage_schema.staging import StagingFolder, replace_file
 if TYPE_CHECKING:
     from obstore import ObjectMeta
 
-__all__ = ["Mirror", "open_mirror"]
-
 _MANIFEST = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
 _RECORD = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
 _DATASET = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")

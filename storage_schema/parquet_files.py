@@ -17,8 +17,6 @@ from storage_schema.errors import CorruptArtifact, SchemaError
 from storage_schema.manifest import TableFile
 from storage_schema.table_data import TableData
 
-__all__ = ["ROW_GROUP_ROWS", "TableWriter", "iter_table", "read_table"]
-
 ROW_GROUP_ROWS = 10_000
 """Rows of a row group: what a writer holds in memory and what a reader reads at a time."""
 

@@ -9,8 +9,6 @@ import platform
 from functools import cache
 from pathlib import Path
 
-__all__ = ["code_version", "package_versions", "source_digest"]
-
 _OUR_PACKAGES = ("pasdedeux", "storage_schema", "tasks")
 _PACKAGES = (
     "numpy",

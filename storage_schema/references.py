@@ -24,17 +24,6 @@ from storage_schema.store import Store
 from storage_schema.table_data import TableData, concatenate
 from storage_schema.tables import TABLES
 
-__all__ = [
-    "Reference",
-    "default_store",
-    "iter_rows",
-    "open_table",
-    "parse_reference",
-    "resolve",
-    "table_files",
-    "what_is_wrong",
-]
-
 _BY_KEY = re.compile(r"(?P<table>\w+)@(?P<key>[0-9a-fA-F]{4,64})(#(?P<row>\d+))?")
 _BY_NAME = re.compile(r"(?P<table>\w+):(?P<scope>[^#]+)(#(?P<row>\d+))?")
 _HOW = "a reference is table@key, table:study/partition or table:dataset@version, with #row for one row"

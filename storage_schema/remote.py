@@ -17,7 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
+from storage_schema.bucket import AT_ONCE, RemoteStore
 from storage_schema.columns import is_plain_name
 from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
@@ -30,8 +30,6 @@ from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.tables import TABLES
 from storage_schema.version import SCHEMA_VERSION
-
-__all__ = ["RemoteError", "RemoteStore", "pull_dataset", "push_dataset"]
 
 
 def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Mapping[str, bytes] | None = None) -> int:

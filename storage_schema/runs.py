@@ -30,20 +30,6 @@ from storage_schema.store import Store
 from storage_schema.store_reader import STORE_FILE
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = [
-    "InputRecord",
-    "LatestRun",
-    "RunFolder",
-    "ShardRecord",
-    "in_use",
-    "latest_studies",
-    "list_runs",
-    "new_run",
-    "open_run",
-    "read_latest",
-    "record_latest",
-]
-
 _AT_ONCE = fcntl.LOCK_EX | fcntl.LOCK_NB
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 

@@ -18,8 +18,6 @@ from pathlib import Path
 
 from storage_schema.durable import exchange, make_folder, sync_folder, write_file
 
-__all__ = ["StagingFolder", "clean_leftovers", "replace_file"]
-
 _FOREIGN_AGE_S = 7 * 24 * 3600.0
 _ASIDE = ".aside."
 
@@ -140,4 +138,5 @@ def _clear(folder: Path) -> None:
 
 
 def host_name() -> str:
+    """Return the name of this machine as file names may have it."""
     return socket.gethostname().replace(".", "-").replace("/", "-") or "host"

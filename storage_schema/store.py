@@ -31,8 +31,6 @@ from storage_schema.staging import StagingFolder, clean_leftovers, replace_file
 from storage_schema.store_reader import STORE_FILE, StoreReader
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["PROCESSOR_S", "SHARD_S", "ArtifactFields", "Store"]
-
 SHARD_S, PROCESSOR_S = "shard_s", "processor_s"
 """Timings of an artifact that was measured: from the shard's beginning to its commit."""
 

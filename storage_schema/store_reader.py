@@ -24,8 +24,6 @@ from storage_schema.tables import TABLES
 if TYPE_CHECKING:
     from storage_schema.mirror import Mirror
 
-__all__ = ["STORE_FILE", "StoreReader"]
-
 STORE_FILE = "store.json"
 _BLOCK_BYTES = 1 << 14
 

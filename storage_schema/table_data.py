@@ -14,8 +14,6 @@ from storage_schema.arrow import Kind, arrow_schema, column_kind
 from storage_schema.columns import Column, Table
 from storage_schema.errors import SchemaError
 
-__all__ = ["TableData", "concatenate"]
-
 
 @dataclass(frozen=True)
 class TableData:

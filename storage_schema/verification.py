@@ -15,8 +15,6 @@ from storage_schema.runs import read_latest
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["Problem", "ProblemKind", "Verification", "verify"]
-
 
 class ProblemKind(Enum):
     """What can be wrong with a file of an artifact."""

@@ -2,7 +2,5 @@
 
 from __future__ import annotations
 
-__all__ = ["SCHEMA_VERSION"]
-
 SCHEMA_VERSION = 2
 """Raised by hand when an older program could misread a newer store; part of every artifact key."""

@@ -18,23 +18,6 @@ from storage_schema import ArtifactRef, Manifest, Store, TableData
 from tasks.poses import num_persons
 from tasks.stage import StageInputs
 
-__all__ = [
-    "PLACE_COLUMNS",
-    "Place",
-    "PlacedPairs",
-    "SeenPair",
-    "annotated_pairs",
-    "gather",
-    "gather_tracks",
-    "pair_of",
-    "pairs_by_place",
-    "place_columns",
-    "place_of",
-    "read_people",
-    "read_seen_pairs",
-    "views_of",
-]
-
 
 class Place(NamedTuple):
     """Which annotated pair: a sequence may show several couples in one frame."""

@@ -41,21 +41,6 @@ from tasks.stage import (
     named_refs,
 )
 
-__all__ = [
-    "STAGE",
-    "VERSION",
-    "AugmentationParameters",
-    "BatchParameters",
-    "TakeMotion",
-    "batch_of",
-    "check_study",
-    "known_contacts",
-    "plan",
-    "planned_variations",
-    "read_take",
-    "run_shard",
-]
-
 VERSION = 22
 
 _SOLVED_TOGETHER = 16

@@ -10,8 +10,6 @@ import numpy as np
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import StageInputs
 
-__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_all_draws", "read_draw_sets", "reference_to"]
-
 GROWN = "grown_seeds"
 """Name under which grown seeds stand beside the densities."""
 

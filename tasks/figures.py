@@ -12,8 +12,6 @@ from pasdedeux.augmentation import quality
 from pasdedeux.plausibility import capture
 from pasdedeux.sampling import diagnostics
 
-__all__ = ["COLUMNS_PATH", "figure_columns", "main"]
-
 COLUMNS_PATH = Path(__file__).parents[1] / "storage_schema" / "tables" / "figures.jsonl"
 
 _FIGURES = {

@@ -12,8 +12,6 @@ import tasks
 from pasdedeux.settings import Settings
 from tasks.stage import Parameters, Stage
 
-__all__ = ["Graph", "GraphError", "load_graph"]
-
 _NOT_STAGES = frozenset({"stage", "graph", "shards"})
 
 

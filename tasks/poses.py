@@ -7,8 +7,6 @@ import numpy as np
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Manifest, Store
 
-__all__ = ["num_persons", "read_poses"]
-
 
 def num_persons(manifest: Manifest) -> int:
     """Return how many people an artifact with tables of takes, annotations or variants shows."""

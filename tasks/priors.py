@@ -16,8 +16,6 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, default_torso_basis
 
-__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_limits", "run_shard"]
-
 VERSION = 4
 
 MIN_POSES = 10

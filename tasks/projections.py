@@ -24,8 +24,6 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 
-__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", "read_pairs", "read_views", "run_shard"]
-
 VERSION = 5
 
 

@@ -31,8 +31,6 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
 
-__all__ = ["MAX_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
-
 VERSION = 17
 
 

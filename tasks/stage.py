@@ -15,22 +15,6 @@ from pasdedeux.settings import Settings
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 
-__all__ = [
-    "EarlyPlan",
-    "Parameters",
-    "Shard",
-    "SourceFile",
-    "Stage",
-    "StageInputs",
-    "artifact_fields",
-    "commit",
-    "merge_takes",
-    "named_refs",
-    "stream",
-    "verdict_of",
-    "verdicts_of_parts",
-]
-
 VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
 """Names under which a shard's verdict, and those of its parts, stand among its facts."""
 

@@ -14,8 +14,6 @@ from storage_schema import Manifest
 from tasks.poses import num_persons
 from tasks.stage import verdict_of, verdicts_of_parts
 
-__all__ = ["judge", "product_verdicts", "stage_verdict", "summary_of"]
-
 _APART = "evaluation"
 """The stage whose partitions, topics, are judged one by one."""
 

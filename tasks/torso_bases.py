@@ -10,15 +10,6 @@ from pasdedeux.cameras import TorsoBasis, proportions_torso_basis
 from pasdedeux.choreography import duet_torso_basis
 from storage_schema import ArtifactRef, Manifest, Store
 
-__all__ = [
-    "BODY_PROPORTIONS",
-    "BUILT_IN_DUETS",
-    "default_origin",
-    "default_torso_basis",
-    "read_torso_basis",
-    "shares_takes",
-]
-
 BUILT_IN_DUETS = "built-in duets"
 BODY_PROPORTIONS = "body proportions"
 

@@ -16,8 +16,6 @@ from tasks.poses import num_persons
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
-__all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "run_shard"]
-
 VERSION = 4
 
 MAX_WITHOUT_VIEW = 0.25

@@ -30,14 +30,12 @@ from flows.console import (
 )
 from flows.console.context import Context
 from flows.planning import PlanError
-from flows.study import StudyError
+from flows.study_files import StudyError
 from pasdedeux.errors import InputError, PasdedeuxError
 from storage_schema import StorageError
 from storage_schema.provenance import code_version
 from tasks.graph import Graph, GraphError
 from tasks.shards import ClusterError, ShardError
-
-__all__ = ["command_line", "run_command_line"]
 
 _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 

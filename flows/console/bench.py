@@ -19,8 +19,6 @@ from flows.planning import PlanError
 from pasdedeux.benchmarks.benchmark import BenchmarkResult
 from tasks.shards import worker_environment
 
-__all__ = ["app", "find_benchmarks"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 

@@ -9,8 +9,6 @@ import typer
 
 from flows.console.context import StoreOption, open_store
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _COMPLETE = """Complete a 3D pair whose joints are not all known, as a depth camera gives it (Yin et al. 2018, Fig. 12).

@@ -16,22 +16,6 @@ import typer
 from storage_schema import Store
 from tasks.graph import Graph, load_graph
 
-__all__ = [
-    "ClusterOption",
-    "Context",
-    "JsonOption",
-    "OversubscribeOption",
-    "SchedulerOption",
-    "SettingOption",
-    "StoreOption",
-    "StudyArgument",
-    "WorkersOption",
-    "graph_of",
-    "next_command",
-    "open_store",
-    "print_json",
-]
-
 StudyArgument = Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")]
 SettingOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")

@@ -24,8 +24,6 @@ from storage_schema import (
 )
 from storage_schema.datasets import dataset_labels, open_dataset
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 _group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(_group, name="dataset")
@@ -118,7 +116,8 @@ def push(
     label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
 ) -> None:
     """Put a dataset into S3-compatible storage."""
-    from storage_schema.remote import RemoteStore, push_dataset  # here: a client that the other commands need not load
+    from storage_schema.bucket import RemoteStore  # here: a client that the other commands need not load
+    from storage_schema.remote import push_dataset
 
     opened = open_store(store)
     with in_use(opened):
@@ -132,7 +131,8 @@ def pull(
     label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
 ) -> None:
     """Get a dataset from S3-compatible storage."""
-    from storage_schema.remote import RemoteStore, pull_dataset
+    from storage_schema.bucket import RemoteStore
+    from storage_schema.remote import pull_dataset
 
     opened = open_store(store)
     dataset, num_new = pull_dataset(RemoteStore(place), label, opened)

@@ -24,8 +24,6 @@ from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, telemetry_off
 from flows.study import load_study
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _DEPLOY = """Put a study on Prefect's server as a build that a worker runs, on a schedule or when it is asked for.

@@ -13,8 +13,6 @@ from flows.differences import differences
 from flows.reasons import shorten
 from flows.recorded import read_recorded
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _DIFF = """Put two finished runs, or two versions of datasets, side by side: only what differs, the scores last.

@@ -22,23 +22,6 @@ from storage_schema import Manifest, Store
 from tasks.shards import ShardDone
 from tasks.summary import summary_of
 
-__all__ = [
-    "BarListener",
-    "LineListener",
-    "cost_lines",
-    "counted",
-    "duration_text",
-    "format_table",
-    "left_text",
-    "make_listener",
-    "manifest_lines",
-    "outcome_lines",
-    "plan_lines",
-    "print_table",
-    "progress_text",
-    "summary_lines",
-]
-
 _SILENCE_S = 5.0
 """After which a line is said, where there is no terminal for bars."""
 _LOOK_UP_S = 0.5

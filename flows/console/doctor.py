@@ -17,8 +17,6 @@ from flows.machine import GIB, free_bytes, memory_bytes, nearest_folder, usable_
 from flows.prefect_server import ServerError, check_server
 from tasks.shards import worker_environment
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _MIN_MEMORY_BYTES = 2 * GIB

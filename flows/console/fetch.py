@@ -19,8 +19,6 @@ from flows.exports.credits import CREDITS_NAME, add_notice
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
 
-__all__ = ["FetchError", "Fetched", "app", "fetch_cmu", "takes_of_study"]
-
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
 _MAX_FILE_BYTES = 200 << 20
 _NUM_ATTEMPTS = 4

@@ -11,8 +11,6 @@ from pathlib import Path
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.openpose import OpenPoseFrame, openpose_frame_number, read_openpose_frame
 
-__all__ = ["STOP_NAME", "FollowedFile", "follow_folder", "list_frames"]
-
 STOP_NAME = "STOP"
 """A file of this name in the folder says that no more frames will come."""
 

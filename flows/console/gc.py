@@ -14,8 +14,6 @@ from flows.console.context import JsonOption, StoreOption, open_store, print_jso
 from flows.console.display import counted, print_table
 from storage_schema import UnknownReference
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _GC = """Remove from a store what nothing needs; without --yes only say what that is, and how many bytes.

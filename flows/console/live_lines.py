@@ -21,12 +21,11 @@ from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, check_anatomy, in
 from pasdedeux.formats.humanoid import AXES
 from pasdedeux.formats.openpose import OpenPoseFrame, join_openpose_frames
 from pasdedeux.reconstruction.body import Body
-from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
+from pasdedeux.reconstruction.live.chain import LivePeople
+from pasdedeux.reconstruction.live.person import LivePose
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-
-__all__ = ["follow_lines", "lines_into", "told_to_stop"]
 
 _DECIMALS = 7
 """Digits of metres and of rotations: bones do not change by more than 1e-6 m because of them."""

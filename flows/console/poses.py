@@ -9,11 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from flows.console.display import format_table
+from pasdedeux.arrays import Array
 from pasdedeux.skeletons import WORKING_SKELETONS
-
-__all__ = ["braille_lines", "pose_lines"]
-
-Array = npt.NDArray[np.float64]
 
 _BRAILLE = 0x2800
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])

@@ -9,8 +9,6 @@ import typer
 
 from pasdedeux.errors import InputError
 
-__all__ = ["register"]
-
 _HELP = """Reconstruct 3D motions of the people in a detector's files, from the projections of a study.
 
 Read are OpenPose folders, COCO annotations and result lists, MediaPipe's landmarks, our CSV and npz; a folder of

@@ -21,7 +21,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import say_units, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.settle import SequencePeople, SettledPeople
-from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
+from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
+from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
@@ -31,8 +32,6 @@ from tasks.ingest.annotations import find_annotations
 from tasks.ingest.parameters import AnnotationOptions
 from tasks.projections import read_pairs, read_views
 from tasks.reconstruction import MAX_PAIRS, read_database
-
-__all__ = ["Live", "Whole", "follow_video", "reconstruct_video"]
 
 _LIVE_PITCH_DEG = 10.0
 _HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")

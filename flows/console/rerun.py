@@ -27,8 +27,6 @@ from flows.study import study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import in_use
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _RERUN = """Build a finished run, or a version of a dataset, once more elsewhere, and compare artifact by artifact.

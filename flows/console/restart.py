@@ -28,8 +28,6 @@ from storage_schema import Store, latest_studies
 if TYPE_CHECKING:
     from tasks.seeds.files import DrawSeed
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _RESTART = """Go on from a draw: new chains that start where it is (Yin et al. 2018, section 5.3).

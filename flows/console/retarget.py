@@ -9,8 +9,6 @@ import typer
 
 from flows.exports import RestPose, Units
 
-__all__ = ["register"]
-
 _HELP = """Give a take the bodies of other people, its contacts kept, and write it on its own skeletons.
 
 TAKE is STUDY/TAKE of a store, a reference to poses, or motion files that need no study, one a person (BVH, AMC with

@@ -43,8 +43,6 @@ from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
 from tasks.poses import num_persons
 from tasks.stage import StageInputs, verdict_of
 
-__all__ = ["FileOptions", "retarget_take"]
-
 _MISFIT_M = 0.05
 """A body that is missed by more than this, in any distance, is warned of."""
 KEPT = "source"

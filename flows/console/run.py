@@ -40,8 +40,6 @@ from storage_schema import Store, in_use
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
-__all__ = ["app", "build", "build_and_report"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 MIN_FREE_BYTES = 64 * 1024**2

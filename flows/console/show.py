@@ -28,8 +28,6 @@ from storage_schema import (
     table_files,
 )
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 SCORES = "scores"

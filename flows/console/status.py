@@ -19,8 +19,6 @@ from storage_schema.references import what_is_wrong
 from storage_schema.verification import ProblemKind
 from tasks.summary import stage_verdict
 
-__all__ = ["app"]
-
 app = typer.Typer(rich_markup_mode=None)
 
 _STATUS = "Show what is in a store: the studies built in it, their verdicts, its runs and its size."

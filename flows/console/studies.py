@@ -13,12 +13,10 @@ import typer
 from flows.console import fetch
 from flows.console.context import JsonOption, SettingOption, graph_of, print_json
 from flows.console.display import print_table
-from flows.study import StudyError, load_study
-from flows.study_files import HEAD, PUBLISH, read_study_tree, shipped_studies, study_text
+from flows.study import load_study
+from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
 from tasks.graph import Graph
-
-__all__ = ["app"]
 
 app = typer.Typer(rich_markup_mode=None)
 _group = typer.Typer(

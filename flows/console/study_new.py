@@ -23,8 +23,6 @@ from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file,
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
 
-__all__ = ["NewStudy", "new_study", "write_new_study"]
-
 SURE, LIKELY = 0.9, 0.6
 ONE_TAKE = 0.98
 """Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""

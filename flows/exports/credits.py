@@ -9,8 +9,6 @@ from pathlib import Path
 from flows.exports.export_format import write_text
 from storage_schema import ArtifactRef, SourceCredit
 
-__all__ = ["CREDITS_NAME", "add_notice", "write_credits"]
-
 CREDITS_NAME = "CREDITS.txt"
 _SOURCES = "Sources, their licences and credits:"
 _ARTIFACTS = "Artifacts (stage, key, content digest):"

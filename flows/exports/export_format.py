@@ -14,8 +14,6 @@ from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Reference, Store
 from storage_schema.columns import is_plain_name
 
-__all__ = ["Export", "ExportFormat", "FileNames", "RestPose", "Units", "names_pairs", "write_text"]
-
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
 

@@ -10,8 +10,6 @@ from pasdedeux.formats.pair_file import PairFile, write_pair_json
 from storage_schema import Reference
 from tasks.seeds.files import pair_of_draw, pairs_of_seeds
 
-__all__ = ["JsonPairs", "named_pairs"]
-
 
 class JsonPairs(ExportFormat):
     """A file for each pair, with every digit, its lineage and credits."""

@@ -16,8 +16,6 @@ from tasks.stage import verdict_of
 from tasks.training.items import skeleton_name
 from tasks.training.run import load_stored
 
-__all__ = ["ModelWeights", "stored_weights"]
-
 
 class ModelWeights(ExportFormat):
     """A file of weights for each model, `retarget --model` reads it back, and a model card in markdown beside it."""

@@ -19,8 +19,6 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Store
 
-__all__ = ["Person", "RigFiles", "people_of_take", "take_of"]
-
 _POSED = {"source": "that of the source's file", "standing": "a standing T-pose"}
 _LINE = re.compile(r"(?P<name>[A-Za-z0-9_.-]+): \d+ frames at ")
 _AXES = "right-handed, Y up"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.quality import FRAME_LIMITS, FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
@@ -17,10 +18,6 @@ from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import LONGEST_S, OVERLAP_S, blend_weights, plan_windows
 from pasdedeux.interaction.known_contacts import UserContact, check_contacts
 from pasdedeux.verdict import Level, Verdict
-
-__all__ = ["Augmenter", "Variant"]
-
-Array = npt.NDArray[np.float64]
 
 FAR_APART_M = 1.0
 """People whose joints never come closer than this do not interact; their variants are solved all the same."""

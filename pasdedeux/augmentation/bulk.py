@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk_kernels import (
     Batch,
     Form,
@@ -39,9 +40,6 @@ from pasdedeux.augmentation.terms import build_targets, right_hand_side
 from pasdedeux.augmentation.weights import GIRDLE, LAPLACIAN
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["BulkResult", "BulkSolver"]
-
-Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 
 _AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))

@@ -16,23 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 
-__all__ = [
-    "Batch",
-    "Form",
-    "Memory",
-    "Pairs",
-    "add_stencils",
-    "advance",
-    "fade_over_time",
-    "mean_change",
-    "mix",
-    "pull",
-    "remember",
-]
-
-Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 

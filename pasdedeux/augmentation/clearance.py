@@ -17,15 +17,13 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged, packer, stencil_vectors
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["Clearance", "clearance_limits", "find_clearance", "separations"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _SMALLEST_WEIGHT = 1e-2

@@ -13,13 +13,11 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.mesh import InteractionMesh
 from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.terms import temporal_couplings
 
-__all__ = ["Thinning", "interpolate", "thin_out"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Packed = TypeVar("Packed")
 

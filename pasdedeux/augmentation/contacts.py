@@ -14,15 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.fitting import Term
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.interaction.contacts import Contacts
-
-__all__ = ["ContactTerm"]
-
-Array = npt.NDArray[np.float64]
 
 _SHORTEST_M = 1e-6
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.contacts import ContactTerm
 from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
@@ -25,10 +25,6 @@ from pasdedeux.fitting import (
     fit_bones,
 )
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["descend", "fit_terms", "laplacian_residual", "total_energy"]
-
-Array = npt.NDArray[np.float64]
 
 
 def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:

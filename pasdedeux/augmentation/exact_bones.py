@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["project_to_bones"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _STEPS_TO_NEAREST = 2

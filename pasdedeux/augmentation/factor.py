@@ -19,8 +19,6 @@ import numpy.typing as npt
 
 from pasdedeux.compiled import compiled, intrinsic
 
-__all__ = ["Factor", "factorise", "solve"]
-
 Array = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 

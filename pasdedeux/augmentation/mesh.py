@@ -9,13 +9,10 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["InteractionMesh", "build_mesh", "delaunay_edges"]
-
-Array = npt.NDArray[np.float64]
 
 _SMALLEST_SQUARED_DISTANCE_M2 = 1e-4
 """Edges shorter than 1 cm weigh no more than one of 1 cm."""

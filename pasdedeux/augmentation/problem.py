@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import Clearance
 from pasdedeux.augmentation.mesh import InteractionMesh
@@ -16,10 +17,6 @@ from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.weights import CONTACT_DIRECTION
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["AXIS_GROUP", "Problem", "Targets", "girdle_pairs"]
-
-Array = npt.NDArray[np.float64]
 
 AXIS_GROUP = (0, 1, 0)
 """Which of the two matrices an axis x, y, z uses: horizontal 0, vertical 1."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.figure import Limits, complaints, figure, figures_of, limits_of
@@ -17,10 +18,6 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
-
-__all__ = ["FIGURES", "FRAME_FIGURES", "FRAME_LIMITS", "FrameQuality", "Measured", "Quality", "QualityMeter"]
-
-Array = npt.NDArray[np.float64]
 
 _STANDS = 0.5
 """A joint stands where its fading stance weight is above this."""

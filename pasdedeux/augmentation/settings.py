@@ -12,8 +12,6 @@ from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.interaction.known_contacts import Letter
 from pasdedeux.settings import Settings
 
-__all__ = ["AugmentationSettings"]
-
 
 class AugmentationSettings(Settings):
     """Everything that decides how a variant is solved and judged."""

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import Contacts, find_contacts
@@ -20,17 +21,6 @@ from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22, Skeleton
-
-__all__ = [
-    "Source",
-    "complete_scales",
-    "points_of",
-    "reference_motion",
-    "scaled_lengths",
-    "variant_rotations",
-]
-
-Array = npt.NDArray[np.float64]
 
 _LONGEST_JOINT_DISTANCE_M = 1e4
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])

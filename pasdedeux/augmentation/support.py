@@ -9,17 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.source import Source
 from pasdedeux.interaction.contacts import averaged
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.surfaces import fade
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["floor_weights", "lasting_s", "stance_weights"]
-
-Array = npt.NDArray[np.float64]
 
 _STANCE_SPEED_M_S = (0.15, 0.45)
 _STANCE_HEIGHT_M = (0.05, 0.12)

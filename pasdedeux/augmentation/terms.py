@@ -24,8 +24,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
@@ -43,10 +43,6 @@ from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weig
 from pasdedeux.augmentation.variations import persons_of
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["bending_rows", "build_problem", "build_targets", "right_hand_side", "temporal_couplings"]
-
-Array = npt.NDArray[np.float64]
 
 _MESH_SMOOTHING_S = 0.25
 """Averaging of the mesh over time; the published method takes each frame alone, and motion jumps where edges appear."""

@@ -8,29 +8,12 @@ from string import ascii_uppercase
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
-
-__all__ = [
-    "LIMB_GROUPS",
-    "PAPER_SCALES",
-    "Variation",
-    "VariationSet",
-    "VariationSettings",
-    "bone_variations",
-    "check_bone_scales",
-    "group_variations",
-    "leg_ratio",
-    "make_variations",
-    "persons_of",
-    "uniform_variations",
-]
-
-Array = npt.NDArray[np.float64]
 
 EVERYBODY = "all"
 

@@ -6,11 +6,9 @@ They were chosen by the figures of the variants of captured and made-up takes; `
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.interaction.contacts import Contacts
-
-Array = npt.NDArray[np.float64]
 
 LAPLACIAN = 1.0
 """Interaction mesh, w_L."""

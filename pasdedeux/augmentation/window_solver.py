@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms, laplacian_residual, total_energy
 from pasdedeux.augmentation.problem import Targets
@@ -16,10 +16,6 @@ from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.fitting import FitSettings, Term
 from pasdedeux.interaction.known_contacts import UserContact
-
-__all__ = ["POLISH", "SOLVERS", "SolvedWindow", "WindowSolver"]
-
-Array = npt.NDArray[np.float64]
 
 SOLVERS = ("bulk", "polished", "plain_fk")
 """Names of what may have given a variant; of several windows the last of these is told."""

@@ -5,12 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["LONGEST_S", "OVERLAP_S", "blend_weights", "plan_windows", "quintic"]
-
-Array = npt.NDArray[np.float64]
-
+from pasdedeux.arrays import Array
 
 LONGEST_S = 30.0
 """Longer takes are solved in overlapping windows of this length, seconds."""

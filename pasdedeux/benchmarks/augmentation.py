@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.problem import Problem, Targets
@@ -17,10 +17,6 @@ from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.fitting import FitSettings
 from pasdedeux.kinematics import place_bones
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["BENCHMARKS", "benchmark_source"]
-
-Array = npt.NDArray[np.float64]
 
 _FRAMES = 120
 _VARIANTS = 64

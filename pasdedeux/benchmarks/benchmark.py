@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 from pasdedeux.errors import InputError
 
-__all__ = ["BenchmarkResult", "measure_rate"]
-
 
 @dataclass(frozen=True)
 class BenchmarkResult:

@@ -30,8 +30,6 @@ from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import GaussianBlocks
 
-__all__ = ["BENCHMARKS"]
-
 NUM_ANNOTATIONS, NUM_VIEWS, NUM_CANDIDATES = 8000, 20, 500
 NUM_SAMPLES = 200
 _SIZE = f"34 joints, {NUM_ANNOTATIONS} annotations, {NUM_VIEWS} views, {NUM_CANDIDATES} candidates a view"

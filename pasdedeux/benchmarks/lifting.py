@@ -14,8 +14,6 @@ from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.kinematics.rotations import normalise
 
-__all__ = ["BENCHMARKS", "plain_nearest", "retrieval_problem"]
-
 NUM_DRAWS, NUM_PLACES = 100_000, 4_000
 
 

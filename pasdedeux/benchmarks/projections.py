@@ -24,13 +24,12 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index, prepare_query, recall
 from pasdedeux.reconstruction.bones import place_bone_rotations
-from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
+from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
+from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
-
-__all__ = ["BENCHMARKS", "LARGE_BENCHMARKS", "made_up_database", "search_brute_force"]
 
 Waits = npt.NDArray[np.float64]
 

@@ -5,18 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import project_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
 from pasdedeux.sampling.parameters import LENGTH_INDICES, NUM_PARAMETERS, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["random_annotations", "random_bank", "random_pairs", "random_parameters", "standing_pair"]
-
-Array = npt.NDArray[np.float64]
 
 _STANDING = {
     "pelvis": (0.0, 0.95, 0.0),

@@ -11,23 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras.orthographic import project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
-
-__all__ = [
-    "MIN_SINE",
-    "LocalFrame",
-    "angle_between_directions",
-    "angles_of_direction",
-    "local_frame",
-    "pair_frame",
-    "project_pair",
-    "true_direction",
-]
-
-Array = npt.NDArray[np.float64]
 
 MIN_SINE = 0.2
 """Least sine of the angle between i and j (12 degrees); where they are more parallel, i is turned away from j."""

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.kinematics.rotations import normalise
-
-__all__ = ["metres_from_pixels", "project_orthographic", "view_rotmat"]
-
-Array = npt.NDArray[np.float64]
 
 _FLIP_Y = np.array([1.0, -1.0])
 

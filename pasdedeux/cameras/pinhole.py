@@ -7,11 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-
-__all__ = ["PinholeCamera", "Projection"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,22 +11,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import best_rotation, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.skeletons import PAIR17
-
-__all__ = [
-    "MIN_TORSO_JOINTS",
-    "TORSO_INDICES",
-    "TORSO_JOINTS",
-    "LiftedTorsos",
-    "TorsoBasis",
-    "learn_torso_basis",
-    "lift_torsos",
-]
-
-Array = npt.NDArray[np.float64]
 
 TORSO_JOINTS = ("pelvis", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
 TORSO_INDICES = PAIR17.indices(TORSO_JOINTS)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras.torso import TorsoBasis, learn_torso_basis
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["proportions_torso_basis"]
-
-Array = npt.NDArray[np.float64]
 
 _STATURE_M = 1.7
 # Shares of the stature after Drillis and Contini (1966): x to the left, y up from the pelvis.

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras.orthographic import view_rotmat
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
-
-__all__ = ["VIEW_DEVIATION_RAD", "ViewDensity"]
-
-Array = npt.NDArray[np.float64]
 
 VIEW_DEVIATION_RAD = 0.5
 """sigma_v of lift eq. 5, radians."""

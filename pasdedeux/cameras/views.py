@@ -24,20 +24,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import angles_of_direction, local_frame
 from pasdedeux.cameras.orthographic import metres_from_pixels
 from pasdedeux.cameras.torso import TORSO_INDICES, LiftedTorsos, TorsoBasis, lift_torsos
 from pasdedeux.settings import Settings
 
-__all__ = [
-    "DEPTH_RULES",
-    "ViewEstimates",
-    "ViewOptions",
-    "estimate_views",
-    "pair_in_metres",
-]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 DEPTH_RULES = ("zero", "contact_near", "contact_far", "size", "near", "far")

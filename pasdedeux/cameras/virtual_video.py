@@ -9,25 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
-
-__all__ = [
-    "Annotated",
-    "ViewAngles",
-    "ViewDistribution",
-    "VirtualView",
-    "add_junk",
-    "annotate",
-    "frame_take",
-    "look_at_camera",
-    "passer_by",
-    "sample_views",
-]
-
-Array = npt.NDArray[np.float64]
 
 PERSON_HEIGHT_PX = 600.0
 """Height of a person in the image at which noise in pixels is meant."""

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
-
-__all__ = ["CAPSULE_RADII", "HEIGHT_LIMITS_M", "Body", "make_body"]
-
-Array = npt.NDArray[np.float64]
 
 HEIGHT_LIMITS_M = (1.4, 2.1)
 """Body heights that the duets are made for, metres."""

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["blend", "bump", "curve_through", "mix", "moves", "saturate", "soft_minimum", "window"]
-
-Array = npt.NDArray[np.float64]
+from pasdedeux.arrays import Array
 
 
 def blend(time_s: Array, start_s: float, stop_s: float) -> Array:

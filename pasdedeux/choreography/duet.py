@@ -11,16 +11,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body, make_body
 from pasdedeux.choreography.figure import SIDES, Figure
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["CLOTH_M", "BonePoint", "Contact", "Duet", "DuetStyle", "Stance", "finish", "wrist_contact"]
-
-Array = npt.NDArray[np.float64]
 
 CLOTH_M = 0.004
 """Cloth between two bodies that touch."""

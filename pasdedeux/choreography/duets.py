@@ -23,8 +23,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["DEFAULT_DUETS", "DUETS", "Dance", "draw_styles", "duet_torso_basis", "make_duet", "style_of"]
-
 S = TypeVar("S", bound=DuetStyle)
 
 _TORSO_DURATION_S, _TORSO_RATE_HZ = 10.0, 6.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import soft_minimum
 from pasdedeux.choreography.reach import STRETCH, reach
@@ -21,10 +21,6 @@ from pasdedeux.kinematics.rotations import (
     unitquat_from_rotvec,
 )
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["SIDES", "Figure", "Trunk", "facing", "turn"]
-
-Array = npt.NDArray[np.float64]
 
 SIDES = ("left", "right")
 _ELEVATION, _PROTRACTION = 0.20, 0.28

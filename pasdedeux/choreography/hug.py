@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import mix, moves, window
 from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
-
-__all__ = ["HugStyle", "make_hug"]
-
-Array = npt.NDArray[np.float64]
 
 _ARRIVE_S, _HOLD_S, _LEAVE_S = 2.5, 3.3, 3.0
 """When both have arrived; when the arms are closed; how long before the end the arms begin to open."""

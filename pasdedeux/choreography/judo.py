@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.duet import Duet, DuetStyle, finish
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
 from pasdedeux.choreography.judo_form import CYCLE_S, HELD_S, IN_S, LEAVE_S, OUT_S, WALK, JudoForm
 from pasdedeux.choreography.judo_grip import grip
 from pasdedeux.choreography.steps import Plant, walk_feet
-
-__all__ = ["JudoStyle", "make_judo"]
-
-Array = npt.NDArray[np.float64]
 
 _TRACK = 0.075
 """Distance of each foot from the middle of the body, fraction of height."""

@@ -5,26 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.curves import moves, window
 from pasdedeux.choreography.figure import facing
-
-__all__ = [
-    "BACK_S",
-    "CYCLE_S",
-    "HELD_S",
-    "IN_S",
-    "LEAVE_S",
-    "LET_GO_S",
-    "ON_BACK_S",
-    "OUT_S",
-    "REGRIP_S",
-    "WALK",
-    "JudoForm",
-]
-
-Array = npt.NDArray[np.float64]
 
 CYCLE_S = 10.0
 """The whole form; a longer duet repeats it."""

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import mix
 from pasdedeux.choreography.duet import CLOTH_M, Contact, wrist_contact
 from pasdedeux.choreography.figure import Figure
 from pasdedeux.choreography.judo_form import BACK_S, CYCLE_S, LET_GO_S, ON_BACK_S, REGRIP_S, JudoForm
 
-__all__ = ["grip"]
-
-Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 _LEAD_S = 0.3

@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import mix, moves, window
 from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_feet, walk_foot
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotvec
-
-__all__ = ["LiftStyle", "make_lift"]
-
-Array = npt.NDArray[np.float64]
 
 _HOLD_S, _OPEN_S = 1.6, 8.3
 """When both hands of both lie on the partner, and when they let go."""

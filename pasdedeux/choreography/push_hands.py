@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
 from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 from pasdedeux.kinematics.rotations import normalise
-
-__all__ = ["PushHandsStyle", "make_push_hands"]
-
-Array = npt.NDArray[np.float64]
 
 _AHEAD, _BEHIND, _ASIDE = 0.165, -0.175, 0.062
 """Where the feet stand from the middle of the stance: front foot, back foot, each to its side; fraction of height."""

@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.curves import saturate
 from pasdedeux.kinematics.rotations import normalise
-
-__all__ = ["STRETCH", "TwoBone", "reach"]
-
-Array = npt.NDArray[np.float64]
 
 STRETCH = 0.988
 """Share of the straight limb up to which a target is met exactly; the limb itself never gets straighter than 0.998."""

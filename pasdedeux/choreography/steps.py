@@ -7,16 +7,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import blend, bump
 from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["FootPath", "Plant", "clear_other_foot", "spread_feet", "walk_feet", "walk_foot"]
-
-Array = npt.NDArray[np.float64]
 
 _PEEL = 0.22
 """Share of a swing during which the heel rises over the ball of the foot that still stands."""

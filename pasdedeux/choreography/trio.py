@@ -8,15 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import curve_through
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, finish
 from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import Plant, walk_feet
-
-__all__ = ["TrioStyle", "make_trio"]
-
-Array = npt.NDArray[np.float64]
 
 _TRACK = 0.068
 """Distance of each foot from the middle of the body, fraction of body height."""

@@ -8,16 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import curve_through
 from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
 from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import Plant, walk_feet
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["WaltzStyle", "make_waltz"]
-
-Array = npt.NDArray[np.float64]
 
 _TRAVEL = np.array([0.50, 0.95, 1.0])
 """Share of a bar's travel that the weight has done over the 1st, 2nd and 3rd step: long, side, close."""

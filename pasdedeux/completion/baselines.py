@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.completion.fit import fit_people
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.capsules import capsule_model
@@ -17,10 +17,6 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.parameters import LENGTH_INDICES, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["NaiveSamples", "lift_by_ik", "resolve_penetration", "sample_naively"]
-
-Array = npt.NDArray[np.float64]
 
 _NUM_ROUNDS = 5
 _IMAGE_DEVIATION_M, _VALID_DEVIATION_M, _DEPTH_DEVIATION_M = 0.01, 0.02, 0.3

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import pair_frame
 from pasdedeux.cameras.orthographic import view_rotmat
 from pasdedeux.completion.kernels import LANES, fill_residuals, refill_residuals
@@ -19,9 +20,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["DrawIndex", "Nearest"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 MIN_SEEN = 4

@@ -10,11 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["ExpectedError", "expected_error"]
-
-Array = npt.NDArray[np.float64]
+from pasdedeux.arrays import Array
 
 ERROR_PER_CORRECTION, ERROR_PER_SIZE, SHARE_WITH_OWN_DRAW = 1.14, 0.107, 0.83
 LOW_SHARE, HIGH_SHARE = 0.63, 1.58

@@ -6,17 +6,13 @@ The image decides where it sees; each bone's vector, and the depth of each perso
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, FitSettings, PointTerm, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["fit_pair", "fit_people", "pooled_lengths"]
-
-Array = npt.NDArray[np.float64]
 
 _PARENTS = np.array([parent if parent >= 0 else joint for joint, parent in enumerate(PAIR17.parents)])
 

@@ -9,16 +9,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, DifferenceTerm, FitSettings, PointTerm, fit_bones
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["fill_between", "straight_between"]
-
-Array = npt.NDArray[np.float64]
-
 
 _NUM_NEAREST = 16
 """Draws that say where pairs lie, for each pair between."""

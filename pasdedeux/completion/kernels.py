@@ -7,15 +7,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 
-__all__ = ["LANES", "fill_residuals", "fill_rigid_residuals", "refill_residuals"]
-
 LANES = 256
 """Draws that lie side by side in memory; arithmetic runs over them."""
-
-Array = npt.NDArray[np.float64]
 Lanes = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 

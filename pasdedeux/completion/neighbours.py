@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.completion.kernels import fill_rigid_residuals
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics import align_rigid
 
-__all__ = ["Neighbours", "nearest_by_interaction", "nearest_rigid"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 MIN_KNOWN = 5

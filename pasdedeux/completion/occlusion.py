@@ -11,15 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.completion.fit import fit_people
 from pasdedeux.completion.neighbours import Neighbours, nearest_by_interaction
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["Completion", "blend_onto", "complete_pair", "known_lengths"]
-
-Array = npt.NDArray[np.float64]
 
 NUM_NEAREST = 100
 """Draws a median is taken over (Yin et al. 2018: 100)."""

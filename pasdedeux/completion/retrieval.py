@@ -12,21 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.nearest import image_distances
-
-__all__ = [
-    "Retrieval",
-    "image_residual",
-    "nearest_by_image",
-    "nearest_images",
-    "retrieve",
-]
-
-Array = npt.NDArray[np.float64]
-
 
 _NUM_NEIGHBOURS = 8
 """Near draws that a pair's depth is averaged over."""

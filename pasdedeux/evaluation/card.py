@@ -9,8 +9,6 @@ from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import verdict_words
 
-__all__ = ["DatasetCard", "card_tables", "render_card"]
-
 
 @dataclass(frozen=True)
 class DatasetCard:

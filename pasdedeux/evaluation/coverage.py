@@ -7,25 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.figures import Curve, CurvePanel, panel_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import PRIOR_ONLY
-
-__all__ = [
-    "as_good_as_real_frames",
-    "coverage_figure",
-    "coverage_scores",
-    "curve_points",
-    "is_trivial",
-    "nearest_by_method",
-    "real_frame_levels",
-    "realism_scores",
-    "union_scores",
-]
-
-Array = npt.NDArray[np.float64]
 
 _MAX_DRAWS, _MAX_REAL = 200, 1500
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)

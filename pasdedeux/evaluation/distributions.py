@@ -9,21 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.scores import FEWEST_UNITS
-
-__all__ = [
-    "KID_FACTOR",
-    "density_coverage",
-    "distances",
-    "frechet_distance",
-    "halves",
-    "kernel_distance",
-    "kernel_interval",
-]
-
-Array = npt.NDArray[np.float64]
 
 KID_FACTOR = 1000.0
 """Kernel distances are told times this."""

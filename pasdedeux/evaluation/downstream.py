@@ -6,25 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.learning.clip_classifier import CLIP_HZ
-
-__all__ = [
-    "BASELINES",
-    "HORIZONS_S",
-    "LARGEST",
-    "STILL",
-    "WITH",
-    "WITHOUT",
-    "prediction_scores",
-    "prediction_table",
-    "recognition_table",
-]
-
-Array = npt.NDArray[np.float64]
 
 WITH, WITHOUT = "with_augmentation", "without_augmentation"
 STILL, LARGEST = "last_pose_held", "largest_class"

@@ -12,17 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import figure_svg, new_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.interaction.nearest import image_distances, interaction_distances
 from pasdedeux.sampling.density import PRIOR_ONLY
-
-__all__ = ["PairMap", "map_figure"]
-
-Array = npt.NDArray[np.float64]
 
 _MARKERS = ("^", "s", "X", "D", "v")
 

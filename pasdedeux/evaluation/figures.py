@@ -8,27 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.players import PERSON_COLOURS
 from pasdedeux.skeletons import PAIR17
 
 if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
     from matplotlib.figure import Figure
-
-__all__ = [
-    "Curve",
-    "CurvePanel",
-    "compared_figure",
-    "curve_figure",
-    "draw_pair",
-    "figure_svg",
-    "new_figure",
-    "panel_figure",
-    "view_figure",
-]
-
-Array = npt.NDArray[np.float64]
 
 _DOTS_PER_INCH = 90
 """Clouds of points are drawn as an image within the figure: thousands of shapes would be megabytes."""

@@ -12,16 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image
 from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.evaluation.figures import Curve, CurvePanel, draw_pair, figure_svg, new_figure, panel_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score, summarise
-
-__all__ = ["LeftOutCurve", "annotation_map_figure", "left_out_curve", "left_out_figure", "left_out_scores"]
-
-Array = npt.NDArray[np.float64]
 
 _COUNTS = (10, 100, 1_000, 10_000)
 _NUM_DRAWN = 14

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.completion.occlusion import blend_onto, complete_pair
@@ -18,24 +19,6 @@ from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.skeletons import PAIR17
-
-__all__ = [
-    "BASELINES",
-    "HIDDEN",
-    "LiftedExample",
-    "calibration_scores",
-    "completion_errors",
-    "completion_scores",
-    "expected_figure",
-    "in_between_errors",
-    "in_between_scores",
-    "lifted_errors",
-    "lifted_player",
-    "lifted_scores",
-    "nearest_figure",
-]
-
-Array = npt.NDArray[np.float64]
 
 BASELINES = frozenset({"mean_pair", "lifting", "lifting_ik", "naive_sampling", "straight", "nearest_draw"})
 """Methods that others are compared with."""

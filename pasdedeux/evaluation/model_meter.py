@@ -12,8 +12,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.energy import fit_terms, total_energy
 from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.quality import QualityMeter
@@ -24,10 +24,6 @@ from pasdedeux.interaction.contacts import Contacts, stated_contacts
 from pasdedeux.learning import DEFAULT_MODELS, VariantModel, VariantRequest
 from pasdedeux.learning.mesh_refine import window_problems
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["SOLVER", "ModelMeter", "generated"]
-
-Array = npt.NDArray[np.float64]
 
 SOLVER = "solver"
 """Name under which the converged variant has its own figures."""

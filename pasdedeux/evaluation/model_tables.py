@@ -6,18 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.models import GENERATED
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import TRUTH_COLOUR, Figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.learning import SPLIT_NAMES, TrainingItem
-
-__all__ = ["LARGEST_SCALE", "best_model", "case_player", "extreme_cases", "model_tables"]
-
-Array = npt.NDArray[np.float64]
 
 LARGEST_SCALE = 1.25
 """Scale of the published table of largest scales."""

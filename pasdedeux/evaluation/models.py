@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import Curve, curve_figure
@@ -25,20 +25,6 @@ from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = [
-    "GENERATED",
-    "OF_QUALITY",
-    "UNITS",
-    "frame_errors_cm",
-    "generated_errors",
-    "key_contacts",
-    "model_errors",
-    "model_figure",
-    "model_scores",
-    "share_scores",
-]
-
-Array = npt.NDArray[np.float64]
 Errors = Mapping[str, float]
 
 _CM = 100.0

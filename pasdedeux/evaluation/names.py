@@ -6,8 +6,6 @@ import re
 from collections.abc import Iterable
 from functools import cache
 
-__all__ = ["better_sign", "in_words", "is_bound", "meanings"]
-
 _METHODS = {
     "interaction_mesh": ("interaction mesh", "bends the motion so that both people keep their place to each other"),
     "naive_fk": ("plain forward kinematics", "the source's joint angles on the new bones: the trivial way"),

@@ -14,21 +14,8 @@ from itertools import cycle
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.skeletons import Skeleton
-
-__all__ = [
-    "COLOUR_NAMES",
-    "PERSON_COLOURS",
-    "TRUTH_COLOUR",
-    "Figure",
-    "Panel",
-    "image_panel",
-    "pack_player",
-    "people_panel",
-    "shown_frames",
-]
-
-Array = npt.NDArray[np.float64]
 
 PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
 """Colours of person A, B, ... in every picture; a sixth person has the first one again."""

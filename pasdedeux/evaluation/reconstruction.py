@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.players import TRUTH_COLOUR, Figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.reconstruction_metrics import (
     jitter_m,
@@ -21,16 +22,6 @@ from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "Reconstructed",
-    "pair_scores",
-    "reconstruction_items",
-    "reconstruction_player",
-    "reconstruction_scores",
-    "turn_to_camera",
-]
-
-Array = npt.NDArray[np.float64]
 _BASELINE = "nearest"
 _MIN_DISTANCE_M = 0.5
 

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
-
-__all__ = ["foot_slide_m", "jitter_m", "root_centred_error_m", "root_removed_error_m", "scale_free_error_m"]
-
-Array = npt.NDArray[np.float64]
 
 _STANDING_M = 0.05
 """How far over its lowest place in the truth an ankle still counts as standing."""

@@ -18,8 +18,6 @@ from pasdedeux.verdict import Verdict
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["PLAYER", "Picture", "Report", "Section", "render_report"]
-
 PLAYER = ".player.json"
 """Ending of what a player shows."""
 

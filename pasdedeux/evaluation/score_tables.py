@@ -11,8 +11,6 @@ import numpy as np
 from pasdedeux.evaluation.names import better_sign, in_words, is_bound
 from pasdedeux.evaluation.scores import Score
 
-__all__ = ["TextTable", "format_score", "format_value", "mean_table", "score_table", "shown_as"]
-
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
 _MIN_LENGTH_M = 1e-9

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["COLUMNS", "FEWEST_UNITS", "Score", "bootstrap_interval", "columns_of", "scores_of", "summarise"]
-
 COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count", "low", "high")
 """Columns of the `scores` table beside `topic`, which says who measured."""
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
 
-__all__ = ["Credit", "Made", "Summary", "folded", "listed"]
-
 _NUM_SAID = 8
 """Sentences on what was left out among the last lines of the console, at most; the report and the card have all."""
 _NUM_NAMED = 6

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["take_scores"]
-
-Array = npt.NDArray[np.float64]
 _CLOSE_M = 0.15
 """Closest joints under this distance count as close contact."""
 

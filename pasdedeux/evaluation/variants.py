@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.augment import Augmenter
 from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.augmentation.settings import AugmentationSettings
@@ -21,21 +22,6 @@ from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
-
-__all__ = [
-    "QUALITY_COLUMNS",
-    "ContactDrifts",
-    "VariantQualities",
-    "contact_drifts",
-    "contact_scores",
-    "drift_figure",
-    "gap_scores",
-    "quality_scores",
-    "variant_player",
-    "verdict_scores",
-]
-
-Array = npt.NDArray[np.float64]
 
 _MAX_LINKS = 10
 """Contacts drawn in a frame, at most."""

@@ -16,18 +16,6 @@ from pasdedeux.evaluation.score_tables import format_value, shown_as
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval
 from pasdedeux.verdict import Level, Paired, Verdict
 
-__all__ = [
-    "Items",
-    "Judged",
-    "Yardstick",
-    "compare",
-    "figure_words",
-    "merge_verdicts",
-    "part_name",
-    "verdict_columns",
-    "verdict_words",
-]
-
 FEWEST_BLOCKS = 10
 """Seconds of motion or stills below which nothing is judged."""
 _HELD_OUT = "held_out"

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import angle_between_directions
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.kinematics.rotations import normalise
-
-__all__ = ["VIEW_BASELINES", "view_errors", "view_scores"]
-
-Array = npt.NDArray[np.float64]
 
 VIEW_BASELINES = ("mean_view",)
 

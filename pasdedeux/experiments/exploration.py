@@ -10,8 +10,6 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.score_tables import TextTable, format_value
 from pasdedeux.evaluation.scores import Score
 
-__all__ = ["exploration_table"]
-
 _SPLITS = ("held_out", "unannotated", "annotated")
 _COVERAGE = {
     "num_draws": "draws",

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.reconstruction_metrics import (
     foot_slide_m,
     jitter_m,
@@ -26,7 +26,7 @@ from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
-from pasdedeux.reconstruction.live.chain import LiveOptions, LivePerson
+from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson
 from pasdedeux.reconstruction.live.window_fit import WindowFitOptions
 from pasdedeux.reconstruction.pitch import floor_offset
 from pasdedeux.reconstruction.reconstruct import (
@@ -40,21 +40,6 @@ from pasdedeux.reconstruction.reconstruct import (
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "BEST_MARK",
-    "CLEAN",
-    "CONDITIONS",
-    "LIVE",
-    "Condition",
-    "UnseenMotion",
-    "ViewedMotion",
-    "best_candidates",
-    "reconstruct_seen",
-    "see",
-    "unseen_view_scores",
-]
-
-Array = npt.NDArray[np.float64]
 Stream = Callable[[int], np.random.Generator]
 
 BEST_MARK = "best_of_50"

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["BlockMatrix", "NotPositiveDefinite", "solve_blocks"]
-
-Array = npt.NDArray[np.float64]
+from pasdedeux.arrays import Array
 
 
 class NotPositiveDefinite(ArithmeticError):  # noqa: N818 - says what the matrix is; callers answer with more damping

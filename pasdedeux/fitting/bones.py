@@ -8,13 +8,11 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["BoneForest", "BoneState", "Topology", "topology_of"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _TINY = 1e-12

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest, BoneState
 from pasdedeux.fitting.terms import AXES, Normal, Term
 
-__all__ = ["FitResult", "FitSettings", "fit_bones"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _SMALLEST_CURVATURE = 1e-9

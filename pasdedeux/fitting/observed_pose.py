@@ -16,24 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.bones import BoneForest, topology_of
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import DifferenceTerm, Normal, PointTerm, Term
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import Skeleton
-
-__all__ = [
-    "BoneVectorTerm",
-    "ObservedFit",
-    "ObservedFitSettings",
-    "fit_observed",
-    "flatten_image",
-    "image_noise",
-    "image_term",
-]
-
-Array = npt.NDArray[np.float64]
 
 _DEPTH_HOLD = 1e-2
 _FEWEST_DIFFERENCES = 5

@@ -13,11 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-
-__all__ = ["AXES", "DifferenceTerm", "DistanceTerm", "HalfSpaceTerm", "Normal", "PointTerm", "QuadraticTerm", "Term"]
-
-Array = npt.NDArray[np.float64]
 
 AXES = 3
 

@@ -10,20 +10,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
-
-__all__ = [
-    "MAX_FOCAL_PX",
-    "MAX_IMAGE_PX",
-    "MAX_RATE_HZ",
-    "AnnotatedFrames",
-    "check_anatomy",
-    "get_keypoint_layout",
-    "in_pixels",
-]
-
-Array = npt.NDArray[np.float64]
 
 # Greatest length of a segment as a share of the diagonal of everything seen of a person.  Wide enough for crouching,
 # bending and people cut off at the waist; far too small for a keypoint that belongs to another part of the body.

@@ -33,8 +33,6 @@ from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
-__all__ = ["AnnotationCsv", "read_annotation_csv"]
-
 COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence")
 _NEEDED = ("frame", "person", "joint", "x", "y")
 

@@ -24,8 +24,6 @@ from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.formats.text import MAX_MAGNITUDE
 
-__all__ = ["AnnotationNpz", "read_annotation_npz"]
-
 
 class AnnotationNpz(AnnotationFormat):
     """Our npz: it states its layout, and may state image size and rate."""

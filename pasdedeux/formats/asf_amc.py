@@ -12,8 +12,8 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.euler import identity_unitquat, unitquat_from_euler
 from pasdedeux.formats.file_format import FileStart, MotionFormat
@@ -21,10 +21,6 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.kinematics.rotations import conjugate, multiply
 from pasdedeux.skeletons import Skeleton
-
-__all__ = ["AsfAmc", "AsfSkeleton", "read_amc", "read_asf"]
-
-Array = npt.NDArray[np.float64]
 
 METRES_PER_INCH = 0.0254
 MAX_BONES = 500

@@ -11,18 +11,14 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.euler import identity_unitquat, unitquat_from_euler
 from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE, decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.skeletons import Skeleton
-
-__all__ = ["Bvh", "BvhHeader", "BvhHierarchy", "read_bvh", "read_bvh_header", "read_bvh_hierarchy"]
-
-Array = npt.NDArray[np.float64]
 
 MAX_JOINTS = 1000
 """More joints than this is a damaged file: the largest rigs in use have a few hundred."""

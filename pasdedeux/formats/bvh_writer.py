@@ -8,8 +8,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import euler_from_unitquat
 from pasdedeux.kinematics import Motion
 
-__all__ = ["write_bvh"]
-
 
 def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, rotation_order: str = "ZXY", decimals: int = 6) -> str:
     """Return a motion as BVH text: lengths in file units (centimetres by default), angles in degrees, Y up, true rate.

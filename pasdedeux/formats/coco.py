@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import (
@@ -23,10 +23,6 @@ from pasdedeux.formats.detections import (
 )
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import parse_json, parse_triples
-
-__all__ = ["Coco", "keypoint_table", "person_number", "read_coco"]
-
-Array = npt.NDArray[np.float64]
 
 _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 """COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible."""

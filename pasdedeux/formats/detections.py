@@ -19,18 +19,6 @@ from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, MAX_RATE_HZ, AnnotatedFrames, get_keypoint_layout
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
 
-__all__ = [
-    "MAX_FRAME",
-    "UNKNOWN",
-    "Detection",
-    "Footage",
-    "image_size",
-    "join_detections",
-    "known_footage",
-    "number_in_name",
-    "places_of_names",
-]
-
 MAX_FRAME = 1_000_000_000
 MAX_CONFIDENCE = 10.0
 """Confidences are heights of a heat map: about 1 at most, but not exactly."""

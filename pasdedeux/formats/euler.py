@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["euler_from_unitquat", "identity_unitquat", "unitquat_from_euler"]
-
-Array = npt.NDArray[np.float64]
+from pasdedeux.arrays import Array
 
 
 def identity_unitquat(*batch: int) -> Array:

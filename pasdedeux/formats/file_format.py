@@ -16,8 +16,6 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
 
-__all__ = ["AnnotationFormat", "FileFormat", "FileStart", "MotionFormat", "MotionHead"]
-
 _LOOKED_AT_BYTES = 200_000
 
 

@@ -10,8 +10,6 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import Detection, Place, join_detections, places_of_names
 from pasdedeux.formats.file_format import AnnotationFormat
 
-__all__ = ["FrameFiles"]
-
 
 class FrameFiles(AnnotationFormat):
     """A folder of files, one for each image, whose names tell their frames; they state no image size and no rate."""

@@ -7,17 +7,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.skeletons.layouts import find_layout
-
-__all__ = ["AxisGuess", "MotionGuess", "UnitGuess", "common_up_axis", "guess_motion", "guess_unit", "guess_up_axis"]
-
-Array = npt.NDArray[np.float64]
 
 UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001, "CMU unit": 0.0254 / 0.45}
 """Length units that motion files come in: so far apart that only one of them can make an adult of a body."""

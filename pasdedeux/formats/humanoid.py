@@ -13,8 +13,6 @@ from pasdedeux.formats.motion_npz import write_motion_npz
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.humanoid import END_SITES, HUMANOID
 
-__all__ = ["AXES", "UNITS_PER_METRE", "HumanoidMotion", "humanoid_motion", "say_units", "write_npz"]
-
 UNITS_PER_METRE = {"cm": 100.0, "m": 1.0}
 _SPELT = {"cm": "centimetres", "m": "metres"}
 """Units that BVH files may have; centimetres unless asked otherwise, as most programs take them."""

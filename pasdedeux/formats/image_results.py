@@ -11,8 +11,6 @@ from pasdedeux.formats.file_format import FileStart
 from pasdedeux.formats.frame_files import FrameFiles
 from pasdedeux.formats.text import parse_json
 
-__all__ = ["ImageResults"]
-
 _OTHERS = (
     "people",
     "landmarks",

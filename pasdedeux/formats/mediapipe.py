@@ -14,18 +14,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import MAX_FRAME, UNKNOWN, Detection, join_detections, known_footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import decode, parse_json, parse_number, parse_triples, shorten, split_lines
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-
-__all__ = ["MediaPipe", "read_mediapipe"]
-
-Array = npt.NDArray[np.float64]
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
 _LIST_KEYS = ("frames", "poses", "results", "data", "landmarks", "pose_landmarks")

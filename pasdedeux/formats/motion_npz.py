@@ -9,8 +9,6 @@ import numpy as np
 
 from pasdedeux.kinematics import Motion
 
-__all__ = ["write_motion_npz"]
-
 
 def write_motion_npz(motion: Motion, *, axes: str, **facts: Any) -> bytes:
     """Return a motion as an npz archive, lengths in metres.

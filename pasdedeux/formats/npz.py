@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 
-__all__ = ["array_names", "is_npz", "read_npz"]
-
 MAX_UNPACKED_BYTES = 1 << 30
 MAX_ARRAYS = 100
 MAX_RATIO = 100

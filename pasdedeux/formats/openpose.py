@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import MAX_FRAME, Detection, Place, join_detections, number_in_name
@@ -16,10 +17,6 @@ from pasdedeux.formats.file_format import FileStart
 from pasdedeux.formats.frame_files import FrameFiles
 from pasdedeux.formats.text import parse_json, parse_triples
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
-
-__all__ = ["OpenPose", "OpenPoseFrame", "join_openpose_frames", "openpose_frame_number", "read_openpose_frame"]
-
-Array = npt.NDArray[np.float64]
 
 MAX_PEOPLE = 1000
 

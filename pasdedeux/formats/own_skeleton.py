@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.kinematics import Motion, best_rotation, bone_directions, bone_lengths, forward_kinematics, place_bones
@@ -20,10 +20,6 @@ from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotat
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import Layout
-
-__all__ = ["BodyMap", "OwnSkeleton", "body_map", "own_ends", "standing"]
-
-Array = npt.NDArray[np.float64]
 
 _HOLD_M = 1e-3
 """Where the points of a joint leave a turn open it is held, as if by points this far from it."""

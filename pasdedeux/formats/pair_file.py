@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
@@ -22,10 +22,6 @@ from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import find_layout
-
-__all__ = ["PairFile", "PairSource", "pair_from_bvh", "read_pair_json", "write_pair_bvh", "write_pair_json"]
-
-Array = npt.NDArray[np.float64]
 
 _FORMAT, _VERSION = "pasdedeux pair", 1
 _PERSONS = ("A", "B")

@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["floor_shift", "place_motion", "place_points"]
-
-Array = npt.NDArray[np.float64]
 
 FOOT_PERCENTILE = 5.0
 """Feet are on the floor in at least this share of the frames; the frames below it may be noise."""

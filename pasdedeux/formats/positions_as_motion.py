@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, swing_between
 from pasdedeux.skeletons import Skeleton
-
-__all__ = ["exact_motion", "motion_from_positions"]
-
-Array = npt.NDArray[np.float64]
 
 RIGID_M = 1e-4
 """Children that keep their places to each other within this are left to the rotation of their joint."""

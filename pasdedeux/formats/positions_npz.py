@@ -16,8 +16,6 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = ["PositionsNpz", "read_positions_npz"]
-
 _MAX_JOINTS = 1000
 
 

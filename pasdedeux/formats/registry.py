@@ -22,15 +22,6 @@ from pasdedeux.formats.openpose import OpenPose
 from pasdedeux.formats.positions_npz import PositionsNpz
 from pasdedeux.formats.rotation_rows import RotationRows
 
-__all__ = [
-    "ANNOTATION_FORMATS",
-    "MOTION_FORMATS",
-    "find_format",
-    "is_companion",
-    "read_annotations",
-    "recognise_format",
-]
-
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
 MOTION_FORMATS: Mapping[str, MotionFormat] = {

@@ -17,8 +17,6 @@ from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import decode, parse_number, split_lines
 
-__all__ = ["RotationRows", "read_rotation_rows"]
-
 
 def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion:
     """Read rows of angles over a template; the root stays at the template's OFFSET.

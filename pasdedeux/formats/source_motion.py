@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
-
-__all__ = ["UP_AXES", "SourceMotion", "upright_from_file"]
-
-Array = npt.NDArray[np.float64]
 
 UP_AXES = ("x", "y", "z")
 """Axes that may point up in a file; inside the project it is always y."""

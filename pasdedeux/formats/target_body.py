@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.npz import is_npz, read_npz
 from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
@@ -15,9 +16,6 @@ from pasdedeux.formats.text import parse_json, parse_table, split_lines
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["BodyFit", "TargetBody", "body_of_skeleton", "fit_body", "read_body"]
-
-Array = npt.NDArray[np.float64]
 Distances = Mapping[tuple[int, int], float]
 """Metres between two joints of body22, by their indices."""
 

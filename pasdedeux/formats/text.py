@@ -12,17 +12,6 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 
-__all__ = [
-    "MAX_MAGNITUDE",
-    "decode",
-    "parse_integer",
-    "parse_json",
-    "parse_number",
-    "parse_table",
-    "parse_triples",
-    "split_lines",
-]
-
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from pasdedeux.skeletons.layouts import Layout
-
-__all__ = ["WorkingPoses", "check_layout", "derive_working_poses"]
-
-Array = npt.NDArray[np.float64]
 
 MIN_BONE_M = 1e-3
 """A bone of a working skeleton shorter than this at rest means that the mapping put two joints on one place."""

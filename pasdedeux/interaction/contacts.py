@@ -21,15 +21,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["TOUCH_M", "Contacts", "averaged", "find_contacts", "packer", "stated_contacts", "stencil_vectors"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 TOUCH_M = (0.02, 0.08)

@@ -9,21 +9,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.kinematics import align_rigid
-
-__all__ = [
-    "BETA_M",
-    "align_plane",
-    "cartesian_dissimilarity",
-    "edge_vectors",
-    "edge_weights",
-    "interaction_dissimilarity",
-    "plane_residual",
-]
-
-Array = npt.NDArray[np.float64]
 
 BETA_M = 0.05
 """Edge length below which weights stop growing, metres (Yin et al. 2018, eq. 8: beta)."""

@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.settings import Settings
 
-__all__ = ["StandingSettings", "find_standing", "floor_under"]
-
-Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
 _UP, _AWAY = 1, 2

@@ -9,12 +9,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.triangulation import jitter
 
-__all__ = ["Edges", "delaunay_edges"]
-
-Array = npt.NDArray[np.float64]
 Edges = npt.NDArray[np.int32]
 
 _MAX_POINTS = 1 << 31

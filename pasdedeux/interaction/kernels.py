@@ -7,25 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import edge_weights
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
-
-__all__ = [
-    "EdgeTable",
-    "best_turn",
-    "edge_table",
-    "edge_table_3d",
-    "fill_edge_weights",
-    "keep_seen_edges",
-    "side_sum",
-    "turned_gap",
-    "turned_squares",
-]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,6 @@ from pasdedeux.interaction.objects import FLOOR, MovingObjects
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = ["Letter", "UserContact", "check_contacts", "read_contacts"]
-
 Letter = Annotated[str, Field(pattern="^[A-Z]$")]
 """A person of a take: A is the first."""
 

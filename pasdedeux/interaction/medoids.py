@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import edge_table, keep_seen_edges, side_sum
 
-__all__ = ["choose_medoids", "dissimilarity_matrix"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _MAX_ROUNDS = 30

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.dissimilarity import BETA_M
 from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d, turned_gap
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
-
-__all__ = ["PairTable", "image_distances", "interaction_distances", "lower_minima", "pair_table"]
-
-Array = npt.NDArray[np.float64]
 
 _LANES = 8
 _REORDERED = {"reassoc", "contract", "nsz"}

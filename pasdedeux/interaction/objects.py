@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.npz import is_npz, read_npz
 from pasdedeux.formats.text import decode, parse_integer, parse_number, parse_table
-
-__all__ = ["FLOOR", "MovingObjects", "read_objects"]
-
-Array = npt.NDArray[np.float64]
 
 FLOOR = "floor"
 """What the floor is called where things are named."""

@@ -14,22 +14,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import pair_frame
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 
-__all__ = [
-    "INNER_RADIUS_M",
-    "NUM_BANDS",
-    "NUM_SECTORS",
-    "NUM_SHELLS",
-    "ShapeCoverage",
-    "lower_shape_minima",
-    "shape_bins",
-]
-
-Array = npt.NDArray[np.float64]
 Bins = npt.NDArray[np.int16]
 
 NUM_SHELLS, NUM_SECTORS, NUM_BANDS = 5, 12, 6

@@ -7,21 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, length, row_of, subtract
 from pasdedeux.skeletons import Skeleton
 
-__all__ = [
-    "Gaps",
-    "closest_joint_distance",
-    "fade",
-    "nearest_on_bones",
-    "parents_of",
-    "standing_out",
-    "surface_gaps",
-]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _BESIDE_M = 0.005

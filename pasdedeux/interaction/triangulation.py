@@ -10,11 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 
-__all__ = ["JITTER_M", "Workspace", "delaunay_edges_fast", "jitter", "max_edges", "triangulate", "workspace"]
-
-Array = npt.NDArray[np.float64]
 Workspace = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]
 
 JITTER_M = 1e-7

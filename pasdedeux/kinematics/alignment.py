@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["RigidTransform", "align_rigid", "best_rotation"]
-
-Array = npt.NDArray[np.float64]
+from pasdedeux.arrays import Array
 
 
 @dataclass(frozen=True)

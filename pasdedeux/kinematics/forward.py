@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.kinematics.alignment import best_rotation
 from pasdedeux.kinematics.rotations import (
     conjugate,
@@ -15,10 +16,6 @@ from pasdedeux.kinematics.rotations import (
     unitquat_from_rotmat,
 )
 from pasdedeux.skeletons import Skeleton
-
-__all__ = ["bone_directions", "bone_lengths", "forward_kinematics", "local_rotations", "place_bones"]
-
-Array = npt.NDArray[np.float64]
 
 
 def forward_kinematics(

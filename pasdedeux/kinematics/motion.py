@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.kinematics.rotations import slerp
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["Motion", "frames_at_rate"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 

@@ -11,27 +11,6 @@ from typing import Any
 
 from pasdedeux.compiled import compiled
 
-__all__ = [
-    "carry",
-    "closest_on_segments",
-    "conjugate",
-    "cross",
-    "dot",
-    "inner_kernel",
-    "length",
-    "mix",
-    "multiply",
-    "normalise",
-    "rotate",
-    "rotvec_from_unitquat",
-    "row_of",
-    "scale",
-    "subtract",
-    "swing_between",
-    "unitquat_from_axes",
-    "unitquat_from_rotvec",
-]
-
 Vector = Any  # (x, y, z); numba infers the tuple type
 Quaternion = Any  # (x, y, z, w)
 _TINY = 1e-12

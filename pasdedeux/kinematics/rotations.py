@@ -7,24 +7,9 @@ as long for them over 100,000 rotations.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = [
-    "angle_between",
-    "conjugate",
-    "multiply",
-    "normalise",
-    "rotate",
-    "rotmat_from_unitquat",
-    "rotvec_from_unitquat",
-    "slerp",
-    "swing_between",
-    "unitquat_from_rotmat",
-    "unitquat_from_rotvec",
-    "yaw_rotmat",
-]
+from pasdedeux.arrays import Array
 
-Array = npt.NDArray[np.float64]
 _TINY = 1e-12
 
 

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import reference_motion
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest
-
-__all__ = ["CopyModel", "NaiveFkModel"]
-
-Array = npt.NDArray[np.float64]
 
 
 class _Untrained(VariantModel):

@@ -28,8 +28,6 @@ from pasdedeux.learning.torch_layers import (
 )
 from pasdedeux.learning.window_vae import WindowNetworks
 
-__all__ = ["Action2MotionNetworks", "ActorNetworks"]
-
 
 @dataclass(frozen=True)
 class ActorNetworks(WindowNetworks):

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from pasdedeux.learning.paper_settings import Action2MotionLikeConfig, ActorLikeConfig
 from pasdedeux.learning.window_vae import WindowNetworks, WindowVae
 
-__all__ = ["Action2MotionLikeModel", "ActorLikeModel"]
-
 Narrow = npt.NDArray[np.float32]
 
 _SAME_SCALE = 1e-4

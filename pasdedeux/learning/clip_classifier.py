@@ -16,13 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.learning.torch_settings import TorchSettings, require_torch
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["CLIP_FRAMES", "CLIP_HZ", "ClassifierSettings", "ClipClassifier", "clips_of", "pair_frame"]
-
-Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
 
 CLIP_HZ = 10.0

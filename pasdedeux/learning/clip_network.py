@@ -11,8 +11,6 @@ import torch
 
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["evaluate", "first_weights", "loss"]
-
 Narrow = npt.NDArray[np.float32]
 Tensors = Mapping[str, torch.Tensor]
 

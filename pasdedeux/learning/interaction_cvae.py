@@ -36,8 +36,6 @@ from pasdedeux.learning.torch_layers import (
 from pasdedeux.learning.window_vae import WindowNetworks
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = ["InteractionCvae"]
-
 Narrow = npt.NDArray[np.float32]
 
 _MLP1 = (16, 32, 64, 128, 256)

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.source import Source, complete_scales, points_of
@@ -20,11 +20,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.fitting import FitSettings
 from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest, check_arrays
 from pasdedeux.settings import Settings
-
-__all__ = ["MeshRefineModel", "MeshRefineSettings", "window_problems"]
-
-Array = npt.NDArray[np.float64]
-
 
 _MOST_ITERATIONS = 1000
 

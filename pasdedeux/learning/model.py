@@ -10,6 +10,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import AugmentationSettings, Source, UserContact
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
@@ -18,21 +19,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = [
-    "Arrays",
-    "Items",
-    "LogEntry",
-    "NoSettings",
-    "Trained",
-    "Training",
-    "TrainingItem",
-    "VariantModel",
-    "VariantRequest",
-    "check_arrays",
-]
-
 S = TypeVar("S", bound=Settings)
-Array = npt.NDArray[np.float64]
 Arrays = Mapping[str, npt.NDArray[Any]]
 """Named arrays, float64 or float32: what a model knows, or what its training goes on from."""
 

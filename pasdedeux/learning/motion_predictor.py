@@ -15,12 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.learning.torch_settings import TorchSettings, require_torch
 
-__all__ = ["HISTORY", "HORIZON", "MotionPredictor", "PredictorSettings", "joint_errors"]
-
-Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
 
 HISTORY, HORIZON = 20, 10

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.paper_settings import PaperCvaeConfig, PaperCvaeSettings
 from pasdedeux.learning.window_vae import WindowVae
@@ -19,9 +20,6 @@ from pasdedeux.learning.window_vae import WindowVae
 if TYPE_CHECKING:
     from pasdedeux.learning.interaction_cvae import InteractionCvae
 
-__all__ = ["PaperCvaeModel"]
-
-Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
 
 _SMALLEST_DEVIATION = 0.01

@@ -9,15 +9,6 @@ from pydantic import Field, field_validator
 from pasdedeux.learning.torch_settings import SegmentSettings, TorchSettings
 from pasdedeux.learning.windows import RATE_HZ
 
-__all__ = [
-    "Action2MotionLikeConfig",
-    "ActorLikeConfig",
-    "PaperCvaeConfig",
-    "PaperCvaeSettings",
-    "WindowSizes",
-    "WindowVaeSettings",
-]
-
 _LONGEST_S = 60.0
 
 

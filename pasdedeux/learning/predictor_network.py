@@ -11,8 +11,6 @@ import torch
 
 from pasdedeux.learning.motion_predictor import HISTORY, HORIZON
 
-__all__ = ["evaluate", "first_weights", "loss"]
-
 Narrow = npt.NDArray[np.float32]
 Tensors = Mapping[str, torch.Tensor]
 

@@ -16,8 +16,6 @@ from pasdedeux.learning.paper_cvae import PaperCvaeModel
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 
-__all__ = ["BASELINES", "DEFAULT_MODELS", "MODELS", "load_model", "model_arrays", "model_class"]
-
 MODELS: dict[str, type[VariantModel]] = {
     model.name: model
     for model in (

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.variations import Group, group_variations
 from pasdedeux.errors import InputError
@@ -26,10 +26,6 @@ from pasdedeux.learning.model import (
 )
 from pasdedeux.learning.ridge_scale import RIDGE, RidgeScaleModel
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["RidgeAdaptedModel"]
-
-Array = npt.NDArray[np.float64]
 
 _GROUPS: tuple[Group, ...] = ("torso", "arms", "legs")
 """Limbs that are scaled alone; the others are told from whole bodies."""

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import LIMB_GROUPS, reference_motion
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
@@ -28,10 +28,6 @@ from pasdedeux.learning.model import (
 )
 from pasdedeux.learning.topology import check_topology, skeleton_of
 from pasdedeux.skeletons import BODY22, Skeleton
-
-__all__ = ["RIDGE", "RidgeScaleModel"]
-
-Array = npt.NDArray[np.float64]
 
 RIDGE = 3e-3
 """Ridge of a take's quadratic, as a share of the mean diagonal.

@@ -10,14 +10,10 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
-
-__all__ = ["SPLIT_NAMES", "Split", "SplitName", "VariantKey", "make_split"]
-
-Array = npt.NDArray[np.float64]
 
 SplitName = Literal[
     "random",

@@ -13,8 +13,6 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.model import TrainingItem, VariantModel
 from pasdedeux.skeletons import BODY22, MODEL_SKELETONS, JointMap, Skeleton
 
-__all__ = ["check_topology", "mapped_item", "mapped_source", "skeleton_of"]
-
 
 def mapped_source(source: Source, joints: JointMap) -> Source:
     """Return a take of `body22` on another skeleton, without objects."""

@@ -13,28 +13,6 @@ from torch.nn.functional import layer_norm, pad, scaled_dot_product_attention
 
 from pasdedeux.skeletons import Skeleton
 
-__all__ = [
-    "NUM_SINES",
-    "Shapes",
-    "dense",
-    "divergence",
-    "draw_latent",
-    "first_values",
-    "graph_gru",
-    "gru",
-    "look_at",
-    "mlp",
-    "shapes_of_dense",
-    "shapes_of_graph_gru",
-    "shapes_of_gru",
-    "shapes_of_look_at",
-    "shapes_of_mlp",
-    "shapes_of_st_gcn",
-    "sines",
-    "st_gcn",
-    "tensors",
-]
-
 Narrow = npt.NDArray[np.float32]
 Tensors = Mapping[str, torch.Tensor]
 Shapes = dict[str, tuple[int, ...]]

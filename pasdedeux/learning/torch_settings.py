@@ -9,8 +9,6 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
 
-__all__ = ["SegmentSettings", "TorchSettings", "has_torch", "require_torch"]
-
 
 class SegmentSettings(Settings):
     """How long a model is trained."""

@@ -14,8 +14,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning.model import Arrays, LogEntry
 from pasdedeux.learning.torch_settings import TorchSettings
 
-__all__ = ["Batch", "TrainedSegment", "train_segment", "train_whole"]
-
 Narrow = npt.NDArray[np.float32]
 Tensors = dict[str, torch.Tensor]
 

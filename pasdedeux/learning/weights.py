@@ -15,8 +15,6 @@ from pasdedeux.learning.model import VariantModel
 from pasdedeux.learning.registry import load_model, model_arrays
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["Weights", "read_weights", "write_weights"]
-
 _KEY = "pasdedeux"
 """The one entry of the file's metadata: JSON, so that its order is ours and the bytes are the same every time."""
 _LARGEST_HEADER = 10_000_000

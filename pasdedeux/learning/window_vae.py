@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.learning.model import (
@@ -36,9 +37,6 @@ from pasdedeux.skeletons import Skeleton
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["WindowNetworks", "WindowVae"]
-
-Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
 
 _VALIDATED = 48

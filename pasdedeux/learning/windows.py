@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Source
 from pasdedeux.learning.model import Items, VariantRequest
 
-__all__ = ["Spread", "Window", "blend", "cut", "frames_looked_at", "gather_windows", "scaled_persons"]
-
-Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
 
 RATE_HZ = 10.0

@@ -26,8 +26,6 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.text import decode, parse_integer, shorten
 
-__all__ = ["COLUMNS", "Decision", "decide", "read_decisions", "spans_of", "write_decisions"]
-
 Integers = npt.NDArray[np.int64]
 
 COLUMNS = ("sequence", "first_frame", "last_frame", "person", "is")

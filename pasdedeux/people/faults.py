@@ -19,22 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.identity_kernels import MIN_TRUST
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "RepairedCrowd",
-    "repair_exchanges",
-    "repair_faults",
-    "repair_sides",
-    "track_size_px",
-    "wild_joints",
-    "wild_points",
-]
-
-Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 

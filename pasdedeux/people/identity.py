@@ -15,22 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity_kernels import clean_detections, match_costs, predict_joints, update_joints
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "FollowedRows",
-    "Follower",
-    "IdentityOptions",
-    "body_size_px",
-    "follow_people",
-    "identity_switches",
-    "mean_of_two",
-]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import OP14
 
-__all__ = ["MIN_TRUST", "clean_detections", "match_costs", "predict_joints", "size_in_image", "update_joints"]
-
-Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
 _TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))

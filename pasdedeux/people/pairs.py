@@ -8,12 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.settings import Settings
 
-__all__ = ["PairSettings", "Paired", "choose_pairs"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 

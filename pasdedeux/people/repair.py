@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.people.faults import RepairedCrowd, repair_faults, track_size_px, wild_points
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
 
-__all__ = ["RepairedRows", "repair_rows"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _MOVES_WITH = {

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import Decision, decide, spans_of
@@ -22,17 +23,6 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
 
-__all__ = [
-    "PeopleSettings",
-    "SequencePeople",
-    "SequenceRows",
-    "SettledPeople",
-    "SettledSequence",
-    "settle_people",
-    "settle_sequence",
-]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 

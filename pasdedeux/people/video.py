@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import IdentityOptions, body_size_px
 from pasdedeux.spread import evenly_spread
 
-__all__ = ["MAX_REPAIR_GAP_S", "rate_from_times", "typical_gap_s", "why_no_video", "why_not_followed"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _SHORT_SPAN = 1000

@@ -15,21 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, inner_kernel, mix, row_of, subtract
 from pasdedeux.skeletons import Skeleton
 
-__all__ = [
-    "RADIUS_PER_HEIGHT",
-    "CapsuleModel",
-    "body_height_m",
-    "capsule_model",
-    "pair_penetration",
-    "segment_distance",
-]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 LEG_PER_HEIGHT = 0.491

@@ -14,8 +14,8 @@ from itertools import combinations
 from string import ascii_uppercase
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.figure import Figure, Limits, complaints, figure, figures_of
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from pasdedeux.interaction.floor import StandingSettings, find_standing
@@ -24,10 +24,6 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
-
-__all__ = ["FIGURES", "JUDGED", "PersonCapture", "check_capture", "judge_capture"]
-
-Array = npt.NDArray[np.float64]
 
 _STEP_S, _SAMPLE_S = 1 / 30, 1 / 10
 """Time over which speed and jerk are taken; time between the frames in which partners and floor are looked at."""

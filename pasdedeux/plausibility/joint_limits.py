@@ -27,14 +27,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits_kernel import find_invalid, measure_poses, move_poses, move_to_nearest_valid
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, ANGLES, MARGIN_DEG, NUM_ANGLES, SLACK_RAD
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["MAX_INVALID_ANGLES", "JointLimits", "NearestValid", "angles_and_slack", "as_poses"]
-
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 MAX_INVALID_ANGLES = 8

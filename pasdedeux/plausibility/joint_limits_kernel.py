@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     carry,
@@ -27,9 +28,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["find_invalid", "measure_poses", "move_poses", "move_to_nearest_valid"]
-
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 Vector = Any  # (x, y, z); numba infers the tuple type

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ANGLES", "ANGLE_INDEX", "MARGIN_DEG", "NUM_ANGLES", "SLACK_RAD", "TINY", "AngleRange"]
-
 MARGIN_DEG = 10.0
 """Added at both ends of every range, degrees: tables give means over people, and skeletons place joints differently."""
 

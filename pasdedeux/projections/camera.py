@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 
-__all__ = ["CAMERA_MODELS", "DatabaseCamera", "OrthographicCamera", "PinholeCamera", "cameras_of", "pitch_of_height"]
-
 Floats = npt.NDArray[Any]
 
 CAMERA_MODELS = ("orthographic", "pinhole")

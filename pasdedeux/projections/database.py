@@ -13,8 +13,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14
 
-__all__ = ["Database", "concatenate"]
-
 Floats32 = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 

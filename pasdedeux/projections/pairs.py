@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera
@@ -20,12 +21,8 @@ from pasdedeux.projections.retarget import body_heading, mid_hip, retarget_propo
 from pasdedeux.projections.search import Neighbours, ProjectionIndex
 from pasdedeux.skeletons import OP14
 
-__all__ = ["PairNeighbours", "centre_pairs", "pair_database", "search_pairs"]
-
 _PEOPLE = 2
 _JOINTS = _PEOPLE * OP14.num_joints
-
-Array = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
 
 

@@ -5,24 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_directions, place_bones
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import OP14
-
-__all__ = [
-    "REFERENCE_LENGTHS_M",
-    "REFERENCE_STATURE_M",
-    "CentredPoses",
-    "body_heading",
-    "centre_and_face",
-    "mid_hip",
-    "retarget_proportions",
-]
-
-Array = npt.NDArray[np.float64]
 
 REFERENCE_STATURE_M = 1.75
 """Stature of the reference body (Yiannakides et al. 2019, section 6.2: a character with height 175 cm)."""

@@ -10,24 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "Placement",
-    "ScaleReference",
-    "match_scale",
-    "place_track",
-    "refine_placement",
-    "running_median",
-]
-
-Array = npt.NDArray[np.float64]
 _PARENT = np.array([parent for parent, _ in OP14.bones])
 _CHILD = np.array([child for _, child in OP14.bones])
 _QUANTILE = 0.75

@@ -22,17 +22,6 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.tree import Tree, build_tree, search_trees, sort_into_cells
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "EXACT_UP_TO",
-    "SLACK_BEYOND",
-    "Neighbours",
-    "ProjectionIndex",
-    "build_index",
-    "measure_recall",
-    "prepare_query",
-    "recall",
-]
-
 EXACT_UP_TO = 5_000_000
 """Projections up to which the search is exact where nothing else is asked for."""
 SLACK_BEYOND = 0.1

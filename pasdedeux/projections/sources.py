@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.motion import frames_at_rate
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import OP14, Skeleton
-
-__all__ = ["op14_from_working", "resample_positions"]
-
-Array = npt.NDArray[np.float64]
 
 _NOSE_FORWARD, _NOSE_UP = 0.6, -0.1
 """The nose from the head (ear height), as parts of the length from neck to head: as in the layout of body22."""

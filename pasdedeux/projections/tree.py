@@ -29,8 +29,6 @@ import numpy.typing as npt
 
 from pasdedeux.compiled import compiled
 
-__all__ = ["Tree", "build_tree", "search_trees", "select", "sort_into_cells"]
-
 _LANES = 16
 """Projections a leaf and children a node: wide enough for the processor's vector unit."""
 _ROUNDING = 1.0 - 1e-5

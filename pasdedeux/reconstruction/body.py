@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
 from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, unitquat_from_rotmat
 from pasdedeux.projections.database import Database
@@ -24,25 +25,6 @@ from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import t_pose
-
-__all__ = [
-    "REFERENCE_HIP_WIDTH_M",
-    "REFERENCE_REST_M",
-    "SHARED",
-    "Bends",
-    "Body",
-    "EmbodiedMotion",
-    "bends_of",
-    "body_from_joints",
-    "body_of",
-    "body_through",
-    "embody",
-    "hold_hips",
-    "pose_body",
-    "rotations_from_t_pose",
-]
-
-Array = npt.NDArray[np.float64]
 
 _NECK, _NOSE = OP14.root, OP14.index("head")
 _HIPS = OP14.indices(["left_hip", "right_hip"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
@@ -24,10 +25,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.reconstruction.bones import REST_DIRECTIONS
 from pasdedeux.reconstruction.cleanup import bend_one_leg
 from pasdedeux.skeletons import BODY22, OP14
-
-__all__ = ["held_hips", "pose_bodies"]
-
-Array = npt.NDArray[np.float64]
 
 _NECK, _NOSE = OP14.root, OP14.index("head")
 _HIPS_AT = np.array(OP14.indices(["left_hip", "right_hip"]))

@@ -8,8 +8,8 @@ body, every other joint the swing of its bone against the bone before it.  Rest 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
@@ -27,10 +27,6 @@ from pasdedeux.kinematics.rotation_kernels import (
     unitquat_from_axes,
 )
 from pasdedeux.skeletons import OP14
-
-__all__ = ["REST_DIRECTIONS", "bone_rotations", "place_bone_rotations"]
-
-Array = npt.NDArray[np.float64]
 
 _NECK = OP14.root
 _ORDER = np.array(OP14.order[1:])

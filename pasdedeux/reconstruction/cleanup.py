@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
@@ -28,17 +29,6 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "CleanUpOptions",
-    "CleanedMotion",
-    "FootOptions",
-    "bend_leg",
-    "bend_one_leg",
-    "clean_reconstructions",
-    "clean_up",
-]
-
-Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
 _LEGS = OP14.legs

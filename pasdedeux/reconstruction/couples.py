@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
@@ -25,9 +26,6 @@ from pasdedeux.reconstruction.tracks import PersonTrack
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["PairDepth", "PairSearcher", "PlacingOptions", "pair_depths"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Couple = tuple[tuple[PersonTrack, Matches, Reconstruction], tuple[PersonTrack, Matches, Reconstruction]]
 

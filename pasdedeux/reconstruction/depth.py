@@ -16,23 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = [
-    "BoneDepths",
-    "DepthSettings",
-    "SignStep",
-    "bone_vectors",
-    "bones_by_votes",
-    "decode_depths",
-    "place_depths",
-    "trace_signs",
-    "vote_on_signs",
-]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _PARENTS = np.array([max(parent, 0) for parent in OP14.parents])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
 from pasdedeux.kinematics.forward import bone_lengths
@@ -32,9 +33,6 @@ from pasdedeux.reconstruction.tracks import PersonTrack
 from pasdedeux.reconstruction.world import Seen, World, estimate_world
 from pasdedeux.skeletons import OP14
 
-__all__ = ["MethodMotions", "ReconstructedTracks", "motions_together", "reconstruct_people"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 

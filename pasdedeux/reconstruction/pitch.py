@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
@@ -22,10 +22,6 @@ from pasdedeux.reconstruction.reconstruct import (
 )
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
-
-__all__ = ["PitchEstimate", "choose_camera", "choose_pitch", "floor_offset", "sized_by_height"]
-
-Array = npt.NDArray[np.float64]
 
 _FLOOR_WEIGHT = 0.05
 """Cost of a metre that standing feet leave the floor by, against a metre of misfit."""

@@ -7,15 +7,11 @@ direction that lies in the image, so an image is retargeted like a pose: bone by
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
-
-__all__ = ["estimate_proportions", "retarget_image"]
-
-Array = npt.NDArray[np.float64]
 
 _ORDER, _PARENTS = np.array(OP14.order[1:]), np.array(OP14.parents)
 _LENGTHS_M = REFERENCE_LENGTHS_M

@@ -6,14 +6,10 @@ Compiled, because live reconstruction does it for every frame of its own.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import normalise, rotate, swing_between
-
-__all__ = ["camera_turns", "straighten_rays"]
-
-Array = npt.NDArray[np.float64]
 
 _MIN_DEPTH = 0.1
 """Rays that leave the turned camera flatter than this, depth over length of its axis, cannot be seen."""

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, flatten_image, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
@@ -25,22 +26,6 @@ from pasdedeux.reconstruction.temporal import TemporalWeights, choose_nearest, c
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.reconstruction.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
-
-__all__ = [
-    "MEAN_OF_RAYLEIGH",
-    "Matches",
-    "Method",
-    "Reconstruction",
-    "ReconstructionOptions",
-    "Searcher",
-    "bone_deviation_m",
-    "match_track",
-    "odd_window",
-    "reconstruct_track",
-    "share_of_followed",
-]
-
-Array = npt.NDArray[np.float64]
 
 _SMOOTHING_ORDER = 2
 _SMOOTHED_NOISE = 0.6

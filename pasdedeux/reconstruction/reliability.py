@@ -21,10 +21,6 @@ from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, Reconstructio
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["Reliability", "camera_doubt", "judge_person", "left_out_misfit_m"]
-
-Array = npt.NDArray[np.float64]
-
 ERROR_WITHOUT_CORRECTION_M = 0.04
 ERROR_PER_CORRECTION = 0.6
 """Mean error of a joint over how far the fit moved it: least squares of the relative error on 124 virtual clips of nine

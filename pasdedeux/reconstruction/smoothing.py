@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotation_kernels import (
@@ -20,10 +21,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 )
 from pasdedeux.kinematics.rotations import normalise, slerp
 from pasdedeux.settings import Settings
-
-__all__ = ["OneEuro", "OneEuroFilter", "bridge_gaps", "smooth_savitzky_golay"]
-
-Array = npt.NDArray[np.float64]
 
 
 def _continuous_signs(unitquat: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotations import angle_between, multiply
 from pasdedeux.projections.database import Database
@@ -20,9 +21,6 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Decision", "FixedLagViterbi", "TemporalWeights", "choose_nearest", "choose_viterbi", "choose_window"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Floats32 = npt.NDArray[np.float32]
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Lens", "PersonTrack", "Track", "tracks_from_rows"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 

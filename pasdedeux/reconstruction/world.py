@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
@@ -41,9 +42,6 @@ from pasdedeux.reconstruction.robust import Term, solve
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Seen", "World", "WorldSettings", "estimate_world"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _ANKLES = np.array([leg[2] for leg in OP14.legs])

@@ -13,19 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours, prepare_query
 from pasdedeux.skeletons import OP14
 
-__all__ = ["RefinedYaws", "refine_yaws"]
-
 _NUM_PLACES = 9
 """Places looked at over two steps, the candidate's own in the middle."""
 _NUM_SECTIONS = 14
 """Golden sections: 0.618^14 of a quarter step is 0.06 mrad."""
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,25 +9,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import MIN_TORSO_JOINTS, TORSO_INDICES, angle_between_directions
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.bandwidth import SAME_MOMENT, LeftOut, left_out
-
-__all__ = [
-    "MIN_CANDIDATES",
-    "AnnotatedPairs",
-    "GatheredPairs",
-    "ViewBank",
-    "build_bank",
-    "gather_pairs",
-    "is_left_out",
-    "shows_enough",
-]
-
-Array = npt.NDArray[np.float64]
 
 MIN_CANDIDATES = 20
 """Annotations a view is compared with even when none is within the view bandwidth."""

@@ -15,13 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import angle_between_directions
 from pasdedeux.interaction import interaction_dissimilarity, plane_residual
 from pasdedeux.spread import evenly_spread
-
-__all__ = ["PUBLISHED_SIGMA_L", "SAME_MOMENT", "LeftOut", "left_out"]
-
-Array = npt.NDArray[np.float64]
 
 PUBLISHED_SIGMA_L = 0.01
 """Bandwidth of Yin et al. 2018, eq. 9, read in metres: 2 sigma_l^2 is 0.2 mm of d_I."""

@@ -9,21 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.density import Evaluation
 from pasdedeux.sampling.proposals.proposal import Blocks, Context, Proposed
 
-__all__ = [
-    "ChainState",
-    "Segment",
-    "StepInfo",
-    "generator_from_json",
-    "generator_to_json",
-    "run_segment",
-    "step",
-]
-
-Array = npt.NDArray[np.float64]
 LogDensity = Callable[[Array, float], Evaluation]
 Propose = Callable[[Array, Context | None, np.random.Generator], Proposed]
 Gauge = Callable[[Array], Array]

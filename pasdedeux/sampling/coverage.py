@@ -13,13 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.nearest import lower_minima, pair_table
 from pasdedeux.interaction.shape_context import ShapeCoverage
-
-__all__ = ["Coverage", "CoverageCurve", "coverage_curve"]
-
-Array = npt.NDArray[np.float64]
 
 _CHUNK = 512
 """Draws taken at a time: bounds the memory for their edges."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank, build_bank
@@ -19,26 +20,6 @@ from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
-
-__all__ = [
-    "LEFT_OUT",
-    "PRIOR_ONLY",
-    "DensityInputs",
-    "DensityKind",
-    "Evaluation",
-    "ImageKind",
-    "ImageLikelihood",
-    "ImageSettings",
-    "Likelihood",
-    "Match",
-    "PairDensity",
-    "Pooling",
-    "PriorOnlyKind",
-    "Reads",
-    "TargetSettings",
-]
-
-Array = npt.NDArray[np.float64]
 
 LEFT_OUT: Final = "left_out"
 """The bandwidth that annotations left out in turn ask for (`pasdedeux.sampling.bandwidth`)."""

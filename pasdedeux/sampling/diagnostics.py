@@ -8,17 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.figure import figure, figures_of
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.verdict import Level, Verdict
-
-__all__ = ["FIGURES", "ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
-
-Array = npt.NDArray[np.float64]
 
 _LIMB_ANGLES = tuple(
     PAIR17.indices(joints)

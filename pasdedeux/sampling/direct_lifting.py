@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import TORSO_INDICES, TorsoBasis, angle_between_directions, lift_torsos, pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
@@ -31,9 +32,6 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.spread import evenly_spread
 
-__all__ = ["LiftedSeeds", "apparent_bone_lengths", "lift_pair", "lift_seeds"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 LENGTH_PERCENTILE = 70.0

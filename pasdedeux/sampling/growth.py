@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import pair_frame, project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import align_plane
@@ -30,9 +31,6 @@ from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["FARTHEST_M", "Growth", "ViewedImages", "grow"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _ORDER = np.array(PAIR17.order)

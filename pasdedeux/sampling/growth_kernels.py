@@ -7,14 +7,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
-
-__all__ = ["LANES", "fill_residuals", "keep_nearest", "place_bones"]
 
 LANES = 64
 """Entries that lie side by side in memory; arithmetic runs over them, so that no sum is ever put in another order."""
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _MIN_DEPTH_M = 1e-4

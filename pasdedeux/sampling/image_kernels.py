@@ -8,8 +8,6 @@ from pasdedeux.cameras.frames import MIN_SINE
 from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["pair_axes", "project"]
-
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 _NUM_JOINTS = PAIR17.num_joints
 

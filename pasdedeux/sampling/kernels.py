@@ -12,8 +12,6 @@ from pasdedeux.interaction.triangulation import triangulate
 from pasdedeux.sampling.image_kernels import pair_axes, project
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["BankTables", "best_per_view"]
-
 _NUM_JOINTS = PAIR17.num_joints
 
 ESTIMATE_TOLERANCE_M = 1e-3

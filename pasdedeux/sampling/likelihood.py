@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, edge_weights, plane_residual
@@ -25,14 +26,6 @@ from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L
 from pasdedeux.sampling.density import ImageKind, ImageSettings, Match, Pooling
 from pasdedeux.sampling.kernels import BankTables, best_per_view
-
-__all__ = [
-    "InteractionKind",
-    "InteractionLikelihood",
-    "plain_log_likelihood",
-]
-
-Array = npt.NDArray[np.float64]
 
 MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52
 """d_I is taken to be at least so many times its estimate, and the side of eq. 8 over the pair's own edges so many times

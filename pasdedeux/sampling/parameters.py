@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths, rotation_kernels
@@ -26,20 +26,6 @@ from pasdedeux.kinematics.rotations import (
     yaw_rotmat,
 )
 from pasdedeux.skeletons import PAIR17
-
-__all__ = [
-    "LENGTH_INDICES",
-    "MIRRORED_LENGTH",
-    "NUM_BLOCKS",
-    "NUM_PARAMETERS",
-    "NUM_PER_PERSON",
-    "POSITION_INDICES",
-    "ROTATION_INDICES",
-    "PairChart",
-    "gauge_fix",
-]
-
-Array = npt.NDArray[np.float64]
 
 NUM_JOINTS = PAIR17.num_joints
 NUM_PER_PERSON = 6 + 3 * (NUM_JOINTS - 1)

@@ -15,15 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model, pair_penetration
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, PairChart
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["PhysicalPrior", "PriorSettings", "PriorTerms", "Violations", "pair_violations"]
-
-Array = npt.NDArray[np.float64]
 
 Value = TypeVar("Value", float, Array)
 

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, closest_joint_distance
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.prior import PriorSettings, pair_violations
-
-__all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
-
-Array = npt.NDArray[np.float64]
 
 CLOSE_SHARE = 0.25
 """Share of a take's frames, those with the closest people, that count as close interaction."""

@@ -14,13 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["NEIGHBOUR_FRAMES", "Speeds", "annotation_speeds", "undo_swaps"]
-
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 NEIGHBOUR_FRAMES = 2

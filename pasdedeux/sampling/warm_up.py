@@ -12,16 +12,13 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.chain import ChainState, Gauge, LogDensity, step
 from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.proposals.proposal import Context, Proposal, Scales
 
-__all__ = ["disperse", "proposal_from_json", "proposal_to_json", "warm_up"]
-
-Array = npt.NDArray[np.float64]
 P = TypeVar("P", bound=Proposal)
 
 TARGET_ACCEPTANCE = 0.234

@@ -6,8 +6,6 @@ from pasdedeux.skeletons.mapping import JointMap
 from pasdedeux.skeletons.skeleton import Skeleton
 from pasdedeux.skeletons.working import BODY22
 
-__all__ = ["EXPI18", "EXPI18_OF_BODY22", "MAPPED_SKELETONS", "MODEL_SKELETONS"]
-
 _SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
 _PARENTS = {"elbow": "shoulder", "wrist": "elbow", "knee": "hip", "ankle": "knee", "toe": "ankle"}
 _TREE = {"back": "", "head": "back", "left_head": "head", "right_head": "head"} | {

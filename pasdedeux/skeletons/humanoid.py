@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pasdedeux.skeletons.skeleton import Skeleton
 from pasdedeux.skeletons.working import BODY22
 
-__all__ = ["END_SITES", "HUMANOID", "HUMANOID_NAMES", "T_POSE", "EndSite", "HumanoidName", "t_pose"]
-
 Point = tuple[float, float, float]
 
 _ANKLE_HEIGHT, _KNEE_HEIGHT, _HIP_HEIGHT, _SHOULDER_HEIGHT = 0.039, 0.285, 0.530, 0.818

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons.skeleton import Skeleton
 
-__all__ = ["JointMap"]
-
 Weights = Mapping[str, float]
 
 

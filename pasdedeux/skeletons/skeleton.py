@@ -8,8 +8,6 @@ from functools import cached_property
 
 from pasdedeux.errors import InputError
 
-__all__ = ["Skeleton"]
-
 
 @dataclass(frozen=True)
 class Skeleton:

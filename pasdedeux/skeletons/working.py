@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pasdedeux.skeletons.skeleton import Skeleton
 
-__all__ = ["BODY22", "OP14", "PAIR17", "WORKING_SKELETONS"]
-
 
 def _skeleton(name: str, tree: dict[str, str]) -> Skeleton:
     joint_names = tuple(tree)

@@ -20,8 +20,6 @@ from storage_schema.tables.common import (
     unitquats,
 )
 
-__all__ = ["ANNOTATIONS", "CAMERAS", "OBJECTS", "POSES", "TAKES", "TAKE_QUALITY"]
-
 TAKES = Table(
     name="takes",
     meaning="One row per take and person: where the motion came from and the skeleton it came with.",

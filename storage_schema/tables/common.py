@@ -10,27 +10,6 @@ import pyarrow as pa
 from storage_schema.columns import Column, array, float64, integer, text
 from storage_schema.joints import JOINT_NAMES
 
-__all__ = [
-    "CHAIN_ID",
-    "FRAME",
-    "IMAGE_SIZE",
-    "LOG_TERMS",
-    "MODEL_ID",
-    "PAIR_PLACE",
-    "PERSON",
-    "PERSON_ID",
-    "SEED_INDEX",
-    "SEQUENCE_ID",
-    "TAKE_FRAME",
-    "TAKE_ID",
-    "TIME_S",
-    "VARIANT_ID",
-    "VERDICT",
-    "figures",
-    "positions",
-    "unitquats",
-]
-
 TAKE_ID = text("take_id", "Take: one capture, by a name unique in a study")
 TAKE_FRAME = integer("take_frame", "Frame of that take, else null", is_nullable=True)
 PERSON = integer("person", "Person of the take, from 0; 0 is person A")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from storage_schema.columns import Table, float64, integer, text
 from storage_schema.tables.common import PAIR_PLACE, positions
 
-__all__ = ["IN_BETWEENS", "LIFTED_PAIRS"]
-
 _PAIR = positions(
     "pair17",
     "Positions of both people, camera axes (x right, y up, z towards the camera), the middle of the pair at the origin",

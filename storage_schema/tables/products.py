@@ -18,17 +18,6 @@ from storage_schema.tables.common import (
     unitquats,
 )
 
-__all__ = [
-    "MODELS",
-    "MODEL_STATES",
-    "SCORES",
-    "TRAINING_LOG",
-    "VARIANTS",
-    "VARIANT_FRAMES",
-    "VARIANT_QUALITY",
-    "VERDICTS",
-]
-
 VARIANTS = Table(
     name="variants",
     meaning="One row per variant of a take, frame and person: body22 after augmentation.",

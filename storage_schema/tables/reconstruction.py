@@ -5,8 +5,6 @@ from __future__ import annotations
 from storage_schema.columns import Table, array, boolean, float64, integer, text
 from storage_schema.tables.common import FRAME, PERSON, PERSON_ID, SEQUENCE_ID, TAKE_ID, TIME_S, positions, unitquats
 
-__all__ = ["MOTIONS", "PROJECTIONS"]
-
 PROJECTIONS = Table(
     name="projections",
     meaning="One row per pose; its projections at every yaw step are numbered row * num_yaws + yaw index.",

@@ -18,8 +18,6 @@ from storage_schema.tables.common import (
     positions,
 )
 
-__all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "SEEDS", "TORSO_BASIS", "VIEWS"]
-
 TORSO_BASIS = Table(
     name="torso_basis",
     meaning="Low-rank basis of the torso (pelvis, neck, shoulders, hips of pair17) learned from prior takes.",

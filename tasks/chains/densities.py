@@ -7,7 +7,5 @@ from typing import Any
 from pasdedeux.sampling.density import DensityKind, PriorOnlyKind
 from pasdedeux.sampling.likelihood import InteractionKind
 
-__all__ = ["DENSITIES"]
-
 DENSITIES: dict[str, DensityKind[Any]] = {kind.name: kind for kind in (InteractionKind(), PriorOnlyKind())}
 """The densities by their names in `chains.densities`."""

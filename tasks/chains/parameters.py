@@ -15,8 +15,6 @@ from pasdedeux.settings import Settings
 from tasks.chains.densities import DENSITIES
 from tasks.stage import Parameters
 
-__all__ = ["ChainsParameters", "RunSettings", "SegmentParameters", "SummaryParameters"]
-
 P = TypeVar("P", bound=Parameters)
 
 

@@ -15,8 +15,6 @@ from tasks.draw_sets import GROWN
 from tasks.seeds import start_indices
 from tasks.stage import Shard, StageInputs, named_refs
 
-__all__ = ["VERSION", "plan"]
-
 VERSION = 14
 
 Inputs = dict[str, Sequence[Manifest]]

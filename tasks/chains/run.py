@@ -34,8 +34,6 @@ from tasks.chains.parameters import SegmentParameters, SummaryParameters
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 
-__all__ = ["ChainProblem", "SeedRow", "chain_problem", "read_seed_row", "run_shard"]
-
 Refs = tuple[ArtifactRef, ...]
 _NUM_HYPOTHESES = 4
 """Likeliest view hypotheses of an annotation that are used."""

@@ -25,8 +25,6 @@ from tasks.augmentation import batch_of, known_contacts, read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC"]
-
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per take that has variants."""

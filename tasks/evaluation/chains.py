@@ -18,8 +18,6 @@ from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC"]
-
 _REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "min": np.min, "max": np.max}
 _NUM_SHOWN = 50
 _DRAWS_PER_S = 5.0

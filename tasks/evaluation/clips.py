@@ -12,8 +12,6 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.evaluation.truth import rate_of
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC"]
-
 _UNKNOWN_IMAGE_MARGIN_PX = 20
 _RATE_HZ = 12.5
 """Frames per second of a clip at most: more are not seen and make the page larger."""

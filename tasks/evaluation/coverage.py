@@ -27,8 +27,6 @@ from tasks.evaluation.truth import read_rates, read_take_frames, read_takes
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["TOPIC", "draws_from_first_seeds"]
-
 SPLITS = ("annotated", "unannotated", "held_out")
 _NUM_MAPPED = 150
 """Real pairs on the map."""

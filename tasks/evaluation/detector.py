@@ -12,8 +12,6 @@ from tasks.evaluation.reconstruction import read_reconstructed
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC"]
-
 _SUFFIX = ".detector"
 MAX_SWITCHES_PER_MINUTE = 1.0
 

@@ -29,8 +29,6 @@ from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import refuse_without_torch
 
-__all__ = ["PREDICTION", "RECOGNITION"]
-
 _SHARES = {"80/10/10": (0.8, 0.1), "50/20/30": (0.5, 0.3)}
 """Shares of the takes of every interaction that are learned from and tested on; the rest is left for validation, which
 nothing here looks at, as nothing is chosen."""

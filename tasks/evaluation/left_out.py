@@ -26,8 +26,6 @@ from tasks.evaluation.truth import read_rates, read_take_frames, read_takes, tru
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["TOPIC"]
-
 _NUM_JUDGED = 24
 """Annotations of each part that are judged, at most, evenly spread."""
 _NUM_HYPOTHESES = 4

@@ -38,8 +38,6 @@ from tasks.evaluation.truth import read_cameras, read_rates, read_take_frames, r
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["TOPIC"]
-
 _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
 """What is judged beside the lifted pairs."""
 _GAPS = (10, 20, 30)

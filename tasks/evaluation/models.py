@@ -21,8 +21,6 @@ from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of, skeleton_name
 from tasks.training.run import load_stored
 
-__all__ = ["TOPIC"]
-
 _DRAWS = 10
 """Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
 

@@ -26,8 +26,6 @@ from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of, skeleton_name
 from tasks.training.run import load_stored, refuse_without_torch
 
-__all__ = ["TOPIC", "LearnedSettings"]
-
 OTHER_SKELETON = "other_skeleton"
 
 

@@ -23,8 +23,6 @@ from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import rate_of, read_cameras, read_rates, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC", "read_reconstructed", "search_notes"]
-
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per sequence that was reconstructed."""

@@ -22,8 +22,6 @@ from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
 from tasks.summary import judge, summary_of
 
-__all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
-
 PARTITION = "report"
 _MAX_NOTES = 60
 """Sentences of a section, at most; tables have the rest."""

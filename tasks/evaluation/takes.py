@@ -14,8 +14,6 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.poses import read_poses
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
 
-__all__ = ["TOPIC"]
-
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per take."""

@@ -13,17 +13,6 @@ from pasdedeux.evaluation.verdicts import Items, Yardstick, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs
 
-__all__ = [
-    "STAGE_NAME",
-    "VERSION",
-    "Topic",
-    "TopicResult",
-    "commit_topic",
-    "held_out_takes",
-    "refuse_learned",
-    "refuse_overlap",
-]
-
 STAGE_NAME = "evaluation"
 VERSION = 45
 

@@ -11,8 +11,6 @@ from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place
 from tasks.poses import read_poses
 
-__all__ = ["TakeFrames", "rate_of", "read_cameras", "read_rates", "read_take_frames", "read_takes", "true_pair"]
-
 TakeFrames = dict[tuple[str, int], tuple[str, int]]
 """The take and its frame behind every sequence and frame of virtual video."""
 

@@ -17,8 +17,6 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.evaluation.truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC"]
-
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard over all views that were estimated."""

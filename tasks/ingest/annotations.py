@@ -27,8 +27,6 @@ from tasks.ingest.shard_parameters import AnnotationParameters
 from tasks.ingest.sources import load_file, read_again
 from tasks.stage import Shard, SourceFile, commit
 
-__all__ = ["FoundAnnotations", "find_annotations", "run_annotations"]
-
 DEFAULT_RATE_HZ = 30.0
 PEOPLE_NAME = "people.csv"
 """Who is who, as ingest decided it, beside the tables."""

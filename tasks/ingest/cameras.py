@@ -12,8 +12,6 @@ from pasdedeux.formats.detections import Footage, number_in_name, places_of_name
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
 from tasks.ingest.sources import load_file
 
-__all__ = ["CameraFiles", "find_cameras", "read_header", "refuse_film", "video_beside"]
-
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
 _SUFFIXES = frozenset(end for kind in ANNOTATION_FORMATS.values() for end in kind.suffixes)

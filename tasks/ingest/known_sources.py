@@ -9,17 +9,6 @@ from pathlib import Path
 
 from storage_schema import SourceCredit
 
-__all__ = [
-    "CMU_CREDIT",
-    "DUET_CREDIT",
-    "KnownSource",
-    "known_performance",
-    "known_source",
-    "note_fetched",
-    "usual_rate_hz",
-    "was_fetched",
-]
-
 CMU_CREDIT = SourceCredit(
     name="CMU Graphics Lab Motion Capture Database",
     licence="Free for all uses; the data itself may not be resold",

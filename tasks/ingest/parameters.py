@@ -23,24 +23,6 @@ from pasdedeux.plausibility.capture import JUDGED
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.stage import Parameters, stream
 
-__all__ = [
-    "AnnotationCommon",
-    "AnnotationOptions",
-    "CaptureOptions",
-    "CommonOptions",
-    "DetectorOptions",
-    "DuetEntry",
-    "DuetOptions",
-    "IngestParameters",
-    "Mappings",
-    "PairOptions",
-    "PersonOptions",
-    "TakeOptions",
-    "UpAxis",
-    "VirtualCameras",
-    "VirtualVideoOptions",
-]
-
 _ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 BUILT_IN_DUETS = tuple(DUETS)
 MappingTable = dict[str, str | dict[str, float]]

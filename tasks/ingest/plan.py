@@ -34,8 +34,6 @@ from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_perso
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
 from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
-__all__ = ["VERSION", "plan"]
-
 VERSION = 16
 
 

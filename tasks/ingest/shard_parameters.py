@@ -16,16 +16,6 @@ from tasks.ingest.parameters import (
 )
 from tasks.stage import Parameters
 
-__all__ = [
-    "AnnotationParameters",
-    "DuetParameters",
-    "LeftOutParameters",
-    "PersonParameters",
-    "Purpose",
-    "TakeParameters",
-    "VideoParameters",
-]
-
 Purpose = Literal["video", "random_views"]
 
 

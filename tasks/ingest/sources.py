@@ -21,19 +21,6 @@ from tasks.ingest.parameters import CommonOptions, PersonOptions
 from tasks.ingest.shard_parameters import PersonParameters
 from tasks.stage import SourceFile
 
-__all__ = [
-    "NOT_STATED",
-    "LoadedFile",
-    "PersonSource",
-    "credit_of",
-    "find_companion",
-    "find_person",
-    "layout_named",
-    "load_file",
-    "read_again",
-    "read_named",
-]
-
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
 

@@ -32,8 +32,6 @@ from tasks.ingest.shard_parameters import DuetParameters, PersonParameters, Take
 from tasks.ingest.sources import layout_named, read_again
 from tasks.stage import Shard, SourceFile, commit
 
-__all__ = ["run_duet", "run_take"]
-
 SURE = 0.6
 """Confidence of a guessed unit or axis below which a take is doubted: a very small or tall adult has 0.5."""
 

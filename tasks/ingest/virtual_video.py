@@ -30,8 +30,6 @@ from tasks.ingest.shard_parameters import VideoParameters
 from tasks.poses import read_poses
 from tasks.stage import Shard, commit, stream
 
-__all__ = ["UNIFORM_PITCH_DEG", "run_virtual_video"]
-
 NEIGHBOURS = 2
 """Frames kept on either side of a randomly viewed pair, for velocity only (Yin et al. 2018, section 6)."""
 UNIFORM_PITCH_DEG = 1e9

@@ -8,8 +8,6 @@ from pydantic import Field
 
 from tasks.stage import Parameters
 
-__all__ = ["VERSION", "LiftingParameters"]
-
 VERSION = 7
 
 

@@ -10,8 +10,6 @@ from tasks.poses import num_persons
 from tasks.stage import Shard, StageInputs, named_refs
 from tasks.torso_bases import shares_takes
 
-__all__ = ["plan"]
-
 
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     """Plan a shard per artifact of annotated pairs that has views; none without draws."""

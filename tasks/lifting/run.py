@@ -28,8 +28,6 @@ from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 from tasks.torso_bases import read_torso_basis
 
-__all__ = ["run_shard"]
-
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
 """Median expected error above which lifted pairs are doubted."""

@@ -27,18 +27,6 @@ from storage_schema import (
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
 
-__all__ = [
-    "DrawSeed",
-    "FileSeed",
-    "LoadedSeed",
-    "SeedFile",
-    "credits_of",
-    "load_seed",
-    "pair_of_draw",
-    "pairs_of_seeds",
-    "read_seed",
-]
-
 
 class SeedFile(Parameters):
     """A file, or two of BVH, that becomes a seed."""

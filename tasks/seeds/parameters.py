@@ -8,8 +8,6 @@ from pasdedeux.sampling.prior import PriorSettings
 from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters
 
-__all__ = ["VERSION", "ChosenSeed", "FrameSeed", "GrownSeeds", "LiftedSeeds", "SeedFrame", "SeedsParameters"]
-
 VERSION = 10
 
 NUM_CHOSEN, LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE = 2, 20, 1000

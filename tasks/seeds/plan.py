@@ -26,8 +26,6 @@ from tasks.seeds.parameters import (
 from tasks.stage import Parameters, Shard, SourceFile, StageInputs, named_refs
 from tasks.torso_bases import shares_takes
 
-__all__ = ["check", "check_study", "plan", "start_indices"]
-
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     """Plan a shard per seed from takes that are not held out or from files, one for lifted and one for grown seeds.

@@ -24,8 +24,6 @@ from tasks.seeds.parameters import ChosenSeed, FrameSeed, GrownSeeds, LiftedSeed
 from tasks.stage import Shard, commit, merge_takes, stream
 from tasks.torso_bases import read_torso_basis
 
-__all__ = ["run_shard"]
-
 MIN_GROWN_SHARE = 0.5
 """Share of the annotations asked for that must have grown to be no warning."""
 _NUM_LOOKED_AT = 300

@@ -24,20 +24,6 @@ from tasks.shards.profiles import ClusterProfile, await_workers, started
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = [
-    "DEATHS_ALLOWED",
-    "ClusterSettings",
-    "connect",
-    "installed",
-    "is_refused",
-    "only_fit",
-    "peak_memory_bytes",
-    "pinned_instructions",
-    "refusals",
-    "refuse_other",
-    "worker_environment",
-]
-
 DEATHS_ALLOWED = 2  # workers that may die under one shard before it is given up: the third death is its fault
 _ONE_THREAD = (
     "OMP_NUM_THREADS",

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["ClusterError", "ShardError", "Stopped", "in_one_line", "joined"]
-
 _NAMED = 5
 """Failed shards that a message names."""
 

@@ -12,8 +12,6 @@ from contextlib import suppress
 from dask_jobqueue.local import LocalCluster, LocalJob
 from distributed.core import Status
 
-__all__ = ["JobsHere"]
-
 _LOOK_AGAIN_S = 0.1
 _SAID_BYTES = 2000
 """Of the end of what a job said that an error tells."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from distributed import Client, SpecCluster
     from distributed.deploy.cluster import Cluster
 
-__all__ = ["ClusterProfile", "await_workers", "cluster_class", "read_profile", "started"]
-
 _LOOK_AGAIN_S = 0.5
 
 

@@ -27,8 +27,6 @@ from tasks.stage import Shard, artifact_fields
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Call", "ClusterPool", "HereClient", "HerePool", "Pool", "ShardDone", "ShardFailed", "run"]
-
 RunShard = Callable[[Shard, Store], ArtifactRef]
 
 _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone

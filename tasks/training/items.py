@@ -13,8 +13,6 @@ from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import TakeMotion, batch_of, read_take
 
-__all__ = ["StoredVariants", "interaction_of", "skeleton_name"]
-
 
 def interaction_of(take: Manifest) -> str:
     """Return what a take is a performance of: the built-in duet that it was made from, or itself."""

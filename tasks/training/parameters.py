@@ -12,8 +12,6 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 from tasks.stage import Parameters
 
-__all__ = ["LeftOutParameters", "SegmentParameters", "TrainingParameters"]
-
 SkeletonName = Literal["body22", "expi18"]
 
 

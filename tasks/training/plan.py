@@ -15,8 +15,6 @@ from tasks.stage import Shard, StageInputs, named_refs, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
 
-__all__ = ["VERSION", "check_study", "plan", "split_variants"]
-
 VERSION = 10
 
 

@@ -30,8 +30,6 @@ from tasks.training.items import StoredVariants
 from tasks.training.parameters import LeftOutParameters, SegmentParameters
 from tasks.training.plan import split_variants
 
-__all__ = ["load_stored", "read_arrays", "refuse_without_torch", "run_shard"]
-
 _JUDGED = 24
 """Validation variants that the verdict looks at, spread evenly."""
 

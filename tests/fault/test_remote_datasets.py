@@ -25,9 +25,10 @@ from storage_schema import (
     list_datasets,
     verify,
 )
+from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.datasets import digest_of
 from storage_schema.errors import BadName, DatasetExists
-from storage_schema.remote import RemoteError, RemoteStore, pull_dataset, push_dataset
+from storage_schema.remote import pull_dataset, push_dataset
 from tests.builders.s3_server import SECRET, S3Server, s3_server
 from tests.builders.storage_rows import commit_rows, put, random_columns
 from tests.builders.toy_runs import run_toys, write_study

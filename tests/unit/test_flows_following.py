@@ -17,7 +17,8 @@ from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list
 from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.reconstruction.body import SHARED
-from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
+from pasdedeux.reconstruction.live.chain import LivePeople
+from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES

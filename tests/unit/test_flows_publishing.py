@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from flows.console.app import run_command_line
-from flows.study import StudyError, load_study
+from flows.study import load_study
+from flows.study_files import StudyError
 from storage_schema import Dataset, Store, list_datasets, open_table
 from tests.builders.storage_rows import list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, build_here, write_study

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from flows.study import Study, StudyError, load_study
-from flows.study_files import shipped_studies
+from flows.study import Study, load_study
+from flows.study_files import StudyError, shipped_studies
 from pasdedeux.evaluation.scores import FEWEST_UNITS
 from pasdedeux.evaluation.verdicts import FEWEST_BLOCKS
 from tasks.graph import Graph, load_graph

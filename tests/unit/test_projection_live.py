@@ -14,7 +14,8 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.bones import bone_rotations
-from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, LivePose
+from pasdedeux.reconstruction.live.chain import LivePeople
+from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.temporal import FixedLagViterbi, choose_viterbi
 from pasdedeux.skeletons import BODY22, OP14

@@ -6,18 +6,14 @@ The poses of a person's first two seconds leave together, as soon as the bones a
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import Follower
 from pasdedeux.reconstruction.live.cleanup import LiveFloor
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson, LivePose
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Lens
-
-__all__ = ["LiveOptions", "LivePeople", "LivePerson", "LivePose", "warm_up"]
-
-Array = npt.NDArray[np.float64]
 
 
 class LivePeople:

@@ -12,13 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.reconstruction.cleanup import FootOptions, bend_one_leg
 from pasdedeux.skeletons import OP14
-
-__all__ = ["LiveCleanUp", "LiveCleanUpOptions", "LiveFloor"]
-
-Array = npt.NDArray[np.float64]
 
 _LEGS = np.array(OP14.legs)
 _UP, _AWAY = 1, 2

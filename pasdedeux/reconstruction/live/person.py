@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import multiply, rotate
 from pasdedeux.people.identity import IdentityOptions
@@ -38,9 +39,6 @@ from pasdedeux.reconstruction.yaw import refine_yaws
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["LiveOptions", "LivePerson", "LivePose"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm, flatten_image, image_noise, image_term
@@ -35,9 +36,6 @@ from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, bone_deviatio
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["WindowFit", "WindowFitOptions"]
-
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _POSE = (OP14.num_joints, 3)

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, NUM_PER_PERSON
 from pasdedeux.sampling.proposals.kernels import move_blocks
 from pasdedeux.sampling.proposals.proposal import (
@@ -21,10 +22,6 @@ from pasdedeux.sampling.proposals.proposal import (
     Scales,
 )
 from pasdedeux.skeletons import PAIR17
-
-__all__ = ["GaussianBlocks", "Steps", "UnbiasedKind"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

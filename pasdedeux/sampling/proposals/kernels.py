@@ -7,8 +7,6 @@ import math
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import multiply, rotvec_from_unitquat, unitquat_from_rotvec
 
-__all__ = ["log_normal_ratio", "log_ratio_of_steps", "move_blocks"]
-
 
 @compiled()
 def move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, tied, num_joints):  # type: ignore[no-untyped-def]

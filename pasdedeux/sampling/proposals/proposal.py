@@ -10,13 +10,11 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS, PairChart
 from pasdedeux.sampling.speeds import Speeds
 
-__all__ = ["Blocks", "Context", "Correction", "Proposal", "ProposalInputs", "ProposalKind", "Proposed", "Scales"]
-
-Array = npt.NDArray[np.float64]
 Context = npt.NDArray[np.int64]
 """What a proposal must know of a point before it can leave it: the annotations that are nearest to it, (view,)."""
 Blocks = npt.NDArray[np.int64]

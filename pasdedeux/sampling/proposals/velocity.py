@@ -12,18 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS
 from pasdedeux.sampling.proposals.blocks import GaussianBlocks
 from pasdedeux.sampling.proposals.kernels import log_ratio_of_steps
 from pasdedeux.sampling.proposals.proposal import Context, Correction, Proposal, ProposalInputs, ProposalKind, Proposed
 from pasdedeux.sampling.speeds import Speeds
-
-__all__ = ["VelocityBlocks", "VelocityKind"]
-
-Array = npt.NDArray[np.float64]
 
 
 def _no_speeds() -> Speeds:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout
 from pasdedeux.skeletons.layouts.table_building import working_tables
 
-__all__ = ["CMU_ASF", "CMU_CGSPEED", "CMU_DAZ"]
-
 CMU_ASF = Layout(
     name="cmu_asf",
     meaning="CMU ASF/AMC: 30 bones, each joint at the start of the bone that names it",

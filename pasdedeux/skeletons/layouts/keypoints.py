@@ -6,25 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons.working import OP14, PAIR17, WORKING_SKELETONS
 
-__all__ = [
-    "BODY25",
-    "COCO17",
-    "COCO18",
-    "FEET4",
-    "HALPE26",
-    "KEYPOINT_LAYOUTS",
-    "LAYOUT_OF_COUNT",
-    "MEDIAPIPE33",
-    "KeypointLayout",
-    "Keypoints",
-]
-
-Array = npt.NDArray[np.float64]
 Recipe = tuple[Mapping[str, float], ...]
 """Weighted means of keypoints, best first; the first whose keypoints are all seen is taken."""
 

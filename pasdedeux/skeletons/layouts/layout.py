@@ -9,8 +9,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.skeletons.mapping import JointMap
 from pasdedeux.skeletons.working import WORKING_SKELETONS
 
-__all__ = ["AddedPoint", "Layout", "Table"]
-
 Table = Mapping[str, str | Mapping[str, float]]
 """For each joint of a working skeleton its source joint, or source joints with weights that sum to 1."""
 

@@ -6,8 +6,6 @@ from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout, Table
 from pasdedeux.skeletons.layouts.table_building import Limbs, working_tables
 from pasdedeux.skeletons.working import BODY22
 
-__all__ = ["BODY22_LAYOUT", "LAFAN", "MIXAMO", "YIANNAKIDES"]
-
 YIANNAKIDES = Layout(
     name="yiannakides",
     meaning="Template of the projection database of Yiannakides et al. 2019: 17 joints, no feet and no collars",

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pasdedeux.skeletons.layouts.layout import Table
 
-__all__ = ["Limbs", "both_sides", "working_tables"]
-
 Limbs = dict[str, tuple[str, str]]
 """For each joint of a limb, without its side, the names of the left and the right source joint."""
 

@@ -28,8 +28,6 @@ from tasks.poses import read_poses
 from tasks.reconstruction import read_database
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["PARALLEL_VIEWS"]
-
 
 class UnseenViewsSettings(Parameters):
     """From where motions are seen."""

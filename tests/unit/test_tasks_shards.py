@@ -386,7 +386,7 @@ def test_workers_with_other_pinned_instructions_are_refused(
 
 def test_workers_with_several_threads_are_refused(tmp_path: Path) -> None:
     with (
-        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address="127.0.0.1:0") as cluster,
         pytest.raises(ClusterError, match=r"has 2 threads, but a process computes one shard at a time; .*--nthreads 1"),
         connect(ClusterSettings(scheduler=cluster.scheduler_address), store_root=str(tmp_path)),
     ):

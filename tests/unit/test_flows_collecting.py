@@ -122,7 +122,7 @@ def test_a_first_run_keeps_its_new_store_from_being_collected(
 
 def test_an_unfinished_run_does_not_push_out_the_last_finished_one(store: Store, study: Path) -> None:
     class Interrupted(HerePool):
-        def next(self) -> NoReturn:
+        def work(self) -> NoReturn:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -138,7 +138,7 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
     if run_record(store, last.run_id).get("status", "finished") != "finished":
         return f"its last run, {last.run_id}, did not finish"
     now = {stage: {ref.content_digest for ref in last.refs(stage)} for stage in last.stages}
-    finished = [record for record in _records_of(store, last.study) if record["status"] == "finished"]
+    finished = [record for record in _records_of(store, last.study) if record.get("status") == "finished"]
     for stage in stages:
         # What there was of each stage in the run that last saw to this one.
         runs = ({entry["stage"]: entry for entry in record["stages"]} for record in reversed(finished))

@@ -130,7 +130,7 @@ def test_what_lifted_pairs_say_of_their_draws_can_be_asked_for(small: BuiltStudy
         assert open_table(text, small.store).num_rows == 1
 
 
-def test_a_plan_stays_whole_where_no_early_plan_hides_a_stage(small: BuiltStudy) -> None:
+def test_a_finished_study_is_fresh_and_the_credits_of_all_that_it_made_are_found(small: BuiltStudy) -> None:
     chosen, stages = load_study(str(small.study), graph(), settings=(), environment={})
     plan = make_plan(chosen, stages, Store(small.store))
     assert plan.is_fresh

@@ -1,4 +1,4 @@
-"""Verdicts: is a result good, in one word, one sentence and one figure beside its trivial baseline."""
+"""Verdicts: is a result good, in one word, one sentence and one figure beside its baseline."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ class Verdict:
         figure: Name of the one figure that matters, as people say it ("contact drift"); empty without one.
         value: That figure, a mean where it is over several things; NaN without one.
         unit: Its unit.
-        baseline: The same figure of the trivial way to do it; NaN without one.
-        baseline_name: What that trivial way is ("plain forward kinematics").
+        baseline: The same figure of the baseline; NaN without one.
+        baseline_name: Name of the baseline ("plain forward kinematics").
         count: How many things the figure is over.
         thing: What these are, in the plural ("variants").
         tally: Where this stands for several results: levels, reasons, and how many results have them.

@@ -58,7 +58,7 @@ def coverage_scores(
     """Return the curves and their ends as scores; prior-only and the real frames are baselines."""
     scores = []
     for method, curve in {**curves, "real_frames": levels}.items():
-        is_baseline = method == "real_frames" or is_trivial(method)
+        is_baseline = method == "real_frames" or of_prior(method)
         for measure, values, unit in _measures(curve):
             points = [*zip(curve.num_draws.tolist(), values.tolist(), strict=True)]
             points.append((float("nan"), float(values[-1])))
@@ -81,7 +81,7 @@ def _measures(curve: CoverageCurve) -> list[tuple[str, Array, str]]:
     return [("D_I", curve.interaction_m, "m"), ("D_C", curve.cartesian_m, "m"), ("D_S", curve.shape, "")]
 
 
-def is_trivial(method: str) -> bool:
+def of_prior(method: str) -> bool:
     """Tell whether draws are a baseline: those of the prior alone, also from the first seed or with grown seeds."""
     return method.startswith(PRIOR_ONLY)
 
@@ -103,7 +103,7 @@ def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, gro
                 ("coverage_D_C", float(least.mean()), "m"),
                 ("as_good_as_real_frames_D_C", worth, "frames"),
             ):
-                scores.append(Score(metric, name, value, unit, is_trivial(name), split, count=len(least)))
+                scores.append(Score(metric, name, value, unit, of_prior(name), split, count=len(least)))
     return scores
 
 
@@ -150,7 +150,7 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
                         in_words(name),
                         counts,
                         factor * measures[index][1],
-                        is_baseline=is_trivial(name),
+                        is_baseline=of_prior(name),
                     )
                     for name, (measures, counts) in by_method.items()
                 ],

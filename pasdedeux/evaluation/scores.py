@@ -26,7 +26,7 @@ class Score:
         method: Method or density measured.
         value: The figure.
         unit: Its unit; empty for a ratio or a count.
-        is_baseline: The method is a trivial baseline shown for comparison.
+        is_baseline: The method is a baseline.
         split: Part of the data it is over.
         item: Take, sequence, variant or model it is of; `all` where it is over everything.
         at: Position on a curve; NaN for a single figure.

@@ -1,4 +1,4 @@
-"""Is it good: a method beside every trivial way on the same held-out items, and verdicts in words and rows."""
+"""Is it good: a method beside every baseline on the same held-out items, and verdicts in words and rows."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Items:
         values: By method, the figure of each item (item,); NaN where it has none.
         takes: Take of each item, or whatever else nobody would call new: items of one are alike.
         times_s: Its time within the take, seconds.
-        baselines: The methods that are trivial ways; those that know what nobody knows count as none.
+        baselines: The methods that are compared with; bounds, which know the ground truth, never are.
         count: How many things the items are of, where each is of many frames.
     """
 
@@ -140,7 +140,7 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
 
 
 @dataclass(frozen=True)
-class Yardstick:
+class Criterion:
     """The figure that says whether a topic's result is good; every baseline that was scored has to be beaten.
 
     Args:
@@ -182,12 +182,12 @@ class Yardstick:
         return Verdict(level, reason, self.figure, *more, count=paired.count, thing=self.thing)
 
     def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
-        """Draw the mean figure of every method that was scored where the trivial ways were, best first, as SVG.
+        """Draw the mean figure of every method that was scored where the baselines were, best first, as SVG.
 
-        The goal, told in the caption, is what has to be beaten: the best trivial way, or what is allowed.  Where a part
-        is held out, that alone is drawn.  Where no trivial way was scored beside others, methods are drawn that were
+        The goal, told in the caption, is what has to be beaten: the best baseline, or what is allowed.  Where a part
+        is held out, that alone is drawn.  Where no baseline was scored beside others, methods are drawn that were
         scored wherever most were.  Bounds, which know what nobody knows, are left to the tables.  None where there is
-        nothing to compare, as only trivial ways.
+        nothing to compare, as only baselines.
         """
         found, unit, plain = self._found(scores)
         own = max((set(found[name]) for name in found if name not in plain), key=len, default=set())
@@ -205,8 +205,8 @@ class Yardstick:
         means = {name: float(np.mean([found[name][place] for place in sorted(places)])) for name in methods}
         sign = -1.0 if self.is_larger_better else 1.0
         ranked = sorted(means, key=lambda name: (sign * means[name], name))
-        trivial = ((means[one], in_words(one)) for one in ranked if one in plain)
-        goal, name = next(trivial, (self.limit, "what is allowed"))
+        baselines = ((means[one], in_words(one)) for one in ranked if one in plain)
+        goal, name = next(baselines, (self.limit, "what is allowed"))
         shown_unit, factor = shown_as(unit)
         drawn = compared_figure(
             {in_words(method): factor * means[method] for method in ranked},
@@ -217,7 +217,7 @@ class Yardstick:
         better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
         beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
         mean = f", mean over {len(places)} parts of the data" if len(places) > 1 else ""
-        return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, hatched are trivial ways{beaten}."
+        return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, baselines are hatched{beaten}."
 
     def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:
         """Return the figures by method and place without bounds, their unit, and which methods are baselines."""
@@ -354,7 +354,7 @@ def part_name(stage: str, partition: str) -> str:
 
 
 def verdict_words(verdict: Verdict | None) -> str:
-    """Return a verdict in one line: the level, why, and the figure that matters beside that of the trivial way.
+    """Return a verdict in one line: the level, why, and the figure that matters beside that of the baseline.
 
     >>> verdict_words(Verdict(Level.WARN, "hands drift", "contact drift", 0.012, "m", 0.03, "plain kinematics"))
     'warn: hands drift; contact drift 1.2 cm against 3 cm (plain kinematics)'
@@ -363,7 +363,7 @@ def verdict_words(verdict: Verdict | None) -> str:
 
 
 def figure_words(verdict: Verdict) -> str:
-    """Return the figure that matters beside that of the trivial way, and how many things it is over; empty without one.
+    """Return the figure that matters beside that of the baseline, and how many things it is over; empty without one.
 
     >>> figure_words(Verdict(Level.PASS, "", "contact drift", 0.012, "m", count=40, thing="variants"))
     'contact drift 1.2 cm, mean of 40 variants'

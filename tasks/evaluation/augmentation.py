@@ -17,7 +17,7 @@ from pasdedeux.evaluation.variants import (
     variant_player,
     verdict_scores,
 )
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
@@ -145,5 +145,5 @@ TOPIC = Topic(
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
     run=_run,
-    yardsticks=(Yardstick("contact_drift_mean", "contact drift", "m", "variants", ("interaction_mesh",)),),
+    criteria=(Criterion("contact_drift_mean", "contact drift", "m", "variants", ("interaction_mesh",)),),
 )

@@ -8,8 +8,8 @@ from pydantic import Field
 from pasdedeux.evaluation import players
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
+from tasks.evaluation.ground_truth import rate_of
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.evaluation.truth import rate_of
 from tasks.stage import Parameters, Shard, StageInputs
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20

@@ -10,20 +10,20 @@ from pasdedeux.evaluation.coverage import (
     coverage_figure,
     coverage_scores,
     curve_points,
-    is_trivial,
     nearest_by_method,
+    of_prior,
     real_frame_levels,
     realism_scores,
     union_scores,
 )
 from pasdedeux.evaluation.embedding import PairMap, map_figure
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.experiments.exploration import exploration_table
 from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
+from tasks.evaluation.ground_truth import read_rates, read_take_frames, read_takes
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
-from tasks.evaluation.truth import read_rates, read_take_frames, read_takes
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -135,7 +135,7 @@ def _items(
         return Items()
     values = nearest_by_method(curves, GROWN)
     takes, times_s = [take for take, _ in places], [frame / rates[take] for take, frame in places]
-    return Items(values, takes, times_s, {name for name in values if is_trivial(name)})
+    return Items(values, takes, times_s, {name for name in values if of_prior(name)})
 
 
 def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
@@ -203,6 +203,6 @@ TOPIC = Topic(
     plan=_plan,
     run=_run,
     settings=CoverageSettings,
-    yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", "m", "real pairs"),),
+    criteria=(Criterion("coverage_D_C", "distance from a real pair to the nearest draw", "m", "real pairs"),),
     tables=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
 )

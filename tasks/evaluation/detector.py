@@ -6,7 +6,7 @@ import numpy as np
 
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from storage_schema import Store
 from tasks.evaluation.reconstruction import read_reconstructed
 from tasks.evaluation.topic import Topic, TopicResult
@@ -69,8 +69,8 @@ TOPIC = Topic(
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
-    yardsticks=(
-        Yardstick(
+    criteria=(
+        Criterion(
             "identity_switches_per_minute",
             "identity switches a minute",
             "",

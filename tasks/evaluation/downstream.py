@@ -18,7 +18,7 @@ from pasdedeux.evaluation.downstream import (
     recognition_table,
 )
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.clip_classifier import ClipClassifier, clips_of
 from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredictor, joint_errors
 from storage_schema import Manifest, Store
@@ -204,7 +204,7 @@ RECOGNITION = Topic(
     plan=_plan_recognition,
     run=_recognise,
     settings=LearnedSettings,
-    yardsticks=(Yardstick("accuracy", "accuracy of recognition", "%", "clips", (WITH,), is_larger_better=True),),
+    criteria=(Criterion("accuracy", "accuracy of recognition", "%", "clips", (WITH,), is_larger_better=True),),
     tables=lambda scores: recognition_table(scores["recognition"]),
 )
 
@@ -219,7 +219,7 @@ PREDICTION = Topic(
     plan=_plan_prediction,
     run=_predict,
     settings=LearnedSettings,
-    yardsticks=(Yardstick("JME_mean", "mean error of prediction", "cm", "clips", (WITH,)),),
+    criteria=(Criterion("JME_mean", "mean error of prediction", "cm", "clips", (WITH,)),),
     has_means_first=True,
     tables=lambda scores: prediction_table(scores["prediction"]),
 )

@@ -14,15 +14,15 @@ from pasdedeux.evaluation.left_out import (
     left_out_figure,
     left_out_scores,
 )
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_seen_pairs, views_of
 from tasks.draw_sets import draw_manifests, read_draw_sets
+from tasks.evaluation.ground_truth import read_rates, read_take_frames, read_takes, true_pair
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
-from tasks.evaluation.truth import read_rates, read_take_frames, read_takes, true_pair
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -199,5 +199,5 @@ TOPIC = Topic(
     reads=("annotations", "views", "draws", "seeds", "poses"),
     plan=_plan,
     run=_run,
-    yardsticks=(Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", "m", "images"),),
+    criteria=(Criterion("left_out_d_I_mean", "distance of left-out images to the nearest draw", "m", "images"),),
 )

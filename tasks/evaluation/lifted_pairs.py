@@ -25,7 +25,7 @@ from pasdedeux.evaluation.lifted_pairs import (
     nearest_figure,
 )
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
@@ -33,8 +33,8 @@ from pasdedeux.spread import evenly_spread
 from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
 from tasks.draw_sets import GROWN, draw_manifests, read_all_draws, read_draw_sets
+from tasks.evaluation.ground_truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
-from tasks.evaluation.truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -316,11 +316,11 @@ TOPIC = Topic(
     plan=_plan,
     run=_run,
     settings=LiftedPairsSettings,
-    yardsticks=(
-        Yardstick("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("fitted",)),
-        Yardstick("occluded_joint_error_mean", "error of completed joints", "m", "limbs", ("fitted",), _COMPLETED),
-        Yardstick("in_between_error_mean", "error of frames between", "m", "frames", ("draws",), _BETWEEN),
-        Yardstick(
+    criteria=(
+        Criterion("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("fitted",)),
+        Criterion("occluded_joint_error_mean", "error of completed joints", "m", "limbs", ("fitted",), _COMPLETED),
+        Criterion("in_between_error_mean", "error of frames between", "m", "frames", ("draws",), _BETWEEN),
+        Criterion(
             "in_between_lifted_error_mean", "error between lifted pairs", "m", "frames", ("draws",), _BETWEEN_LIFTED
         ),
     ),

@@ -12,7 +12,7 @@ from pasdedeux.evaluation.model_tables import LARGEST_SCALE, best_model, case_pl
 from pasdedeux.evaluation.models import GENERATED, frame_errors_cm, model_figure, model_scores, share_scores
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning import BASELINES, DEFAULT_MODELS, SPLIT_NAMES, VariantKey, VariantModel
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
@@ -165,8 +165,8 @@ TOPIC = Topic(
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,
-    yardsticks=tuple(
-        Yardstick("E_r", "joint error E_r", "cm", "variants", name=split.replace("_", " ")) for split in SPLIT_NAMES
+    criteria=tuple(
+        Criterion("E_r", "joint error E_r", "cm", "variants", name=split.replace("_", " ")) for split in SPLIT_NAMES
     ),
     cautions=(
         (

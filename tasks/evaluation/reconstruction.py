@@ -17,10 +17,10 @@ from pasdedeux.evaluation.reconstruction import (
     reconstruction_scores,
     turn_to_camera,
 )
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Criterion
 from storage_schema import ArtifactRef, Store, TableData
+from tasks.evaluation.ground_truth import rate_of, read_cameras, read_rates, read_take_frames, read_takes
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
-from tasks.evaluation.truth import rate_of, read_cameras, read_rates, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs
 
 
@@ -178,8 +178,8 @@ TOPIC = Topic(
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
-    yardsticks=(
-        Yardstick(
+    criteria=(
+        Criterion(
             "error_root_kept",
             "mean joint error",
             "m",

@@ -99,7 +99,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
 
 def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None:
     """Draw the figure that says whether a topic's result is good, method by method."""
-    return next((drawn for one in topic.yardsticks if (drawn := one.picture(scores)) is not None), None)
+    return next((drawn for one in topic.criteria if (drawn := one.picture(scores)) is not None), None)
 
 
 def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
-from pasdedeux.evaluation.verdicts import Items, Yardstick, merge_verdicts
+from pasdedeux.evaluation.verdicts import Criterion, Items, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs
 
@@ -28,7 +28,7 @@ class TopicResult:
         pictures: Figures (.svg) and moving people (.player.json) by file name.
         captions: A caption for each picture.
         notes: Sentences for the reader: what was measured, what was skipped and why.
-        items: By name of a yardstick, what it judges: items that nothing was learned from; empty where there is none.
+        items: By name of a criterion, what it judges: items that nothing was learned from; empty where there is none.
     """
 
     scores: Sequence[Score] = ()
@@ -58,7 +58,7 @@ class Topic:
             there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
         run: Scores one of these shards.
         settings: Its keys in the study's section `evaluation`.
-        yardsticks: What says whether its result is good: a verdict for each whose items a shard has.
+        criteria: What says whether its result is good: a verdict for each whose items a shard has.
         has_means_first: The page shows means over many items before the items.
         cautions: What to know of a dataset, as pairs of a table and a sentence that holds where the table is there.
         tables: Tables beside the figures, from the scores of all topics by name.
@@ -71,7 +71,7 @@ class Topic:
     plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
     run: Callable[[Shard, Store], TopicResult] = field(repr=False)
     settings: type[Parameters] = Parameters
-    yardsticks: tuple[Yardstick, ...] = ()
+    criteria: tuple[Criterion, ...] = ()
     has_means_first: bool = False
     cautions: tuple[tuple[str, str], ...] = ()
     tables: Callable[[ScoresOf], Sequence[TextTable]] = field(default=_no_tables, repr=False)
@@ -92,8 +92,8 @@ class Topic:
 
 
 def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:
-    """Commit what a topic found, with the verdict of each of its yardsticks that has items."""
-    judged = {one.name: one.verdict(result.items[one.name]) for one in topic.yardsticks if one.name in result.items}
+    """Commit what a topic found, with the verdict of each of its criteria that has items."""
+    judged = {one.name: one.verdict(result.items[one.name]) for one in topic.criteria if one.name in result.items}
     parts = {name: verdict for name, verdict in judged.items() if verdict is not None}
     whole = merge_verdicts(parts.values())
     return commit(

@@ -9,12 +9,12 @@ import numpy as np
 from pasdedeux.cameras import true_direction
 from pasdedeux.evaluation.figures import view_figure
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.evaluation.views import VIEW_BASELINES, view_errors, view_scores
 from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, place_of
+from tasks.evaluation.ground_truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.evaluation.truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.stage import Parameters, Shard, StageInputs
 
 
@@ -99,5 +99,5 @@ TOPIC = Topic(
     reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
-    yardsticks=(Yardstick("view_error_mean", "error of the view", "degrees", "images", ("heaviest_hypothesis",)),),
+    criteria=(Criterion("view_error_mean", "error of the view", "degrees", "images", ("heaviest_hypothesis",)),),
 )

@@ -18,7 +18,7 @@ from pasdedeux.evaluation.figures import compared_figure
 from pasdedeux.evaluation.report import PLAYER
 from pasdedeux.evaluation.score_tables import format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
-from pasdedeux.evaluation.verdicts import Items, Yardstick, part_name
+from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, SourceCredit, Store
 from tasks import ingest, reconstruction, training
@@ -140,7 +140,7 @@ def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_basel
     store, made, _ = evaluated
     judged = 0
     for part in made:
-        metrics = {one.name: one.metric for topic in TOPICS if topic.name == part.partition for one in topic.yardsticks}
+        metrics = {one.name: one.metric for topic in TOPICS if topic.name == part.partition for one in topic.criteria}
         for name, verdict in verdicts_of_parts(part).items():
             if (paired := verdict.paired) is None:
                 continue
@@ -254,7 +254,7 @@ TOY = Topic(
     plan=plan_toys,
     run=run_toys,
     settings=ToySettings,
-    yardsticks=(Yardstick("toys", "toys", "", "boxes"), Yardstick("toys", "toys", "", "boxes", name="broken toys")),
+    criteria=(Criterion("toys", "toys", "", "boxes"), Criterion("toys", "toys", "", "boxes", name="broken toys")),
     cautions=(("poses", "Toys break."),),
 )
 
@@ -314,7 +314,7 @@ def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest]
 def test_what_lifting_fills_in_has_verdicts_of_its_own(evaluated: tuple[Store, list[Manifest], str]) -> None:
     store, made, page = evaluated
     judged = {name for one in made if one.partition == "lifting" for name in verdicts_of_parts(one)}
-    assert judged == {one.name for one in lifted_pairs.TOPIC.yardsticks}
+    assert judged == {one.name for one in lifted_pairs.TOPIC.criteria}
     table = store.read(made[-1].ref, "verdicts")
     for name in judged:
         assert f"lifting {name}".strip() in table["partition"].tolist()

@@ -28,7 +28,7 @@ from pasdedeux.evaluation.lifted_pairs import (
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from tasks.annotated_pairs import Place
-from tasks.evaluation.truth import true_pair
+from tasks.evaluation.ground_truth import true_pair
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 

@@ -17,7 +17,7 @@ from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
 from pasdedeux.evaluation.summary import Credit, Made, Summary
 from pasdedeux.evaluation.takes import take_scores
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.verdict import Level, Verdict
 from storage_schema.tables import TABLES
@@ -182,13 +182,13 @@ def test_players_move_and_turn_and_tables_sort_in_a_browser(tmp_path: Path, widt
     assert found["wide"], "the page is wider than the screen"
 
 
-def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were_scored() -> None:
+def test_a_criterion_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were_scored() -> None:
     scores = [
         Score("error", method, value, "m", item=item, is_baseline=method == "naive_fk")
         for method, value in (("interaction_mesh", 0.01), ("naive_fk", 0.2), ("truth", 0.0))
         for item in ("a", "b")
     ]
-    drawn = Yardstick("error", "drift", "m", "variants").picture(
+    drawn = Criterion("error", "drift", "m", "variants").picture(
         [*scores, Score("error", "sometimes", 0.1, "m", item="a")]
     )
     assert drawn is not None
@@ -196,14 +196,14 @@ def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
     assert b"interaction mesh" in svg
     assert b"plain forward kinematics" in svg
     assert b"sometimes" not in svg
-    assert b"the truth" not in svg, "a bound is no trivial way"
+    assert b"the truth" not in svg, "a bound is no baseline"
     assert b">20<" in svg
     assert "shorter bars are better" in caption
     assert "plain forward kinematics, has to be beaten" in caption
-    assert Yardstick("error", "drift", "m", "variants").picture(scores[:1]) is None
+    assert Criterion("error", "drift", "m", "variants").picture(scores[:1]) is None
     more = [Score("error", "interaction_mesh", 0.3, "m", item=item) for item in "cde"]
-    assert Yardstick("error", "drift", "m", "variants").picture([*scores, *more]) == (
-        Yardstick("error", "drift", "m", "variants").picture(scores)
+    assert Criterion("error", "drift", "m", "variants").picture([*scores, *more]) == (
+        Criterion("error", "drift", "m", "variants").picture(scores)
     ), "what has to be beaten is there, also where others were scored in more places"
 
 

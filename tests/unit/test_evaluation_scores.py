@@ -27,7 +27,7 @@ from pasdedeux.evaluation.variants import (
     quality_scores,
     verdict_scores,
 )
-from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.coverage import CoverageCurve
@@ -120,8 +120,8 @@ def test_a_reconstruction_has_to_beat_retrieval_and_not_the_mean_pose_that_nobod
     found = {"nearest": 1.2 * truth, "fit_clean": 1.1 * truth, "standing_still": still}
     times_s = np.arange(360) / 30.0
     person = Reconstructed("s person 0", truth, found, np.arange(360), 0, ["hug"] * 360, times_s)
-    (yardstick,) = reconstruction.TOPIC.yardsticks
-    verdict = yardstick.verdict(reconstruction_items([person, person]))
+    (criterion,) = reconstruction.TOPIC.criteria
+    verdict = criterion.verdict(reconstruction_items([person, person]))
     assert verdict is not None
     assert (verdict.level, verdict.baseline_name, verdict.count) == ("pass", "nearest pose", 720)
     scores = reconstruction_scores(person, split="held_out")
@@ -138,12 +138,12 @@ def test_items_of_a_part_that_has_a_figure_over_all_of_them_do_not_count_twice()
         for item, value in values.items()
     ]
     scores += [Score("E_r", method, 2.0, "m", method == "copy", split="b", item="x") for method in ("ridge", "copy")]
-    drawn = Yardstick("E_r", "error", "cm", "variants").picture(scores)
+    drawn = Criterion("E_r", "error", "cm", "variants").picture(scores)
     assert drawn is not None
     assert b">150<" in drawn[0]
     assert "mean over 2 parts of the data" in drawn[1]
     held_out = [Score("E_r", name, 7.0, "m", name == "copy", split="held_out") for name in ("ridge", "copy")]
-    alone = Yardstick("E_r", "error", "cm", "variants").picture([*scores, *held_out])
+    alone = Criterion("E_r", "error", "cm", "variants").picture([*scores, *held_out])
     assert alone is not None
     assert b">150<" not in alone[0], "what was learned from is never in one mean with what was held out"
 

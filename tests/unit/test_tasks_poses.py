@@ -10,7 +10,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
-from tasks.evaluation.truth import read_takes
+from tasks.evaluation.ground_truth import read_takes
 from tasks.poses import read_poses
 from tests.builders.storage_rows import put, take_rows
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from pasdedeux.evaluation.summary import Summary
-from pasdedeux.evaluation.verdicts import Items, Yardstick, figure_words, merge_verdicts
+from pasdedeux.evaluation.verdicts import Criterion, Items, figure_words, merge_verdicts
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
 from tasks.stage import Parameters, Shard, commit
 from tasks.summary import judge, stage_verdict, summary_of
 
-YARDSTICK = Yardstick("error", "error of lifted pairs", "m", "images", ("fitted",))
+CRITERION = Criterion("error", "error of lifted pairs", "m", "images", ("fitted",))
 
 
 def items(*, takes: Sequence[str], seconds: int, **values: float | np.ndarray) -> Items:
@@ -31,7 +31,7 @@ def items(*, takes: Sequence[str], seconds: int, **values: float | np.ndarray) -
 
 
 def verdict_on(some: Items) -> Verdict:
-    found = YARDSTICK.verdict(some)
+    found = CRITERION.verdict(some)
     assert found is not None
     return found
 
@@ -79,9 +79,9 @@ def test_what_may_be_chance_is_a_warning() -> None:
 
 
 def test_larger_may_be_better() -> None:
-    yardstick = replace(YARDSTICK, is_larger_better=True)
+    criterion = replace(CRITERION, is_larger_better=True)
     for fitted, level in ((0.3, Level.PASS), (0.1, Level.FAIL)):
-        verdict = yardstick.verdict(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2))
+        verdict = criterion.verdict(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2))
         assert verdict is not None
         assert verdict.level is level
 
@@ -89,7 +89,7 @@ def test_larger_may_be_better() -> None:
 def test_a_bound_is_no_baseline_and_is_never_what_is_judged() -> None:
     known = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2, real_frames=0.01)
     assert verdict_on(known).level is Level.PASS
-    unnamed = replace(YARDSTICK, methods=())
+    unnamed = replace(CRITERION, methods=())
     both = unnamed.verdict(replace(known, values={**known.values, "truth": np.zeros(12)}))
     assert both is not None
     assert both.paired is not None
@@ -150,12 +150,12 @@ def test_a_part_of_which_nothing_is_held_out_changes_nothing() -> None:
 
 
 def test_a_limit_is_kept_or_broken() -> None:
-    yardstick = Yardstick("switches", "identity switches a minute", "", "sequences", limit=1.0)
+    criterion = Criterion("switches", "identity switches a minute", "", "sequences", limit=1.0)
     for value, level in ((1.0, Level.PASS), (1.5, Level.FAIL)):
-        verdict = yardstick.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]))
+        verdict = criterion.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]))
         assert verdict is not None
         assert (verdict.level, verdict.value, verdict.baseline) == (level, value, 1.0)
-    unknown = yardstick.verdict(Items({"followed": np.array([np.nan])}, ["a"], [0.0]))
+    unknown = criterion.verdict(Items({"followed": np.array([np.nan])}, ["a"], [0.0]))
     assert unknown is not None
     assert (unknown.level, unknown.count) == (Level.NOT_JUDGED, 1)
 

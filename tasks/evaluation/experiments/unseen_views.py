@@ -10,7 +10,7 @@ from pydantic import Field
 
 from pasdedeux.evaluation.reconstruction import reconstruction_player
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Items, Yardstick
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
@@ -146,5 +146,5 @@ PARALLEL_VIEWS = Topic(
     plan=_plan,
     run=_run,
     settings=UnseenViewsSettings,
-    yardsticks=(Yardstick("error_root_kept", "mean joint error", "m", "poses", (Method.FIT.value,)),),
+    criteria=(Criterion("error_root_kept", "mean joint error", "m", "poses", (Method.FIT.value,)),),
 )

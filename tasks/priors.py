@@ -7,8 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pasdedeux.cameras import TorsoBasis, learn_torso_basis
-from pasdedeux.plausibility import ANGLES, JointLimits
+from pasdedeux.cameras.torso import TorsoBasis, learn_torso_basis
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pasdedeux.cameras import TorsoBasis, proportions_torso_basis
+from pasdedeux.cameras.torso import TorsoBasis
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.choreography import duet_torso_basis
 from storage_schema import ArtifactRef, Manifest, Store
 

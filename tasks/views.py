@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
+from pasdedeux.cameras.views import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns

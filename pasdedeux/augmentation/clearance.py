@@ -21,7 +21,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged, packer, stencil_vectors
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
-from pasdedeux.plausibility import capsule_model
+from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
 
 Indices = npt.NDArray[np.int64]

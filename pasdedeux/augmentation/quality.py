@@ -15,7 +15,7 @@ from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.figure import Limits, complaints, figure, figures_of, limits_of
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import capsule_model
+from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 

@@ -19,7 +19,7 @@ from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
-from pasdedeux.plausibility import body_height_m, capsule_model
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22, Skeleton
 
 _LONGEST_JOINT_DISTANCE_M = 1e4

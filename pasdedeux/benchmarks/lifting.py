@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.kinematics.rotations import normalise

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from pasdedeux.cameras import TorsoBasis, learn_torso_basis
+from pasdedeux.cameras.torso import TorsoBasis, learn_torso_basis
 from pasdedeux.choreography.duet import Duet, DuetStyle
 from pasdedeux.choreography.hug import HugStyle, make_hug
 from pasdedeux.choreography.judo import JudoStyle, make_judo

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import pair_frame
+from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.cameras.orthographic import view_rotmat
 from pasdedeux.completion.kernels import LANES, fill_residuals, refill_residuals
 from pasdedeux.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.interaction import closest_joint_distance
+from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.skeletons import BODY22
 
 _CLOSE_M = 0.15

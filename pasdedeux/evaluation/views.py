@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import angle_between_directions
+from pasdedeux.cameras.frames import angle_between_directions
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.kinematics.rotations import normalise
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import pair_frame
+from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise

@@ -22,7 +22,7 @@ from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_u
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.plausibility import capsule_model
+from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.bones import bone_rotations

@@ -32,7 +32,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import conjugate, rotate
-from pasdedeux.plausibility import body_height_m, capsule_model
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import MIN_TORSO_JOINTS, TORSO_INDICES, angle_between_directions
+from pasdedeux.cameras.frames import angle_between_directions
+from pasdedeux.cameras.torso import MIN_TORSO_JOINTS, TORSO_INDICES
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError

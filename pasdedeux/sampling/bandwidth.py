@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import angle_between_directions
-from pasdedeux.interaction import interaction_dissimilarity, plane_residual
+from pasdedeux.cameras.frames import angle_between_directions
+from pasdedeux.interaction.dissimilarity import interaction_dissimilarity, plane_residual
 from pasdedeux.spread import evenly_spread
 
 PUBLISHED_SIGMA_L = 0.01

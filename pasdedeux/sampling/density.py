@@ -14,7 +14,7 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank, build_bank
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms

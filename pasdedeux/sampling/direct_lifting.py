@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import TORSO_INDICES, TorsoBasis, angle_between_directions, lift_torsos, pair_frame
+from pasdedeux.cameras.frames import angle_between_directions, pair_frame
+from pasdedeux.cameras.torso import TORSO_INDICES, TorsoBasis, lift_torsos
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
 from pasdedeux.kinematics.rotations import normalise

@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import pair_frame, project_pair
+from pasdedeux.cameras.frames import pair_frame, project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import LANES, fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.parameters import gauge_fix

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, edge_weights, plane_residual
 from pasdedeux.interaction.graph import delaunay_edges

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.arrays import Array
-from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model, pair_penetration
+from pasdedeux.plausibility.capsules import capsule_model, pair_penetration
+from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES, JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, PairChart
 from pasdedeux.settings import Settings

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import cartesian_dissimilarity, closest_joint_distance
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
+from pasdedeux.interaction.surfaces import closest_joint_distance
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.prior import PriorSettings, pair_violations
 
 CLOSE_SHARE = 0.25

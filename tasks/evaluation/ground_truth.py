@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from pasdedeux.cameras import PinholeCamera
+from pasdedeux.cameras.pinhole import PinholeCamera
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place
 from tasks.poses import read_poses

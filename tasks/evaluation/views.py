@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.cameras import true_direction
+from pasdedeux.cameras.frames import true_direction
 from pasdedeux.evaluation.figures import view_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Criterion, Items

@@ -8,7 +8,8 @@ from itertools import combinations
 import numpy as np
 
 from pasdedeux.choreography import Duet
-from pasdedeux.plausibility import JointLimits, capsule_model, segment_distance
+from pasdedeux.plausibility.capsules import capsule_model, segment_distance
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
 

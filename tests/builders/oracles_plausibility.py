@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, swing_between, unitquat_from_rotvec
-from pasdedeux.plausibility import ANGLES, JointLimits
-from pasdedeux.plausibility.ranges import NUM_ANGLES, SLACK_RAD, TINY
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.plausibility.ranges import ANGLES, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.cameras import PinholeCamera
+from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography import make_duet
 from pasdedeux.formats.asf_amc import read_amc, read_asf

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.cameras import frame_take, proportions_torso_basis, sample_views, true_direction
+from pasdedeux.cameras.frames import true_direction
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
+from pasdedeux.cameras.virtual_video import frame_take, sample_views
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.sampling.parameters import NUM_JOINTS, NUM_PER_PERSON
 from pasdedeux.skeletons import PAIR17

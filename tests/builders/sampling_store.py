@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.kinematics.rotations import normalise
 from storage_schema import Manifest, Store
 from tasks import seeds

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pasdedeux.cameras import look_at_camera
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.body import body_through, pose_body
 from pasdedeux.reconstruction.bones import bone_rotations

@@ -8,7 +8,7 @@ import pytest
 from pasdedeux.benchmarks.chains import default_target
 from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.density import DensityInputs, ImageSettings, Likelihood, Reads, TargetSettings
 from pasdedeux.sampling.parameters import PairChart, gauge_fix

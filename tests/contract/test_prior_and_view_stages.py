@@ -8,17 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import (
-    PinholeCamera,
-    angle_between_directions,
-    frame_take,
-    proportions_torso_basis,
-    sample_views,
-    true_direction,
-)
+from pasdedeux.cameras.frames import angle_between_directions, true_direction
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
+from pasdedeux.cameras.virtual_video import frame_take, sample_views
 from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility import ANGLES, JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import priors, views

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import look_at_camera
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics import bone_lengths, forward_kinematics

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import cartesian_dissimilarity, interaction_dissimilarity
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.density import PairDensity
 from pasdedeux.sampling.parameters import PairChart

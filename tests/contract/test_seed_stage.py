@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.verdict import Level

@@ -13,7 +13,8 @@ import pytest
 from llvmlite.binding import get_host_cpu_features
 
 from pasdedeux.augmentation.factor import Factor, solve
-from pasdedeux.cameras import lift_torsos, proportions_torso_basis
+from pasdedeux.cameras.torso import lift_torsos
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import PAIR17

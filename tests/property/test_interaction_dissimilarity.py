@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.chains import plain_coverage
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import (
+from pasdedeux.interaction.dissimilarity import (
     align_plane,
     cartesian_dissimilarity,
-    delaunay_edges,
     interaction_dissimilarity,
     plane_residual,
 )
+from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import best_turn
 from pasdedeux.interaction.nearest import image_distances, interaction_distances, lower_minima, pair_table
 from pasdedeux.kinematics import align_rigid

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import standing_pair
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment, step
 from pasdedeux.sampling.density import Evaluation, PairDensity

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import PinholeCamera, ViewDistribution, annotate, frame_take, look_at_camera, sample_views
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.cameras.virtual_video import ViewDistribution, annotate, frame_take, look_at_camera, sample_views
 from pasdedeux.errors import InputError
 
 

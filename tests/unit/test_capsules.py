@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import body_height_m, capsule_model, pair_penetration, segment_distance
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model, pair_penetration, segment_distance
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 from tests.builders.poses import random_pairs, standing
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, swing_between
-from pasdedeux.plausibility import capsule_model, segment_distance
+from pasdedeux.plausibility.capsules import capsule_model, segment_distance
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import random_pairs
 

@@ -10,7 +10,7 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.density import PairDensity
 from pasdedeux.sampling.diagnostics import MAX_AT_CEILING, diagnose, invariants
 from pasdedeux.sampling.parameters import PairChart

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import look_at_camera
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs

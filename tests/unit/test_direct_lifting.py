@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import project_pair, proportions_torso_basis
+from pasdedeux.cameras.frames import project_pair
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import cartesian_dissimilarity, interaction_dissimilarity
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise

@@ -13,7 +13,7 @@ from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_u
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.surfaces import standing_out, surface_gaps
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.plausibility import capsule_model, segment_distance
+from pasdedeux.plausibility.capsules import capsule_model, segment_distance
 from pasdedeux.skeletons import BODY22
 
 ANKLES = BODY22.indices(["left_ankle", "right_ankle"])

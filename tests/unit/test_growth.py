@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits

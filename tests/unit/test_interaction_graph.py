@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial import Delaunay
 
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import closest_joint_distance, delaunay_edges
+from pasdedeux.interaction.graph import delaunay_edges
+from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.interaction.triangulation import delaunay_edges_fast, jitter, max_edges
 
 

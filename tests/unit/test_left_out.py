@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.left_out import (
     annotation_map_figure,

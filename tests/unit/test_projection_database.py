@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import look_at_camera
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_directions, bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat

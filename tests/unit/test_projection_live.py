@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.cameras import look_at_camera
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths, forward_kinematics

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.cameras import PinholeCamera, look_at_camera
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import (
     foot_slide_m,

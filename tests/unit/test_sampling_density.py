@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
-from pasdedeux.cameras import pair_frame
+from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs
-from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import interaction_dissimilarity
+from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs, shows_enough
 from pasdedeux.sampling.density import Pooling

@@ -5,14 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import (
-    TORSO_JOINTS,
-    TorsoBasis,
-    learn_torso_basis,
-    lift_torsos,
-    proportions_torso_basis,
-    torso,
-)
+from pasdedeux.cameras import torso
+from pasdedeux.cameras.torso import TORSO_JOINTS, TorsoBasis, learn_torso_basis, lift_torsos
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat

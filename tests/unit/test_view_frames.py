@@ -7,17 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pasdedeux.cameras import (
+from pasdedeux.cameras.frames import (
     angle_between_directions,
     angles_of_direction,
     local_frame,
-    look_at_camera,
-    metres_from_pixels,
     pair_frame,
     project_pair,
     true_direction,
-    view_rotmat,
 )
+from pasdedeux.cameras.orthographic import metres_from_pixels, view_rotmat
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import direction_of_angles

@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.cameras import (
-    DEPTH_RULES,
-    TORSO_INDICES,
-    ViewDensity,
-    ViewEstimates,
-    ViewOptions,
-    angle_between_directions,
-    estimate_views,
-    frame_take,
-    metres_from_pixels,
-    pair_in_metres,
-    true_direction,
-)
+from pasdedeux.cameras.frames import angle_between_directions, true_direction
+from pasdedeux.cameras.orthographic import metres_from_pixels
+from pasdedeux.cameras.torso import TORSO_INDICES
+from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.cameras.views import DEPTH_RULES, ViewEstimates, ViewOptions, estimate_views, pair_in_metres
+from pasdedeux.cameras.virtual_video import frame_take
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17

@@ -36,12 +36,12 @@ from tasks.stage import (
     Shard,
     Stage,
     StageInputs,
+    StageName,
     artifact_fields,
     commit,
-    named_refs,
 )
 
-VERSION = 22
+AUGMENTATION = StageName("augmentation", 22)
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -95,12 +95,12 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
         if not names:
             asked = tuple(sorted({who for chosen in parameters.sets or (parameters,) for who in chosen.persons}))
             nobody = NobodyParameters(persons=asked, num_persons=num_persons(take))
-            shards.append(_shard(take, "nobody", nobody, inputs.seed))
+            shards.append(AUGMENTATION.shard(inputs, take_id, "nobody", nobody, {"take": [take]}))
         for start in range(0, len(names), size):
             batch = tuple(names[start : start + size])
             stated = parameters.contacts.get(take_id, known_contacts(take))
             chosen = BatchParameters(**common, contacts=stated, variants=batch)
-            shards.append(_shard(take, f"{batch[0]} to {batch[-1]}", chosen, inputs.seed))
+            shards.append(AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", chosen, {"take": [take]}))
     return shards
 
 
@@ -150,18 +150,6 @@ def planned_variations(manifest: Manifest) -> list[Variation]:
     batch = batch_of(manifest)
     known = _variations(manifest, batch)
     return [variation for variation in known if variation.variant_id in set(batch.variants)]
-
-
-def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shard:
-    return Shard(
-        stage="augmentation",
-        version=VERSION,
-        partition=take.facts["take_id"],
-        name=name,
-        parameters=parameters,
-        inputs=named_refs(take=[take]),
-        seed=seed,
-    )
 
 
 def _variations(take: Manifest, settings: VariationSettings) -> list[Variation]:
@@ -288,8 +276,7 @@ def _one_row(value: Any) -> Any:
 
 
 STAGE = Stage(
-    name="augmentation",
-    version=VERSION,
+    *AUGMENTATION,
     reads=("takes", "poses"),
     writes=("variants", "variant_quality", "variant_frames"),
     parameters=AugmentationParameters,

@@ -14,10 +14,10 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
 from tasks.torso_bases import default_origin, default_torso_basis
 
-VERSION = 4
+PRIORS = StageName("priors", 4)
 
 MIN_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
@@ -38,17 +38,8 @@ class PriorsShard(Parameters):
 def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
     """Plan one shard over all prior takes; a take that is held out is never among them."""
     takes = [manifest for manifest in inputs.of("poses") if _is_prior(manifest)]
-    return [
-        Shard(
-            stage="priors",
-            version=VERSION,
-            partition="body",
-            name="priors",
-            parameters=PriorsShard(default_basis=default_origin(inputs.of("poses"))),
-            inputs=named_refs(poses=takes),
-            seed=inputs.seed,
-        )
-    ]
+    parameters_of_shard = PriorsShard(default_basis=default_origin(inputs.of("poses")))
+    return [PRIORS.shard(inputs, "body", "priors", parameters_of_shard, {"poses": takes})]
 
 
 def _is_prior(manifest: Manifest) -> bool:
@@ -142,8 +133,7 @@ def _limit_columns(limits: JointLimits) -> dict[str, object]:
 
 
 STAGE = Stage(
-    name="priors",
-    version=VERSION,
+    *PRIORS,
     reads=("poses",),
     writes=("torso_basis", "joint_limits"),
     parameters=PriorsParameters,

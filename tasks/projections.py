@@ -22,10 +22,9 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
 
-VERSION = 5
-
+PROJECTIONS = StageName("projections", 5)
 
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
@@ -131,17 +130,8 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
                 views=parameters.views,
                 source_rate_hz=None if origin == "draw" else facts.get("rate_hz"),
             )
-            shards.append(
-                Shard(
-                    stage="projections",
-                    version=VERSION,
-                    partition=facts.get("take_id", manifest.partition),
-                    name=f"{origin}-{manifest.partition}-{manifest.name}",
-                    parameters=options,
-                    inputs=named_refs(poses=[manifest]),
-                    seed=inputs.seed,
-                )
-            )
+            partition, name = facts.get("take_id", manifest.partition), f"{origin}-{manifest.partition}-{manifest.name}"
+            shards.append(PROJECTIONS.shard(inputs, partition, name, options, {"poses": [manifest]}))
     return shards
 
 
@@ -348,8 +338,7 @@ def _rate_of(time_s: np.ndarray) -> float:
 
 
 STAGE = Stage(
-    name="projections",
-    version=VERSION,
+    *PROJECTIONS,
     reads=("poses", "draws", "variants"),
     writes=("projections",),
     parameters=ProjectionsParameters,

@@ -29,10 +29,9 @@ from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, stream
 
-VERSION = 17
-
+RECONSTRUCTION = StageName("reconstruction", 17)
 
 MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
@@ -86,17 +85,9 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
         seen = set(manifest.facts.get("takes", []))
         allowed = [database for database in databases if not seen & set(database.facts.get("takes", []))]
         for sequence_id in manifest.facts.get("sequence_ids", []):
-            shards.append(
-                Shard(
-                    stage="reconstruction",
-                    version=VERSION,
-                    partition=sequence_id,
-                    name=sequence_id,
-                    parameters=parameters.part(SequenceShard, sequence_id=sequence_id),
-                    inputs=named_refs(annotations=[manifest], projections=allowed),
-                    seed=inputs.seed,
-                )
-            )
+            told = parameters.part(SequenceShard, sequence_id=sequence_id)
+            read = {"annotations": [manifest], "projections": allowed}
+            shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, told, read))
     return shards
 
 
@@ -310,8 +301,7 @@ def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 STAGE = Stage(
-    name="reconstruction",
-    version=VERSION,
+    *RECONSTRUCTION,
     reads=("annotations", "projections"),
     writes=("motions",),
     parameters=ReconstructionParameters,

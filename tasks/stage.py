@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -124,6 +124,28 @@ class Shard:
         return ref
 
 
+class StageName(NamedTuple):
+    """A stage by its name, and the version of its results, which enters every key."""
+
+    name: str
+    version: int
+
+    def shard(
+        self,
+        inputs: StageInputs,
+        partition: str,
+        name: str,
+        parameters: Parameters,
+        read: Mapping[str, Sequence[Manifest]] | None = None,
+        *,
+        files: Sequence[SourceFile] = (),
+        after: tuple[str, ...] = (),
+    ) -> Shard:
+        """Return a shard of the stage; `read` are the artifacts that it reads, by what they are to it."""
+        refs = {use: tuple(manifest.ref for manifest in found) for use, found in (read or {}).items() if found}
+        return Shard(self.name, self.version, partition, name, parameters, refs, tuple(files), after, inputs.seed)
+
+
 @dataclass(frozen=True)
 class EarlyPlan:
     """Shards of a stage that can be told before all that the stage reads is there; they may start at once.
@@ -237,11 +259,6 @@ def verdict_of(manifest: Manifest) -> Verdict | None:
 def verdicts_of_parts(manifest: Manifest) -> dict[str, Verdict]:
     """Return what a shard thinks of the parts of its result, by name; empty where it judged none."""
     return {name: Verdict.from_json(values) for name, values in manifest.facts.get(PARTS_FACT, {}).items()}
-
-
-def named_refs(**inputs: Sequence[Manifest]) -> dict[str, tuple[ArtifactRef, ...]]:
-    """Return inputs of a shard by name from the manifests that planning sees; names without any are left out."""
-    return {name: tuple(manifest.ref for manifest in found) for name, found in inputs.items() if found}
 
 
 def _committed(shard: Shard, store: Store) -> list[ArtifactRef]:

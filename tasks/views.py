@@ -13,10 +13,10 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns
 from tasks.poses import num_persons
-from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
-VERSION = 4
+VIEWS = StageName("views", 4)
 
 MAX_WITHOUT_VIEW = 0.25
 """Share of the annotated pairs without a view above which there is a warning."""
@@ -37,16 +37,15 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
     """
     bases = inputs.of("torso_basis")
     return [
-        Shard(
-            stage="views",
-            version=VERSION,
-            partition=manifest.partition,
-            name=manifest.name,
-            parameters=parameters,
-            inputs=named_refs(
-                annotations=[manifest], torso_basis=[basis for basis in bases if not shares_takes(manifest, basis)]
-            ),
-            seed=inputs.seed,
+        VIEWS.shard(
+            inputs,
+            manifest.partition,
+            manifest.name,
+            parameters,
+            {
+                "annotations": [manifest],
+                "torso_basis": [basis for basis in bases if not shares_takes(manifest, basis)],
+            },
         )
         for manifest in inputs.of("annotations")
     ]
@@ -167,8 +166,7 @@ def _in_words(frames: Counter[str], reason: str) -> list[str]:
 
 
 STAGE = Stage(
-    name="views",
-    version=VERSION,
+    *VIEWS,
     reads=("annotations", "torso_basis"),
     writes=("views",),
     parameters=ViewsParameters,

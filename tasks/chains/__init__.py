@@ -2,15 +2,14 @@
 
 from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import ChainsParameters, SegmentParameters, SummaryParameters
-from tasks.chains.plan import VERSION, plan
+from tasks.chains.plan import CHAINS, plan
 from tasks.chains.run import run_shard
 from tasks.stage import Stage
 
 __all__ = ["DENSITIES", "STAGE", "ChainsParameters", "SegmentParameters", "SummaryParameters", "plan", "run_shard"]
 
 STAGE = Stage(
-    name="chains",
-    version=VERSION,
+    *CHAINS,
     reads=("annotations", "views", "seeds", "joint_limits"),
     writes=("draws", "chain_states", "chain_info"),
     parameters=ChainsParameters,

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.density import Reads, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
-from storage_schema import ArtifactRef, Manifest
+from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import ChainsParameters, RunSettings, SegmentParameters, SummaryParameters
 from tasks.draw_sets import GROWN
 from tasks.seeds import start_indices
-from tasks.stage import Shard, StageInputs, named_refs
+from tasks.stage import Shard, StageInputs, StageName
 
-VERSION = 14
+CHAINS = StageName("chains", 14)
 
 Inputs = dict[str, Sequence[Manifest]]
 
@@ -42,8 +42,7 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
         if needed is None:
             continue
         for seed, index in _starts(inputs, own.starts):
-            refs = named_refs(seed=[seed], joint_limits=inputs.of("joint_limits"), **needed)
-            shards += _plan_seed(inputs.seed, name, own, index, refs)
+            shards += _plan_seed(inputs, name, own, seed, index, needed)
     return shards
 
 
@@ -69,24 +68,24 @@ def _starts(inputs: StageInputs, which: str) -> list[tuple[Manifest, int]]:
 
 
 def _plan_seed(
-    seed: int, name: str, own: ChainsParameters, index: int, refs: dict[str, tuple[ArtifactRef, ...]]
+    inputs: StageInputs, name: str, own: ChainsParameters, seed: Manifest, index: int, needed: Inputs
 ) -> list[Shard]:
     """Plan the segments of every chain of a seed, and their summary."""
+    read = {"seed": [seed], "joint_limits": inputs.of("joint_limits"), **needed}
     density = DENSITIES[own.densities[0]]
     proposal = PROPOSALS[own.proposal]
     if proposal.reads_annotations and density.reads is not Reads.ANNOTATIONS:
         proposal = next(iter(PROPOSALS.values()))
-    num_segments = -(-own.num_draws // own.segment_draws)
+    partition, num_segments = f"{name}-seed{index}", -(-own.num_draws // own.segment_draws)
     segments: list[Shard] = []
     for chain in range(own.num_chains):
         previous: tuple[str, ...] = ()
         for segment in range(num_segments):
-            shard = Shard(
-                stage="chains",
-                version=VERSION,
-                partition=f"{name}-seed{index}",
-                name=f"chain{chain}-segment{segment}",
-                parameters=SegmentParameters(
+            shard = CHAINS.shard(
+                inputs,
+                partition,
+                f"chain{chain}-segment{segment}",
+                SegmentParameters(
                     name=name,
                     density=density.name,
                     seed_index=index,
@@ -97,22 +96,19 @@ def _plan_seed(
                     density_settings=own.settings_of(density),
                     proposal=proposal.name,
                 ),
-                inputs=refs,
+                read,
                 after=previous,
-                seed=seed,
             )
             previous = (shard.key,)
             segments.append(shard)
-    summary = Shard(
-        stage="chains",
-        version=VERSION,
-        partition=f"{name}-seed{index}",
-        name="summary",
-        parameters=SummaryParameters(
+    summary = CHAINS.shard(
+        inputs,
+        partition,
+        "summary",
+        SummaryParameters(
             name=name, seed_index=index, num_chains=own.num_chains, num_segments=num_segments, thin=own.thin
         ),
-        inputs={"seed": refs["seed"]},
+        {"seed": [seed]},
         after=tuple(shard.key for shard in segments),
-        seed=seed,
     )
     return [*segments, summary]

@@ -25,7 +25,7 @@ from tasks.evaluation import (
     views,
 )
 from tasks.evaluation.experiments import unseen_views
-from tasks.evaluation.topic import STAGE_NAME, VERSION, Topic, commit_topic
+from tasks.evaluation.topic import EVALUATION, Topic, commit_topic
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs
 
 __all__ = ["STAGE", "TOPICS", "evaluation_stage"]
@@ -54,8 +54,7 @@ def evaluation_stage(topics: Sequence[Topic]) -> Stage:
     """Return the stage that answers these topics: it reads their tables, and its keys are those of their settings."""
     settings = dict.fromkeys(topic.settings for topic in topics if topic.settings is not Parameters)
     return Stage(
-        name=STAGE_NAME,
-        version=VERSION,
+        *EVALUATION,
         reads=tuple(dict.fromkeys(table for topic in topics for table in topic.reads) | dict.fromkeys(report.READS)),
         writes=("scores", "verdicts"),
         parameters=create_model(

@@ -18,8 +18,8 @@ from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
-from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
-from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
+from tasks.evaluation.topic import EVALUATION, ScoresOf, Topic
+from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, verdict_of
 from tasks.summary import judge, summary_of
 
 PARTITION = "report"
@@ -57,21 +57,13 @@ def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) 
     every = {manifest.ref: manifest for table in inputs.manifests for manifest in inputs.of(table)}
     every |= {manifest.ref: manifest for manifest in inputs.empty}
     sources = merge_credits(*(manifest.sources for manifest in every.values()))
-    return Shard(
-        stage=STAGE_NAME,
-        version=VERSION,
-        partition=PARTITION,
-        name=PARTITION,
-        parameters=settings.part(PageParameters, sources=sources),
-        inputs=named_refs(made=list(every.values())),
-        after=tuple(shard.key for shard in planned),
-        seed=inputs.seed,
-    )
+    parameters, after = settings.part(PageParameters, sources=sources), tuple(shard.key for shard in planned)
+    return EVALUATION.shard(inputs, PARTITION, PARTITION, parameters, {"made": list(every.values())}, after=after)
 
 
 def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRef:
     """Assemble the page and the card, and commit both with a table of all verdicts."""
-    found = [manifest for key in shard.after if (manifest := store.find(STAGE_NAME, key)) is not None]
+    found = [manifest for key in shard.after if (manifest := store.find(EVALUATION.name, key)) is not None]
     assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
     inputs = [store.manifest(ref) for ref in shard.refs("made")]
     settings = shard.options(PageParameters)
@@ -182,7 +174,7 @@ def _section(
         verdicts={
             name: verdict
             for name, verdict in summary.verdicts.items()
-            if f"{name} ".startswith(f"{part_name(STAGE_NAME, topic.name)} ")
+            if f"{name} ".startswith(f"{part_name(EVALUATION.name, topic.name)} ")
         },
     )
 

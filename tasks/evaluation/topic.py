@@ -11,10 +11,9 @@ from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.evaluation.verdicts import Criterion, Items, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs
+from tasks.stage import Parameters, Shard, StageInputs, StageName, commit, merge_takes
 
-STAGE_NAME = "evaluation"
-VERSION = 45
+EVALUATION = StageName("evaluation", 45)
 
 ScoresOf = Mapping[str, Sequence[Score]]
 
@@ -80,15 +79,7 @@ class Topic:
         self, inputs: StageInputs, name: str, parameters: Parameters | None = None, **named: Sequence[Manifest]
     ) -> Shard:
         """Return a shard of the topic that reads these artifacts, by what they are to it."""
-        return Shard(
-            stage=STAGE_NAME,
-            version=VERSION,
-            partition=self.name,
-            name=name,
-            parameters=parameters or Parameters(),
-            inputs=named_refs(**named),
-            seed=inputs.seed,
-        )
+        return EVALUATION.shard(inputs, self.name, name, parameters or Parameters(), named)
 
 
 def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:

@@ -6,7 +6,7 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.annotations import run_annotations
 from tasks.ingest.parameters import IngestParameters
-from tasks.ingest.plan import VERSION, plan
+from tasks.ingest.plan import INGEST, plan
 from tasks.ingest.shard_parameters import (
     AnnotationParameters,
     DuetParameters,
@@ -18,7 +18,7 @@ from tasks.ingest.takes import run_duet, run_take
 from tasks.ingest.virtual_video import run_virtual_video
 from tasks.stage import Shard, Stage, commit
 
-__all__ = ["STAGE", "VERSION", "IngestParameters", "plan", "run_shard"]
+__all__ = ["STAGE", "IngestParameters", "plan", "run_shard"]
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -41,8 +41,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 
 STAGE = Stage(
-    name="ingest",
-    version=VERSION,
+    *INGEST,
     reads=(),
     writes=("takes", "take_quality", "poses", "objects", "annotations", "cameras"),
     parameters=IngestParameters,

@@ -32,9 +32,9 @@ from tasks.ingest.shard_parameters import (
 )
 from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_person, load_file, read_named
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
-from tasks.stage import Parameters, Shard, SourceFile, StageInputs
+from tasks.stage import Shard, StageInputs, StageName
 
-VERSION = 16
+INGEST = StageName("ingest", 16)
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -49,54 +49,34 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
     except ValueError as error:
         raise InputError(f"ingest: {error}") from None
     takes = [
-        *(_duet_shard(inputs.seed, parameters, duet) for duet in parameters.resolved_duets()),
-        *(_take_shard(inputs.seed, parameters, take) for take in parameters.takes),
+        *(_duet_shard(inputs, parameters, duet) for duet in parameters.resolved_duets()),
+        *(_take_shard(inputs, parameters, take) for take in parameters.takes),
     ]
     _refuse_missing(parameters)
     shards: list[Shard] = []
     awaited = parameters.awaited()
     for name, family in parameters.pairs.items():
-        found, left_out = _family_shards(inputs.seed, parameters, name, family)
+        found, left_out = _family_shards(inputs, parameters, name, family)
         takes += found
         if family.is_watched:
             left_out |= dict.fromkeys(awaited, "the study names it, and it has not come yet")
             awaited = ()
         if left_out:
-            shards.append(_shard(inputs.seed, name, "left out", LeftOutParameters(left_out=left_out)))
+            shards.append(INGEST.shard(inputs, name, "left out", LeftOutParameters(left_out=left_out)))
     _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
     for take in takes:
         shards.append(take)
-        shards.extend(_virtual_video_shards(parameters, take))
+        shards.extend(_virtual_video_shards(inputs, parameters, take))
     for options in parameters.annotations:
         waiting: dict[str, str] | None = {} if options.is_watched else None
         is_held_out = options.take_id in parameters.held_out
         for one in find_annotations(
             options, is_held_out=is_held_out, left_out=waiting, take_seconds=parameters.take_seconds
         ):
-            shards.append(_shard(inputs.seed, one.parameters.id, "annotations", one.parameters, one.files))
+            shards.append(INGEST.shard(inputs, one.parameters.id, "annotations", one.parameters, files=one.files))
         if waiting:
-            shards.append(_shard(inputs.seed, options.id, "left out", LeftOutParameters(left_out=waiting)))
+            shards.append(INGEST.shard(inputs, options.id, "left out", LeftOutParameters(left_out=waiting)))
     return shards
-
-
-def _shard(
-    seed: int,
-    partition: str,
-    name: str,
-    parameters: Parameters,
-    files: Sequence[SourceFile] = (),
-    after: tuple[str, ...] = (),
-) -> Shard:
-    return Shard(
-        stage="ingest",
-        version=VERSION,
-        partition=partition,
-        name=name,
-        parameters=parameters,
-        files=tuple(files),
-        after=after,
-        seed=seed,
-    )
 
 
 def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
@@ -135,7 +115,7 @@ def _seconds(take: TakeParameters, person: PersonParameters) -> tuple[float, flo
 
 
 def _family_shards(
-    seed: int, parameters: IngestParameters, name: str, family: PairOptions
+    inputs: StageInputs, parameters: IngestParameters, name: str, family: PairOptions
 ) -> tuple[list[Shard], dict[str, str]]:
     """Return a shard for each take of a family; of one whose takes are not named also what is left out, and why.
 
@@ -151,7 +131,7 @@ def _family_shards(
         take_id = family.take_id(take)
         try:
             files = tuple(_family_file(family, subject, take) for subject in family.subjects)
-            shards.append(_take_shard(seed, parameters, TakeOptions(id=take_id, files=files, **common)))
+            shards.append(_take_shard(inputs, parameters, TakeOptions(id=take_id, files=files, **common)))
         except (InputError, ValidationError) as error:
             if family.takes is not None:
                 raise
@@ -193,7 +173,7 @@ def _family_file(family: PairOptions, subject: str, take: str) -> Path:
     return found[0]
 
 
-def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> Shard:
+def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOptions) -> Shard:
     style_of(duet.name, **duet.told)
     take_id = duet.take_id
     if parameters.take_seconds is not None:
@@ -207,10 +187,10 @@ def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> S
         capture=parameters.capture,
         duet=duet.model_copy(update={"id": None}),
     )
-    return _shard(seed, take_id, "take", told)
+    return INGEST.shard(inputs, take_id, "take", told)
 
 
-def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> Shard:
+def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOptions) -> Shard:
     options = [*take.persons, *(PersonOptions() for _ in take.files)][: len(take.files)]
     if len(take.persons) > len(take.files):
         raise InputError(
@@ -245,7 +225,7 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
     )
     files = [file for person in people for file in person.files]
     files += [loaded.file for loaded in (objects, contacts) if loaded is not None]
-    return _shard(seed, take.id, "take", told, files)
+    return INGEST.shard(inputs, take.id, "take", told, files=files)
 
 
 def _check_things(
@@ -289,7 +269,7 @@ def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:
     return min(lengths)
 
 
-def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
+def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
     """Return the shards of virtual video over a take: whole takes, and random views unless it is held out."""
     options, told = parameters.virtual_video, take.parameters
     assert isinstance(told, DuetParameters | TakeParameters)
@@ -319,4 +299,4 @@ def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator
                 **cameras,
             )
             name = "detector" if detector else purpose
-            yield _shard(take.seed, told.take_id, name, video, after=(take.key,))
+            yield INGEST.shard(inputs, told.take_id, name, video, after=(take.key,))

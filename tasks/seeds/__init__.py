@@ -1,13 +1,12 @@
 """Stage `seeds`: where chains start: frames of takes, files, pairs lifted from 2D alone, and what grows from them."""
 
-from tasks.seeds.parameters import VERSION, SeedFrame, SeedsParameters
+from tasks.seeds.parameters import SEEDS, SeedFrame, SeedsParameters
 from tasks.seeds.plan import check, check_study, plan, start_indices
 from tasks.seeds.run import run_shard
 from tasks.stage import Stage
 
 __all__ = [
     "STAGE",
-    "VERSION",
     "SeedFrame",
     "SeedsParameters",
     "check",
@@ -18,8 +17,7 @@ __all__ = [
 ]
 
 STAGE = Stage(
-    name="seeds",
-    version=VERSION,
+    *SEEDS,
     reads=("poses", "annotations", "views", "torso_basis", "joint_limits"),
     writes=("seeds",),
     parameters=SeedsParameters,

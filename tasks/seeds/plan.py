@@ -7,7 +7,7 @@ from typing import Any
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.prior import PriorSettings
-from storage_schema import ArtifactRef, Manifest
+from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.poses import num_persons
 from tasks.seeds.files import SeedFile, load_seed
@@ -15,7 +15,7 @@ from tasks.seeds.parameters import (
     GROWN_OF_2D_ALONE,
     LIFTED_OF_2D_ALONE,
     NUM_CHOSEN,
-    VERSION,
+    SEEDS,
     ChosenSeed,
     FrameSeed,
     GrownSeeds,
@@ -23,7 +23,7 @@ from tasks.seeds.parameters import (
     SeedFrame,
     SeedsParameters,
 )
-from tasks.stage import Parameters, Shard, SourceFile, StageInputs, named_refs
+from tasks.stage import Shard, StageInputs
 from tasks.torso_bases import shares_takes
 
 
@@ -54,17 +54,16 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         raise InputError(
             f"seeds.num_starts is {parameters.num_starts}, but {num_grown} are grown here: say seeds.num_grown"
         )
+    read = {"joint_limits": inputs.of("joint_limits"), "annotations": annotated, "views": views}
     if num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
-        refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views, torso_basis=bases)
         lifted = parameters.model_copy(update={"num_lifted": num_lifted}).part(LiftedSeeds, first_index=len(shards))
-        shards.append(_shard(inputs, "lifted", "lifted", lifted, refs))
+        shards.append(SEEDS.shard(inputs, "lifted", "lifted", lifted, {**read, "torso_basis": bases}))
     if num_grown and shards:
         first = len(shards) + max(num_lifted - 1, 0)
-        refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views)
         after = tuple(shard.key for shard in shards)
         grown = parameters.model_copy(update={"num_grown": num_grown}).part(GrownSeeds, first_index=first)
-        shards.append(_shard(inputs, "grown", "grown", grown, refs, after=after))
+        shards.append(SEEDS.shard(inputs, "grown", "grown", grown, read, after=after))
     return shards
 
 
@@ -136,7 +135,7 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
         wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(count)]
         poses += [list(takes.values())] * count
     return [
-        _shard(inputs, f"seed{one.seed_index}", "seed", one, named_refs(poses=own, joint_limits=limits))
+        SEEDS.shard(inputs, f"seed{one.seed_index}", "seed", one, {"poses": own, "joint_limits": limits})
         for one, own in zip(wanted, poses, strict=True)
     ]
 
@@ -162,32 +161,9 @@ def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, fil
             f"seeds.files: {file.path.name} was made from take '{seen[0]}', which this study holds out: "
             "nothing that is learned may have seen it"
         )
-    limits = named_refs(joint_limits=inputs.of("joint_limits"))
     options = loaded.parameters.model_copy(update=parameters.part(PriorSettings).model_dump())
-    return _shard(inputs, f"seed{index}", "file", options, limits, files=loaded.files)
-
-
-def _shard(
-    inputs: StageInputs,
-    partition: str,
-    name: str,
-    parameters: Parameters,
-    refs: Mapping[str, tuple[ArtifactRef, ...]],
-    *,
-    files: tuple[SourceFile, ...] = (),
-    after: tuple[str, ...] = (),
-) -> Shard:
-    return Shard(
-        stage="seeds",
-        version=VERSION,
-        partition=partition,
-        name=name,
-        parameters=parameters,
-        inputs=refs,
-        files=files,
-        after=after,
-        seed=inputs.seed,
-    )
+    read = {"joint_limits": inputs.of("joint_limits")}
+    return SEEDS.shard(inputs, f"seed{index}", "file", options, read, files=loaded.files)
 
 
 def _is_usable(manifest: Manifest) -> bool:

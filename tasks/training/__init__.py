@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from tasks.stage import Stage
 from tasks.training.parameters import TrainingParameters
-from tasks.training.plan import VERSION, check_study, plan
+from tasks.training.plan import TRAINING, check_study, plan
 from tasks.training.run import run_shard
 
 __all__ = ["STAGE"]
 
 STAGE = Stage(
-    name="training",
-    version=VERSION,
+    *TRAINING,
     reads=("variants", "variant_quality", "poses"),
     writes=("models", "model_states", "training_log"),
     parameters=TrainingParameters,

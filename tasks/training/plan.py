@@ -11,11 +11,11 @@ from pasdedeux.learning import Split, VariantKey, make_split, model_class
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
 from tasks.poses import num_persons
-from tasks.stage import Shard, StageInputs, named_refs, stream
+from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
 
-VERSION = 10
+TRAINING = StageName("training", 10)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
@@ -44,12 +44,12 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
             if start is not None and start not in last:
                 continue
             if model_class(kind).needs_torch and not parameters.networks:
-                shards.append(_shard(inputs, name, model, LeftOutParameters(name=model)))
+                shards.append(TRAINING.shard(inputs, name, model, LeftOutParameters(name=model)))
                 continue
             before: tuple[str, ...] = ()
             num_segments = model_class(kind).num_segments(settings)
             for segment in range(num_segments):
-                shard = _shard(
+                shard = TRAINING.shard(
                     inputs,
                     name,
                     model if num_segments == 1 else f"{model}-segment{segment}",
@@ -62,8 +62,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
                         segment=segment,
                         skeleton=parameters.skeleton,
                     ),
-                    takes=takes,
-                    variants=variants,
+                    {"takes": takes, "variants": variants},
                     after=before + ((last[start],) if start is not None else ()),
                 )
                 before = (shard.key,)
@@ -128,24 +127,3 @@ def _check_test_takes(test_takes: Sequence[str], takes: Iterable[str]) -> None:
                 f"training.test_takes: '{take_id}' is no take of two people with variants; there are: "
                 + (", ".join(sorted(takes)) or "none")
             )
-
-
-def _shard(
-    inputs: StageInputs,
-    split: str,
-    name: str,
-    parameters: SegmentParameters | LeftOutParameters,
-    *,
-    after: tuple[str, ...] = (),
-    **read: Sequence[Manifest],
-) -> Shard:
-    return Shard(
-        stage="training",
-        version=VERSION,
-        partition=split,
-        name=name,
-        parameters=parameters,
-        inputs=named_refs(**read),
-        after=after,
-        seed=inputs.seed,
-    )

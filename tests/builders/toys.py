@@ -27,9 +27,9 @@ from tasks.stage import (
     SourceFile,
     Stage,
     StageInputs,
+    StageName,
     commit,
     merge_takes,
-    named_refs,
     stream,
 )
 
@@ -84,6 +84,9 @@ class AsideParameters(Parameters):
     size: int = Field(4, ge=0, description="Rows; none make no shard")
 
 
+GROW, BEND, JUDGE, ASIDE = (StageName(name, 1) for name in ("grow", "bend", "judge", "aside"))
+
+
 def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
     files: tuple[SourceFile, ...] = ()
     if parameters.source is not None:
@@ -96,16 +99,8 @@ def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
     for take in range(parameters.num_takes):
         before: tuple[str, ...] = ()
         for segment in range(parameters.num_segments):
-            shard = Shard(
-                stage="grow",
-                version=1,
-                partition=f"t{take}",
-                name=f"s{segment}",
-                parameters=parameters.part(SegmentParameters, take=take, segment=segment),
-                files=files,
-                after=before,
-                seed=inputs.seed,
-            )
+            told = parameters.part(SegmentParameters, take=take, segment=segment)
+            shard = GROW.shard(inputs, f"t{take}", f"s{segment}", told, files=files, after=before)
             before = (shard.key,)
             shards.append(shard)
     return shards
@@ -139,15 +134,7 @@ def run_grow(shard: Shard, store: Store) -> ArtifactRef:
 
 def plan_bend(inputs: StageInputs, parameters: BendParameters) -> list[Shard]:
     return [
-        Shard(
-            stage="bend",
-            version=1,
-            partition=manifest.partition,
-            name=manifest.name,
-            parameters=parameters,
-            inputs=named_refs(log=[manifest]),
-            seed=inputs.seed,
-        )
+        BEND.shard(inputs, manifest.partition, manifest.name, parameters, {"log": [manifest]})
         for manifest in inputs.of("training_log")
     ]
 
@@ -175,18 +162,7 @@ def run_bend(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def plan_judge(inputs: StageInputs, parameters: JudgeParameters) -> list[Shard]:
-    manifests = inputs.of("models")
-    return [
-        Shard(
-            stage="judge",
-            version=1,
-            partition="all",
-            name="all",
-            parameters=parameters,
-            inputs=named_refs(models=manifests),
-            seed=inputs.seed,
-        )
-    ]
+    return [JUDGE.shard(inputs, "all", "all", parameters, {"models": inputs.of("models")})]
 
 
 def run_judge(shard: Shard, store: Store) -> ArtifactRef:
@@ -222,7 +198,7 @@ def run_judge(shard: Shard, store: Store) -> ArtifactRef:
 def plan_aside(inputs: StageInputs, parameters: AsideParameters) -> list[Shard]:
     if not parameters.size:
         return []
-    return [Shard(stage="aside", version=1, partition="aside", name="all", parameters=parameters, seed=inputs.seed)]
+    return [ASIDE.shard(inputs, "aside", "all", parameters)]
 
 
 def run_aside(shard: Shard, store: Store) -> ArtifactRef:

@@ -129,7 +129,7 @@ def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any)
 
 
 def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.lifting.run._NUM_COMPLETING", 5)
+    monkeypatch.setattr("tasks.lifting._NUM_COMPLETING", 5)
     store, given = grown
     table = store.read(lift(store, given)["one-views"].ref, "lifted_pairs")
     seen, method = np.asarray(table["num_joints_seen"]), np.asarray(table["method"])
@@ -144,7 +144,7 @@ def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest
 
 
 def test_baselines_without_draws_stand_beside(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.lifting.run._NUM_NAIVE", 40)
+    monkeypatch.setattr("tasks.lifting._NUM_NAIVE", 40)
     store, given = grown
     made = lift(store, given, max_frames=1, baselines=("lifting", "lifting_ik", "naive_sampling"))
     methods = set(store.read(made["one-views"].ref, "lifted_pairs")["method"])

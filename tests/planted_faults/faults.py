@@ -66,7 +66,7 @@ FAULTS = (
     Fault("the quick estimate of a likelihood loses candidates", "pasdedeux/sampling/likelihood.py",
           "MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52", "MIN_RATIO, MIN_OWN_RATIO = 1.4, 1.4",
           "unit/test_sampling_likelihood.py::test_estimates_leave_the_same_best_as_comparing_all"),
-    Fault("what is expected of a lifted pair rests on its own draw", "tasks/lifting/run.py",
+    Fault("what is expected of a lifted pair rests on its own draw", "tasks/lifting.py",
           "without=own).mean_m", "without=()).mean_m", "contract/test_lifting_stage.py::"
           "test_draws_of_the_same_image_make_nobody_surer_however_many_agree"),
     Fault("draws that shall not count do", "pasdedeux/completion/retrieval.py",

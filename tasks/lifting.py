@@ -1,4 +1,4 @@
-"""Annotations lifted: the draws that look most like them, fitted, completed, and the pairs between them."""
+"""Stage `lifting`: annotations lifted to 3D by the draws that look like them, completed, and the pairs between them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
@@ -17,16 +18,19 @@ from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
+from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
-from storage_schema import ArtifactRef, Store
+from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
-from tasks.draw_sets import DrawSet, read_all_draws, reference_to
-from tasks.lifting.parameters import LiftingParameters
+from tasks.draw_sets import DrawSet, draw_manifests, read_all_draws, reference_to
+from tasks.poses import num_persons
 from tasks.priors import read_limits
-from tasks.stage import Shard, commit, merge_takes, stream
-from tasks.torso_bases import read_torso_basis
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, stream
+from tasks.torso_bases import read_torso_basis, shares_takes
+
+LIFTING = StageName("lifting", 7)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -39,6 +43,46 @@ _NUM_COMPLETING = 100
 """Draws nearest in D_I that joints not seen are taken from."""
 _NUM_NAIVE = 1000
 """Samples round each pair of the baseline naive_sampling."""
+
+
+class LiftingParameters(Parameters):
+    """Which annotations of a source are lifted, and how."""
+
+    max_frames: int = Field(40, ge=1, description="Annotated pairs lifted of each source of annotations, evenly spread")
+    between_frames: int = Field(
+        15,
+        ge=0,
+        description="Frames from one lifted pair of a video to the next; where only key frames are annotated these, up "
+        "to twice as far apart; 0: none",
+    )
+    num_spans: int = Field(2, ge=0, description="Places of each video where the pairs between are filled in")
+    baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
+        (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"
+    )
+
+
+def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
+    """Plan a shard per artifact of annotated pairs that has views; none without draws."""
+    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
+    if not draws:
+        return []
+    views = {ref: manifest for manifest in inputs.of("views") for ref in manifest.inputs}
+    return [
+        _shard(inputs, parameters, annotated, views[annotated.ref], draws)
+        for annotated in inputs.of("annotations")
+        if annotated.ref in views and num_persons(annotated) >= 2
+    ]
+
+
+def _shard(
+    inputs: StageInputs, parameters: LiftingParameters, annotated: Manifest, views: Manifest, draws: list[Manifest]
+) -> Shard:
+    """Plan one source of annotations; joint limits and a torso basis of other takes serve the baselines."""
+    read: dict[str, Sequence[Manifest]] = {"annotations": [annotated], "views": [views], "draws": draws}
+    if parameters.baselines:
+        bases = [one for one in inputs.of("torso_basis") if not shares_takes(annotated, one)]
+        read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
+    return LIFTING.shard(inputs, annotated.partition, annotated.name, parameters, read)
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -245,3 +289,16 @@ def _columns(rows: list[Row]) -> dict[str, list[Any]]:
     order = (*PLACE_COLUMNS, "method")
     ordered = sorted(rows, key=lambda row: (*(row[name] for name in order), row.get("first_frame", 0)))
     return {name: [row[name] for row in ordered] for name in ordered[0]}
+
+
+STAGE = Stage(
+    *LIFTING,
+    reads=("annotations", "views", "seeds", "draws", "joint_limits", "torso_basis"),
+    writes=("lifted_pairs", "in_betweens"),
+    parameters=LiftingParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="annotations lifted to 3D by the draws that look like them",
+    needs="annotations of two people ([[ingest.annotations]]), and draws of a density "
+    "beside prior_only (chains.densities) or grown seeds (seeds.num_grown)",
+)

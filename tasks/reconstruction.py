@@ -14,7 +14,6 @@ from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
 from pasdedeux.reconstruction.body import EmbodiedMotion
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
@@ -31,7 +30,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, stream
 
-RECONSTRUCTION = StageName("reconstruction", 17)
+RECONSTRUCTION = StageName("reconstruction", 18)
 
 MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
@@ -185,7 +184,7 @@ def _reconstruct(
     databases = [replace(level, camera=camera) for camera in views.cameras]
     pitch = choose_camera(databases, [person.track for person in people], options)
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
-    chosen = Searcher.of(suited, exact_up_to=EXACT_UP_TO)
+    chosen = Searcher.of(suited)
     is_paired = parameters.has_pairs and len(people) > 1
     found = reconstruct_people(
         [chosen],
@@ -205,9 +204,6 @@ def _reconstruct(
     facts["pitch_deg"] = float(np.rad2deg(pitch.pitch_rad))
     facts["pitch_deviation_deg"] = float(np.rad2deg(pitch.deviation_rad))
     facts["num_projections"] = chosen.database.num_projections
-    facts["search_slack"] = chosen.index.slack
-    rng = stream(seed, "reconstruction", "recall", sequence_id)
-    facts["search_recall"] = measure_recall(chosen.database, chosen.index, rng) if chosen.index.slack else 1.0
     facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
     upright = np.asarray(replace(suited.camera, pitch_rad=pitch.pitch_rad).camera_from_upright_rotmat)
     rows = [

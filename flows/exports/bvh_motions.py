@@ -17,7 +17,7 @@ from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.pair_file import write_pair_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.people.video import rate_from_times
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import body_from_joints
 from pasdedeux.reconstruction.people import motions_together
 from storage_schema import ArtifactRef, Reference, Store, TableData
@@ -80,7 +80,7 @@ def _motions(export: Export) -> Iterator[tuple[tuple[str | int, ...], Motion]]:
         rows = export.store.read(ref, "motions")
         # From the axes of a camera that looks down to a world in which people stand upright.
         pitch_deg = export.store.manifest(ref).facts.get("pitch_deg", 0.0)
-        camera = OrthographicCamera(math.radians(pitch_deg))
+        camera = DatabaseCamera(math.radians(pitch_deg))
         for (sequence_id, method), part in _groups(rows, "sequence_id", "method"):
             person_ids = np.unique(rows["person_id"][part])
             people = []

@@ -29,8 +29,8 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.joint_limits_kernel import find_invalid, measure_poses, move_poses, move_to_nearest_valid
-from pasdedeux.plausibility.ranges import ANGLE_INDEX, ANGLES, MARGIN_DEG, NUM_ANGLES, SLACK_RAD
+from pasdedeux.plausibility.joint_limits_kernel import measure_poses, move_poses, move_to_nearest_valid
+from pasdedeux.plausibility.ranges import ANGLE_INDEX, ANGLES, MARGIN_DEG, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
 Flags = npt.NDArray[np.bool_]
@@ -126,9 +126,10 @@ class JointLimits:
 
     def invalid_angles(self, pair17_m: Array) -> Flags:
         """Tell which angles (*batch, 29) of poses (*batch, joint=17, 3) are out of range."""
-        return np.asarray(
-            find_invalid(as_poses(pair17_m), self.ranges_rad).reshape(*np.shape(pair17_m)[:-2], NUM_ANGLES)
-        )
+        angles, slack = angles_and_slack(pair17_m)
+        low, high = self.lower_rad - slack, self.upper_rad + slack
+        is_within = (low - TINY <= angles) & (angles <= high + TINY)
+        return np.asarray(~is_within & (high - low < 2.0 * np.pi))
 
     def nearest_valid(self, pair17_m: Array) -> NearestValid:
         """Return valid poses near poses (*batch, joint=17, 3): each bad angle moves to its nearest limit, root outward.
@@ -140,12 +141,12 @@ class JointLimits:
         valid, count, squared = move_poses(as_poses(pair17_m), self.ranges_rad)
         return NearestValid(valid.reshape(shape), count.reshape(shape[:-2]), squared.reshape(shape[:-2]))
 
-    def move_pose(self, pose: Array, work: Array, valid: Array) -> tuple[int, float]:
+    def move_pose(self, pose: Array, measured: Array, valid: Array) -> tuple[int, float]:
         """Move one pose (17, 3) as `nearest_valid` does, into `valid`, without the price of array calls.
 
-        `work` is scratch (2, 29).  Return the number of invalid angles and the squared distance moved, square metres.
+        `measured` is scratch (2, 29).  Return the number of invalid angles and the squared distance moved, in m^2.
         """
-        return move_to_nearest_valid(pose, self.ranges_rad, work, valid)
+        return move_to_nearest_valid(pose, self.ranges_rad, measured, valid)
 
     @cached_property
     def ranges_rad(self) -> Array:

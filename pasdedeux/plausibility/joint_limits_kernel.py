@@ -6,7 +6,7 @@ The angles are those of `joint_limits`.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
-Flags = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 Vector = Any  # (x, y, z); numba infers the tuple type
 
@@ -52,7 +51,23 @@ _HIP = ANGLE_INDEX["left_hip", "flexion"]
 _KNEE = ANGLE_INDEX["left_knee", "flexion"]
 _TWO_PI = 2.0 * math.pi
 
+_UNLIMITED = np.array([np.full(NUM_ANGLES, -np.inf), np.full(NUM_ANGLES, np.inf)])
+
 assert PAIR17.indices(("left_shoulder", "right_shoulder", "left_hip", "right_hip")) == [5, 8, 11, 14]
+
+
+class _Walk(NamedTuple):
+    """What a walk over the joints reads and writes.
+
+    Args:
+        points: Pose (17, 3), metres; joints move where an angle is out of range.
+        limits: Smallest and greatest valid angles, (2, 29), radians.
+        measured: The angles as they were found, and the slack of their ranges, (2, 29), radians.
+    """
+
+    points: Array
+    limits: Array
+    measured: Array
 
 
 @inner_kernel
@@ -85,12 +100,11 @@ def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
 
 
 @inner_kernel
-def _change(index: int, value: float, slack: float, limits: Array, work: Array, move: bool) -> float:
-    work[0, index] = value
-    work[1, index] = slack
-    if not move:
-        return 0.0
-    low, high = limits[0, index] - slack, limits[1, index] + slack
+def _change(walk: _Walk, index: int, value: float, slack: float) -> float:
+    """Note an angle and its slack; return what brings it to its nearest limit, 0 within the range."""
+    walk.measured[0, index] = value
+    walk.measured[1, index] = slack
+    low, high = walk.limits[0, index] - slack, walk.limits[1, index] + slack
     if (low - TINY <= value <= high + TINY) or high - low >= _TWO_PI:
         return 0.0
     above, below = _wrap(value - high), _wrap(value - low)
@@ -131,23 +145,13 @@ def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, a
 
 
 @inner_kernel
-def _girdle(
-    points: Array,
-    centre: int,
-    up: Vector,
-    left: int,
-    right: int,
-    index: int,
-    spread_index: int,
-    limits: Array,
-    work: Array,
-    move: bool,
-) -> None:
+def _girdle(walk: _Walk, centre: int, up: Vector, left: int, right: int, index: int, spread_index: int) -> None:
+    points = walk.points
     for side in range(2):
         joint = left if side == 0 else right
         direction = _bone_of(points, centre, joint)
         elevation = _arcsin(dot(direction, up))
-        change = _change(index + side, elevation, 0.0, limits, work, move)
+        change = _change(walk, index + side, elevation, 0.0)
         if change != 0.0:
             level = normalise(mix(1.0, direction, -dot(direction, up), up))
             target = elevation + change
@@ -156,7 +160,7 @@ def _girdle(
     one = mix(1.0, one, -dot(one, up), up)
     two = mix(1.0, two, -dot(two, up), up)
     spread = _angle(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
-    change = _change(spread_index, spread, 0.0, limits, work, move)
+    change = _change(walk, spread_index, spread, 0.0)
     if change != 0.0:
         cosine, sine = math.cos(0.5 * change), math.sin(0.5 * change)
         _turn(points, left, left + 2, centre, up, cosine, -sine)
@@ -165,27 +169,17 @@ def _girdle(
 
 @inner_kernel
 def _swing(
-    points: Array,
-    joint: int,
-    end: int,
-    first: int,
-    last: int,
-    up: Vector,
-    left: Vector,
-    front: Vector,
-    index: int,
-    limits: Array,
-    work: Array,
-    move: bool,
+    walk: _Walk, joint: int, end: int, first: int, last: int, up: Vector, left: Vector, front: Vector, index: int
 ) -> None:
     """Flexion at `index`, the lateral angle right after it."""
+    points = walk.points
     direction = _bone_of(points, joint, end)
     sideways = _arcsin(dot(direction, left))
-    change_sideways = _change(index + 1, sideways, 0.0, limits, work, move)
+    change_sideways = _change(walk, index + 1, sideways, 0.0)
     sideways += change_sideways
     flexion = _angle(dot(direction, front), dot(direction, up))
     slack = SLACK_RAD * (1.0 / max(math.cos(sideways), TINY) - 1.0)
-    change_flexion = _change(index, flexion, slack, limits, work, move)
+    change_flexion = _change(walk, index, flexion, slack)
     if change_sideways == 0.0 and change_flexion == 0.0:
         return
     flexion += change_flexion
@@ -195,65 +189,46 @@ def _swing(
 
 
 @inner_kernel
-def _arm(
-    points: Array,
-    shoulder: int,
-    back: Vector,
-    across: Vector,
-    index: int,
-    limits: Array,
-    work: Array,
-    move: bool,
-) -> None:
+def _arm(walk: _Walk, shoulder: int, back: Vector, across: Vector, index: int) -> None:
+    points = walk.points
     direction = _bone_of(points, shoulder, shoulder + 1)
     b, m = dot(direction, back), dot(direction, across)
-    change_b = _change(index, _arcsin(b), 0.0, limits, work, move)
-    change_m = _change(index + 1, _arcsin(m), 0.0, limits, work, move)
-    if not move:
+    change_b = _change(walk, index, _arcsin(b), 0.0)
+    change_m = _change(walk, index + 1, _arcsin(m), 0.0)
+    if change_b == 0.0 and change_m == 0.0:
         return
     up = cross(back, across)
     rest = dot(direction, up)
-    max_b, max_m = math.sin(limits[1, index]), math.sin(limits[1, index + 1])
+    max_b, max_m = math.sin(walk.limits[1, index]), math.sin(walk.limits[1, index + 1])
     side_of = -1.0 if rest < 0 else 1.0
-    is_moved = change_b != 0.0 or change_m != 0.0
     if change_b != 0.0:
         grown = math.sqrt((1.0 - max_b**2) / max(m**2 + rest**2, TINY))
         b, m, rest = max_b, m * grown, rest * grown
     if m > max_m + TINY:
-        is_moved = True
         grown = math.sqrt((1.0 - max_m**2) / max(b**2 + rest**2, TINY))
         b = min(b * grown, max_b, math.sqrt(1.0 - max_m**2))
         m = max_m
         rest = side_of * math.sqrt(max(1.0 - m**2 - b**2, 0.0))
-    if is_moved:
-        after = mix(1.0, mix(b, back, m, across), rest, up)
-        _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
+    after = mix(1.0, mix(b, back, m, across), rest, up)
+    _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
 @inner_kernel
 def _hinge(
-    points: Array,
-    joint: int,
-    rest: Vector,
-    bend: Vector,
-    outward: Vector,
-    rotation_index: int,
-    flexion_index: int,
-    limits: Array,
-    work: Array,
-    move: bool,
+    walk: _Walk, joint: int, rest: Vector, bend: Vector, outward: Vector, rotation_index: int, flexion_index: int
 ) -> None:
+    points = walk.points
     above, below = _bone_of(points, joint, joint + 1), _bone_of(points, joint + 1, joint + 2)
     along = dot(above, below)
     across = mix(1.0, below, -along, above)
     sine = length(across)
     flexion = _angle(sine, along)
-    change_flexion = _change(flexion_index, flexion, 0.0, limits, work, move)
+    change_flexion = _change(walk, flexion_index, flexion, 0.0)
     certainty = sine if along > 0 else 1.0
     carried_bend, carried_out = carry(rest, above, bend), carry(rest, above, outward)
     rotation = _angle(dot(across, carried_out), dot(across, carried_bend)) if sine > TINY else 0.0
     slack = SLACK_RAD / max(certainty, TINY)
-    change = _change(rotation_index, rotation, slack, limits, work, move)
+    change = _change(walk, rotation_index, rotation, slack)
     if change_flexion != 0.0:
         bent = flexion + change_flexion
         after = mix(math.cos(bent), above, math.sin(bent), normalise(across))
@@ -264,53 +239,41 @@ def _hinge(
 
 
 @inner_kernel
-def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
+def _walk(walk: _Walk) -> None:
+    points = walk.points
     y = _bone_of(points, PELVIS, SPINE)
-    _girdle(points, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD, limits, work, move)
+    _girdle(walk, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD)
     x = _frame_x(points, LEFT_HIP, RIGHT_HIP, y)
     z = cross(x, y)
-    _swing(points, SPINE, CHEST, CHEST, RIGHT_WRIST, y, x, z, _SPINE, limits, work, move)
+    _swing(walk, SPINE, CHEST, CHEST, RIGHT_WRIST, y, x, z, _SPINE)
     up = _bone_of(points, SPINE, CHEST)
-    _girdle(
-        points, CHEST, up, LEFT_SHOULDER, RIGHT_SHOULDER, _SHOULDER_ELEVATION, _SHOULDER_SPREAD,
-        limits, work, move,
-    )  # fmt: skip
+    _girdle(walk, CHEST, up, LEFT_SHOULDER, RIGHT_SHOULDER, _SHOULDER_ELEVATION, _SHOULDER_SPREAD)
     shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     carried = carry(y, up, x)
     torsion = _angle(dot(cross(carried, shoulders_x), up), dot(carried, shoulders_x))
-    change = _change(_TORSION, torsion, 0.0, limits, work, move)
+    change = _change(walk, _TORSION, torsion, 0.0)
     if change != 0.0:
         _turn(points, NECK, RIGHT_WRIST, CHEST, up, math.cos(change), math.sin(change))
         shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     front = cross(shoulders_x, up)
-    _swing(points, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST, limits, work, move)
+    _swing(walk, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST)
     up_neck = _bone_of(points, CHEST, NECK)
     neck_x = normalise(mix(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
     neck_z = cross(neck_x, up_neck)
-    _swing(points, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK, limits, work, move)
+    _swing(walk, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK)
     for side in range(2):
         sign = 1.0 if side == 0 else -1.0
         outward = scale(sign, shoulders_x)
         shoulder = LEFT_SHOULDER if side == 0 else RIGHT_SHOULDER
         arm = _ARM + 3 * side
-        _arm(points, shoulder, scale(-1.0, front), scale(-1.0, outward), arm, limits, work, move)
-        _hinge(points, shoulder, outward, front, up, arm + 2, _ELBOW + side, limits, work, move)
+        _arm(walk, shoulder, scale(-1.0, front), scale(-1.0, outward), arm)
+        _hinge(walk, shoulder, outward, front, up, arm + 2, _ELBOW + side)
         outward = scale(sign, x)
         down = scale(-1.0, y)
         hip = LEFT_HIP if side == 0 else RIGHT_HIP
         leg = _HIP + 3 * side
-        _swing(points, hip, hip + 1, hip + 1, hip + 2, down, outward, z, leg, limits, work, move)
-        _hinge(
-            points, hip, down, scale(-1.0, z), scale(-1.0, outward), leg + 2, _KNEE + side,
-            limits, work, move,
-        )  # fmt: skip
-
-
-@inner_kernel
-def _is_out(index: int, limits: Array, work: Array) -> bool:
-    """Tell whether the measured angle `index` is out of range."""
-    low, high = limits[0, index] - work[1, index], limits[1, index] + work[1, index]
-    return not (low - TINY <= work[0, index] <= high + TINY) and high - low < _TWO_PI
+        _swing(walk, hip, hip + 1, hip + 1, hip + 2, down, outward, z, leg)
+        _hinge(walk, hip, down, scale(-1.0, z), scale(-1.0, outward), leg + 2, _KNEE + side)
 
 
 @compiled(error_model="numpy")
@@ -318,29 +281,18 @@ def measure_poses(poses: Array) -> Array:
     """Return the angles and their slack (n, 2, 29), radians, of poses (n, 17, 3)."""
     measured = np.empty((poses.shape[0], 2, NUM_ANGLES))
     for row in range(poses.shape[0]):
-        _walk(poses[row], measured[row], measured[row], False)
+        _walk(_Walk(poses[row], _UNLIMITED, measured[row]))
     return measured
 
 
 @compiled(error_model="numpy")
-def find_invalid(poses: Array, limits: Array) -> Flags:
-    """Tell which angles (n, 29) of poses (n, 17, 3) are out of the ranges (2, 29), radians."""
-    invalid, work = np.empty((poses.shape[0], NUM_ANGLES), np.bool_), np.empty((2, NUM_ANGLES))
-    for row in range(poses.shape[0]):
-        _walk(poses[row], limits, work, False)
-        for index in range(NUM_ANGLES):
-            invalid[row, index] = _is_out(index, limits, work)
-    return invalid
-
-
-@compiled(error_model="numpy")
-def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array) -> tuple[int, float]:
+def move_to_nearest_valid(pose: Array, limits: Array, measured: Array, valid: Array) -> tuple[int, float]:
     """Find the nearest valid pose of one pose, as `JointLimits.nearest_valid` does.
 
     Args:
         pose: Positions (17, 3), float64, metres; not changed.
         limits: Smallest and greatest valid angles, (2, 29), radians: `JointLimits.ranges_rad`.
-        work: Scratch (2, 29), overwritten.
+        measured: Scratch (2, 29), overwritten.
         valid: The valid pose is written here, (17, 3).
 
     Returns:
@@ -351,13 +303,14 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
     for joint in range(17):
         for axis in range(3):
             valid[joint, axis] = pose[joint, axis]
-    _walk(valid, limits, work, False)
+    _walk(_Walk(valid, _UNLIMITED, measured))
     num_invalid = 0
     for index in range(NUM_ANGLES):
-        num_invalid += _is_out(index, limits, work)
+        low, high = limits[0, index] - measured[1, index], limits[1, index] + measured[1, index]
+        num_invalid += not (low - TINY <= measured[0, index] <= high + TINY) and high - low < _TWO_PI
     if num_invalid == 0:
         return 0, 0.0
-    _walk(valid, limits, work, True)
+    _walk(_Walk(valid, limits, measured))
     squared = 0.0
     for joint in range(17):
         for axis in range(3):
@@ -368,8 +321,8 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
 @compiled(error_model="numpy")
 def move_poses(poses: Array, limits: Array) -> tuple[Array, Integers, Array]:
     """Return the nearest valid poses (n, 17, 3), how many angles were invalid (n,), and the squared distances (n,)."""
-    valid, work = np.empty(poses.shape), np.empty((2, NUM_ANGLES))
+    valid, measured = np.empty(poses.shape), np.empty((2, NUM_ANGLES))
     count, squared = np.empty(poses.shape[0], np.int64), np.empty(poses.shape[0])
     for row in range(poses.shape[0]):
-        count[row], squared[row] = move_to_nearest_valid(poses[row], limits, work, valid[row])
+        count[row], squared[row] = move_to_nearest_valid(poses[row], limits, measured, valid[row])
     return valid, count, squared

@@ -5,7 +5,6 @@ Every camera looks straight at the mid-hip; images of a camera that looks past i
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,27 +24,26 @@ _MIN_DISTANCE_M = 1.5
 
 
 @dataclass(frozen=True)
-class DatabaseCamera(ABC):
-    """A camera on the +Z side of the body that looks at its mid-hip from `pitch_rad` above the horizontal.
+class DatabaseCamera:
+    """A camera on the +Z side of the body that looks at its mid-hip; image x right, y up, metres at its depth.
 
-    Image x right, y up, metres at the depth of the mid-hip.
+    Args:
+        pitch_rad: Angle above the horizontal that it looks from.
+        distance_m: From the mid-hip to the point that all rays meet in; inf for parallel rays.
+
+    Raises:
+        InputError: The camera stands on its head, or inside the body.
     """
 
     pitch_rad: float = 0.0
+    distance_m: float = np.inf
 
     def __post_init__(self) -> None:
-        """Refuse a camera that stands on its head."""
+        """Check that both can be."""
         if not -np.pi / 2 < self.pitch_rad < np.pi / 2:
             raise InputError(f"the camera's pitch is {self.pitch_rad} rad; it must lie between -pi/2 and pi/2")
-
-    @abstractmethod
-    def project(self, poses_m: Floats) -> Floats:
-        """Project poses (*batch, joint, 3) about the point looked at to (*batch, joint, 2) about its image."""
-
-    @property
-    @abstractmethod
-    def ray_distance_m(self) -> float:
-        """Distance from the mid-hip to the point that all rays meet in; inf for parallel rays."""
+        if not self.distance_m > _MIN_DISTANCE_M:
+            raise InputError(f"the camera's distance is {self.distance_m} m; it must be more than {_MIN_DISTANCE_M} m")
 
     @property
     def camera_from_upright_rotmat(self) -> Floats:
@@ -56,54 +54,16 @@ class DatabaseCamera(ABC):
         cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
         return np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
 
-    def _upwards(self, poses_m: Floats) -> Floats:
-        if self.pitch_rad == 0.0:
-            return np.asarray(poses_m[..., 1])
-        return np.asarray(np.cos(self.pitch_rad) * poses_m[..., 1] - np.sin(self.pitch_rad) * poses_m[..., 2])
-
-    def _towards(self, poses_m: Floats) -> Floats:
-        if self.pitch_rad == 0.0:
-            return np.asarray(poses_m[..., 2])
-        return np.asarray(np.sin(self.pitch_rad) * poses_m[..., 1] + np.cos(self.pitch_rad) * poses_m[..., 2])
-
-
-@dataclass(frozen=True)
-class OrthographicCamera(DatabaseCamera):
-    """Parallel rays."""
-
-    @property
-    def ray_distance_m(self) -> float:
-        """Parallel rays meet nowhere."""
-        return float("inf")
-
     def project(self, poses_m: Floats) -> Floats:
-        """Drop the depth of the camera's axes."""
-        if self.pitch_rad == 0.0:
-            return poses_m[..., :2]
-        return np.stack([poses_m[..., 0], self._upwards(poses_m)], axis=-1)
-
-
-@dataclass(frozen=True)
-class PinholeCamera(DatabaseCamera):
-    """Rays through one point, `distance_m` from the mid-hip."""
-
-    distance_m: float = 4.0
-
-    def __post_init__(self) -> None:
-        """Refuse a camera inside the body too."""
-        super().__post_init__()
-        if not (np.isfinite(self.distance_m) and self.distance_m > _MIN_DISTANCE_M):
-            raise InputError(f"the camera's distance is {self.distance_m} m; it must be more than {_MIN_DISTANCE_M} m")
-
-    @property
-    def ray_distance_m(self) -> float:
-        """The distance of the pinhole."""
-        return self.distance_m
-
-    def project(self, poses_m: Floats) -> Floats:
-        """Divide by depth; the scale is that at the mid-hip's."""
-        shrink = self.distance_m / (self.distance_m - self._towards(poses_m))
-        image = np.stack([poses_m[..., 0] * shrink, self._upwards(poses_m) * shrink], axis=-1)
+        """Project poses (*batch, joint, 3) about the mid-hip to (*batch, joint, 2) about its image."""
+        x, up, towards = np.moveaxis(poses_m, -1, 0)
+        if self.pitch_rad != 0.0:
+            cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+            up, towards = cosine * up - sine * towards, sine * up + cosine * towards
+        image = np.stack([x, up], axis=-1)
+        if np.isinf(self.distance_m):
+            return image
+        image = image * (self.distance_m / (self.distance_m - towards))[..., None]
         return np.asarray(image.astype(poses_m.dtype, copy=False))
 
 
@@ -139,6 +99,4 @@ def cameras_of(
     pitches |= {pitch_of_height(height, distance_m) for height in heights_m}
     if not pitches:
         raise InputError("a projection database needs a camera: no pitch and no height is given")
-    if model == "orthographic":
-        return tuple(OrthographicCamera(pitch) for pitch in sorted(pitches))
-    return tuple(PinholeCamera(pitch, distance_m) for pitch in sorted(pitches))
+    return tuple(DatabaseCamera(pitch, distance_m if model == "pinhole" else np.inf) for pitch in sorted(pitches))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import BODY22, OP14
 
 Floats32 = npt.NDArray[np.float32]
@@ -41,7 +41,7 @@ class Database:
     is_sequence_start: npt.NDArray[np.bool_]
     num_yaws: int = 30
     rate_hz: float = 24.0
-    camera: DatabaseCamera = field(default_factory=OrthographicCamera)
+    camera: DatabaseCamera = field(default_factory=DatabaseCamera)
     body22_unitquat: Floats32 | None = None
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""A tree of boxes over points that are images of joints: the points nearest to a query, exactly or nearly.
+"""A tree of boxes over points that are images of joints: the points nearest to a query, ties included.
 
 **Bound.**  Every node of the tree keeps, per joint k, the box [cx - hx, cx + hx] x [cy - hy, cy + hy] that holds joint
 k of every projection below the node.  For a query q and a projection p below the node, |qx - px| >=
@@ -11,17 +11,11 @@ holds for orthographic, pitched and pinhole cameras alike.  (For a level orthogr
 a frame" the box is [-r, r] x [y, y], which is the bound sqrt(max(|qx| - r, 0)^2 + dy^2) of one frame; splitting by
 median where the projections spread most, across frames and yaws alike, gives far smaller boxes.)  Boxes are widened
 and the bound is lowered by more than float32 rounding can raise it, so pruning never loses a neighbour.
-
-**Slack.**  With slack e a node is left closed when (1 + e) times its bound is more than the k-th best distance so far.
-Then the i-th projection given is never further than 1 + e times the i-th nearest: either all i nearest were found, or
-one of them, at distance d, lay under a node left closed, and (1 + e) d >= (1 + e) bound > the k-th best at that moment
->= the k-th best at the end >= the i-th given (after Arya et al. 1998, "An optimal algorithm for approximate nearest
-neighbor searching").
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +25,7 @@ from pasdedeux.compiled import compiled
 
 _LANES = 16
 """Projections a leaf and children a node: wide enough for the processor's vector unit."""
-_ROUNDING = 1.0 - 1e-5
+_ROUNDING = np.float32(1.0 - 1e-5)
 """Factor on the bound: 28 float32 operations of relative error 6e-8 each stay below 1e-5."""
 
 Floats32 = npt.NDArray[np.float32]
@@ -49,8 +43,6 @@ class Tree:
         centre: Middle of the boxes of the nodes under each node (node, 2 J, lane), all levels, root first.
         half: Their half-widths; -1 in empty lanes.
         level_start: First node of each level; child j of node i of level l is node lanes * i + j of level l + 1.
-        middle: Middle of the box of all projections (2 J,).
-        reach: Its half-widths (2 J,).
     """
 
     number: Integers32
@@ -58,16 +50,13 @@ class Tree:
     centre: Floats32
     half: Floats32
     level_start: Integers
-    middle: Floats32
-    reach: Floats32
 
 
-def build_tree(flat: Floats32, number_of: Integers32 | None = None) -> Tree:
+def build_tree(flat: Floats32) -> Tree:
     """Return the tree of projections (n, 2 J), n at least 1: ordered by median splits, boxes bottom-up.
 
     Args:
         flat: Projections, x of the joints, then y, metres.
-        number_of: Their numbers (n,); 0, 1, ... when not given.
     """
     count, dims = flat.shape
     order = np.arange(count, dtype=np.int32)
@@ -79,8 +68,6 @@ def build_tree(flat: Floats32, number_of: Integers32 | None = None) -> Tree:
     low = np.empty((num_leaves, dims), dtype=np.float32)
     high = np.empty_like(low)
     _fill_leaves(flat, number, leaves, low, high)
-    if number_of is not None:
-        number[:count] = number_of[order]
     centres, halves = [], []
     while True:
         num_nodes = -(-len(low) // _LANES)
@@ -92,84 +79,31 @@ def build_tree(flat: Floats32, number_of: Integers32 | None = None) -> Tree:
         if num_nodes == 1:
             break
     sizes = [len(centre) for centre in reversed(centres)]
-    middle = 0.5 * (low[0] + high[0])
     return Tree(
         number=number.reshape(num_leaves, _LANES),
         leaves=leaves,
         centre=np.concatenate(centres[::-1]),
         half=np.concatenate(halves[::-1]),
         level_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        middle=middle,
-        reach=np.maximum(high[0] - middle, middle - low[0]) + np.float32(1e-6) * (np.abs(low[0]) + np.abs(high[0])),
     )
 
 
-def search_trees(
-    trees: Sequence[Tree], query: Floats32, weight: Floats32, *, num_neighbours: int, slack: float = 0.0
-) -> tuple[Integers, Floats32]:
+def search_tree(tree: Tree, query: Floats32, weight: Floats32, *, num_neighbours: int) -> tuple[Integers, Floats32]:
     """Return the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
 
-    Each query looks into the tree of least bound first, and into no tree whose bound is beyond its k-th best.
-
     Args:
-        trees: Trees of projections of J joints.
+        tree: Tree of projections of J joints.
         query: Queries (n, 2 J), x of the joints, then y.
         weight: Weights (n, J), not negative; a query without any weight finds nothing.
         num_neighbours: k.
-        slack: 0 for exactly the best; see above.
 
     Returns:
         Numbers, -1 where there is none, and sums, ascending, inf where there is none.
     """
     found = np.full((len(query), num_neighbours), -1, dtype=np.int64)
     summed = np.full((len(query), num_neighbours), np.inf, dtype=np.float32)
-    factor = np.float32(_ROUNDING * (1.0 + slack))
-    if len(trees) == 1:
-        _search_one(trees[0], query, weight, found, summed, factor)
-        return found, summed
-    joints = weight.shape[1]
-    middle, reach = np.stack([tree.middle for tree in trees]), np.stack([tree.reach for tree in trees])
-    for at in range(len(query)):
-        away = np.maximum(np.abs(query[at] - middle) - reach, 0.0)
-        bound = factor * (np.hypot(away[:, :joints], away[:, joints:]) @ weight[at])
-        one = slice(at, at + 1)
-        for tree in np.argsort(bound, kind="stable"):
-            if bound[tree] > summed[at, -1]:
-                break
-            _search_one(trees[tree], query[one], weight[one], found[one], summed[one], factor)
+    _search(query, weight, tree.number, tree.leaves, tree.centre, tree.half, tree.level_start, found, summed)
     return found, summed
-
-
-def _search_one(
-    tree: Tree, query: Floats32, weight: Floats32, found: Integers, summed: Floats32, factor: np.float32
-) -> None:
-    nodes = (tree.number, tree.leaves, tree.centre, tree.half, tree.level_start)
-    _search_batch(query, weight, *nodes, found, summed, factor)
-
-
-def sort_into_cells(sample: Floats32, depth: int) -> Callable[[Floats32], Integers]:
-    """Return a function that says in which of 2^depth cells projections (n, 2 J) lie.
-
-    The cells split a sample (m, 2 J) at medians, each where its part of the sample varies most.
-    """
-    dims, cuts = np.zeros(2**depth - 1, dtype=np.int64), np.zeros(2**depth - 1, dtype=np.float32)
-    parts = [sample]
-    for node in range(len(dims)):
-        part = parts[node]
-        dims[node] = int(np.argmax(part.var(axis=0)))
-        cuts[node] = np.median(part[:, dims[node]])
-        is_above = part[:, dims[node]] > cuts[node]
-        # A part of equal points cannot be split; its cells are then empty or hold them all.
-        parts += [part[~is_above] if len(part) > 1 else part, part[is_above] if is_above.any() else part[:1]]
-
-    def cell_of(flat: Floats32) -> Integers:
-        cell = np.zeros(len(flat), dtype=np.int64)
-        for level in range(depth):
-            node = 2**level - 1 + cell
-            cell = 2 * cell + (flat[np.arange(len(flat)), dims[node]] > cuts[node])
-        return cell
-
-    return cell_of
 
 
 @compiled()
@@ -327,7 +261,7 @@ def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> 
 
 
 @compiled()
-def _search_batch(
+def _search(
     queries: Floats32,
     weights: Floats32,
     number: Integers32,
@@ -337,17 +271,9 @@ def _search_batch(
     level_start: Integers,
     found: Integers,
     summed: Floats32,
-    factor: np.float32,
 ) -> None:
-    """Search each query best-first: the node of least bound is opened next, until no bound beats the k-th best.
-
-    `factor` multiplies the bounds: below 1 by rounding for the exact search, above 1 to give up on nodes earlier.
-    """
+    """Search each query best-first: the node of least bound is opened next, until no bound beats the k-th best."""
     num_levels = level_start.shape[0] - 1
-    capacity = 4096
-    heap_bound = np.empty(capacity, dtype=np.float32)
-    heap_node = np.empty(capacity, dtype=np.int64)
-    heap_level = np.empty(capacity, dtype=np.int64)
     lanes = leaves.shape[2]
     lane_value = np.empty(lanes, dtype=np.float32)
     for at in range(queries.shape[0]):
@@ -356,14 +282,11 @@ def _search_batch(
             continue
         best, best_number = summed[at], found[at]
         last = best.shape[0] - 1
-        heap_bound[0], heap_node[0], heap_level[0] = np.float32(0.0), 0, 0
-        size = 1
-        while size > 0:
-            bound, node, level = heap_bound[0], heap_node[0], heap_level[0]
+        heap = [(np.float32(0.0), 0, 0)]
+        while heap:
+            bound, level, node = heapq.heappop(heap)
             if bound > best[last]:
                 break
-            size -= 1
-            _sift_down(heap_bound, heap_node, heap_level, size)
             if level == num_levels:
                 _distances(query, weight, leaves[node], lane_value)
                 for lane in range(lanes):
@@ -372,51 +295,7 @@ def _search_batch(
                 continue
             inner = level_start[level] + node
             _bounds(query, weight, centre[inner], half[inner], lane_value)
-            if size + lanes >= capacity:
-                capacity *= 2
-                heap_bound = _grown(heap_bound, capacity)
-                heap_node = _grown(heap_node, capacity)
-                heap_level = _grown(heap_level, capacity)
             for lane in range(lanes):
-                lowered = lane_value[lane] * factor
+                lowered = lane_value[lane] * _ROUNDING
                 if half[inner, 0, lane] >= 0 and lowered <= best[last]:
-                    _sift_up(heap_bound, heap_node, heap_level, size, lowered, node * lanes + lane, level + 1)
-                    size += 1
-
-
-@compiled()
-def _grown(array: npt.NDArray, capacity: int) -> npt.NDArray:
-    """Return a longer copy of an array."""
-    longer = np.empty(capacity, dtype=array.dtype)
-    longer[: array.shape[0]] = array
-    return longer
-
-
-@compiled()
-def _sift_up(
-    bound: Floats32, node: Integers, level: Integers, at: int, value: np.float32, new_node: int, new_level: int
-) -> None:
-    """Put an entry into a binary heap of `at` entries."""
-    while at > 0:
-        parent = (at - 1) // 2
-        if bound[parent] <= value:
-            break
-        bound[at], node[at], level[at] = bound[parent], node[parent], level[parent]
-        at = parent
-    bound[at], node[at], level[at] = value, new_node, new_level
-
-
-@compiled()
-def _sift_down(bound: Floats32, node: Integers, level: Integers, size: int) -> None:
-    """Replace the top of a binary heap by its last entry, number `size`, and restore the order."""
-    value, moved, moved_level = bound[size], node[size], level[size]
-    at = 0
-    while 2 * at + 1 < size:
-        child = 2 * at + 1
-        if child + 1 < size and bound[child + 1] < bound[child]:
-            child += 1
-        if bound[child] >= value:
-            break
-        bound[at], node[at], level[at] = bound[child], node[child], level[child]
-        at = child
-    bound[at], node[at], level[at] = value, moved, moved_level
+                    heapq.heappush(heap, (lowered, level + 1, node * lanes + lane))

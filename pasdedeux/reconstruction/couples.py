@@ -15,7 +15,7 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.kinematics.rotations import rotate, swing_between
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
@@ -40,7 +40,7 @@ class PairSearcher:
     @classmethod
     def of(cls, pairs_m: npt.NDArray[np.floating], *, num_yaws: int, pitch_rad: float) -> PairSearcher:
         """Build the index of pairs (row, person, 14, 3) as `pairs.centre_pairs` gives them."""
-        database = pair_database(pairs_m, num_yaws=num_yaws, camera=OrthographicCamera(pitch_rad))
+        database = pair_database(pairs_m, num_yaws=num_yaws, camera=DatabaseCamera(pitch_rad))
         return cls(database, build_index(database))
 
     def depths(self, query_m: Array, weights: Array, options: PlacingOptions) -> tuple[Array, Array]:

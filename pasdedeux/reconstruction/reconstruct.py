@@ -16,7 +16,7 @@ from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
-from pasdedeux.projections.search import EXACT_UP_TO, Neighbours, ProjectionIndex, build_index
+from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.depth import DepthSettings, bone_vectors, decode_depths, place_depths
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
@@ -91,17 +91,14 @@ class Searcher:
     reference: ScaleReference
 
     @classmethod
-    def of(cls, database: Database, *, exact_up_to: int = EXACT_UP_TO) -> Searcher:
-        """Build index and scale reference; the search of more than `exact_up_to` projections has a slack."""
-        return cls(database, build_index(database, exact_up_to=exact_up_to), ScaleReference.of(database))
+    def of(cls, database: Database) -> Searcher:
+        """Build index and scale reference."""
+        return cls(database, build_index(database), ScaleReference.of(database))
 
     def pitched(self, pitch_rad: float) -> Searcher:
-        """Return the same poses before a camera of this pitch, searched exactly where they are."""
+        """Return the same poses before a camera of this pitch."""
         camera = replace(self.database.camera, pitch_rad=pitch_rad)
-        if camera == self.database.camera:
-            return self
-        exact_up_to = self.database.num_projections if self.index.slack == 0 else 0
-        return Searcher.of(replace(self.database, camera=camera), exact_up_to=exact_up_to)
+        return self if camera == self.database.camera else Searcher.of(replace(self.database, camera=camera))
 
 
 @dataclass(frozen=True)

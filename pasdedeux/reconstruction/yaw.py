@@ -62,7 +62,7 @@ def refine_yaws(
         database.poses_m,
         row,
         database.yaw_step_rad,
-        np.array([np.cos(camera.pitch_rad), np.sin(camera.pitch_rad), camera.ray_distance_m]),
+        np.array([np.cos(camera.pitch_rad), np.sin(camera.pitch_rad), camera.distance_m]),
         yaw,
         distance,
     )

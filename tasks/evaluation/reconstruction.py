@@ -67,17 +67,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
     # The database has not seen the take, or this would have been refused: all of it is held out.
     items = {"": reconstruction_items(people)}
-    return TopicResult(scores, pictures, captions, search_notes(shard.name, facts), items)
-
-
-def search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
-    """Say how the database was searched when that was not exactly."""
-    if not facts.get("search_slack"):
-        return []
-    return [
-        f"{name}: {facts['num_projections']:,} projections were searched with a slack of {facts['search_slack']:g}; "
-        f"{100 * facts['search_recall']:.1f} % of the 50 nearest are found."
-    ]
+    return TopicResult(scores, pictures, captions, items=items)
 
 
 def read_reconstructed(

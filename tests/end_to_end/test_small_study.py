@@ -16,7 +16,7 @@ from flows.planning import make_plan, stage_inputs
 from flows.study import load_study
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import TABLES, Store, open_table, read_latest
@@ -226,7 +226,7 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
     motions = open_table("motions:small", small.store)
     methods = list(dict.fromkeys(motions["method"]))
     (artifact,) = Store(small.store).artifacts("reconstruction")
-    camera = OrthographicCamera(np.deg2rad(artifact.facts["pitch_deg"]))
+    camera = DatabaseCamera(np.deg2rad(artifact.facts["pitch_deg"]))
     for person in (0, 1):
         for method in methods:
             source = read_bvh((tmp_path / "motions" / f"hug.video00_{person}_{method}.bvh").read_bytes())

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.projections import search_brute_force
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera, PinholeCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.pairs import centre_pairs, pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
 from tests.builders.walkers import walk
 
-CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=4.0)]
+CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35), DatabaseCamera(distance_m=4.0)]
 
 
 def make_pairs(num_frames: int, *, seed: int = 0) -> np.ndarray:
@@ -67,7 +67,7 @@ def test_the_nearest_pairs_are_the_best_of_both_orders_by_brute_force(
 
 
 def test_people_in_either_order_find_the_same_pair() -> None:
-    database = pair_database(make_pairs(40), camera=OrthographicCamera())
+    database = pair_database(make_pairs(40), camera=DatabaseCamera())
     image = database.project()[17, 9].reshape(2, 14, 2)
     for query, is_exchanged in ((image, False), (image[::-1], True)):
         found = search_pairs(build_index(database), query, np.ones((2, 14)), num_neighbours=1)
@@ -77,7 +77,7 @@ def test_people_in_either_order_find_the_same_pair() -> None:
 
 
 def test_one_person_hidden_is_filled_in_by_the_pair() -> None:
-    database = pair_database(make_pairs(40), camera=OrthographicCamera())
+    database = pair_database(make_pairs(40), camera=DatabaseCamera())
     query = database.project()[23, 4].astype(np.float64).reshape(2, 14, 2)
     query[1] = np.nan
     found = search_pairs(build_index(database), query, np.ones((2, 14)), num_neighbours=1)
@@ -99,8 +99,8 @@ def test_pairs_do_not_depend_on_where_they_stood_and_lie_along_x() -> None:
 
 def test_a_distant_pinhole_sees_pairs_as_parallel_rays_do() -> None:
     pairs = make_pairs(5)
-    far = PinholeCamera(distance_m=1e6).project(pairs)
-    np.testing.assert_allclose(far, OrthographicCamera().project(pairs), atol=1e-5)
+    far = DatabaseCamera(distance_m=1e6).project(pairs)
+    np.testing.assert_allclose(far, DatabaseCamera().project(pairs), atol=1e-5)
 
 
 def test_pairs_of_another_shape_are_refused() -> None:

@@ -6,14 +6,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera, PinholeCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.yaw import refine_yaws
 from tests.builders.walkers import random_poses, walk
 
-CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=3.0)]
+CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35), DatabaseCamera(distance_m=3.0)]
 
 
 def make_database(seed: int, camera: DatabaseCamera) -> Database:
@@ -61,7 +61,7 @@ def test_a_yaw_between_the_steps_is_found_again(seed: int, camera: DatabaseCamer
 
 
 def test_batched_and_single_queries_agree() -> None:
-    database = make_database(0, OrthographicCamera())
+    database = make_database(0, DatabaseCamera())
     query = database.project()[:3, 4] + np.random.default_rng(0).normal(0, 0.02, (3, 14, 2))
     found = build_index(database).search(query, num_neighbours=5)
     refined = refine_yaws(database, found, query)

@@ -15,7 +15,7 @@ from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import angle_between
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import EmbodiedMotion, body_through, hold_hips, pose_body
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
@@ -231,7 +231,7 @@ def test_people_of_another_export_keep_what_is_said_of_them(
 
 
 def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp_path: Path) -> None:
-    camera, whole = OrthographicCamera(float(np.deg2rad(30.0))), body_of_walk(3)
+    camera, whole = DatabaseCamera(float(np.deg2rad(30.0))), body_of_walk(3)
     columns = rows_of(np.arange(3), whole.turned(camera.camera_from_upright_rotmat), "walk", 0, "fit")
     motion = exported(tmp_path, columns, {"pitch_deg": 30.0})["walk_0_fit"]
     at = [motion.skeleton.joint_names.index(HUMANOID_NAMES[joint].mixamo) for joint in BODY22.joint_names]

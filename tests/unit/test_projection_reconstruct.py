@@ -21,7 +21,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.people.video import rate_from_times
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.projections.scale import running_median
@@ -44,7 +44,7 @@ def make_searcher(pitch_rad: float = 0.0) -> Searcher:
     motions = [walk(150, seed=seed) for seed in range(6)]
     poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
     starts = np.tile(np.arange(150) == 0, 6)
-    return Searcher.of(Database(poses, starts, camera=OrthographicCamera(pitch_rad)))
+    return Searcher.of(Database(poses, starts, camera=DatabaseCamera(pitch_rad)))
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +121,7 @@ def test_a_flat_floor_tells_the_pitch_where_the_database_leans(bow_rad: float, t
     poses = np.concatenate([centre_and_face(walk(150, seed=seed)).poses_m @ bow.T for seed in range(4)])
     pitches = (0.0, 0.175, 0.35, 0.525)
     searchers = [
-        Searcher.of(Database(poses, np.tile(np.arange(150) == 0, 4), camera=OrthographicCamera(pitch)))
-        for pitch in pitches
+        Searcher.of(Database(poses, np.tile(np.arange(150) == 0, 4), camera=DatabaseCamera(pitch))) for pitch in pitches
     ]
     track, _ = film(walk(120, seed=9, turn_rad=0.0), yaw=0.0, pitch=true_pitch)
     known = replace(track, lens=replace(track.lens, is_known=True))
@@ -189,7 +188,7 @@ def test_tracks_refuse_what_they_cannot_mean() -> None:
 def test_the_floor_is_where_the_lowest_ankle_stands_in_upright_axes(searcher: Searcher) -> None:
     track, _ = film(walk(40, seed=2), pitch=0.0)
     found = reconstruct_track(searcher, track)
-    camera = OrthographicCamera(0.3)
+    camera = DatabaseCamera(0.3)
     moved = found.positions_m - floor_offset([found], camera)
     upright = moved @ camera.camera_from_upright_rotmat
     assert upright[:, OP14.indices(["left_ankle", "right_ankle"]), 1].min() == pytest.approx(0.0, abs=1e-9)

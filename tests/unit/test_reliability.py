@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.reconstruction.pitch import PitchEstimate
@@ -25,7 +25,7 @@ def searcher_over(*motions: np.ndarray) -> tuple[Searcher, np.ndarray]:
     poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions])
     names = np.concatenate([np.full(len(motion), str(at)) for at, motion in enumerate(motions)]).astype(object)
     starts = np.r_[True, names[1:] != names[:-1]]
-    return Searcher.of(Database(poses, starts, num_yaws=30, rate_hz=24.0, camera=OrthographicCamera())), names
+    return Searcher.of(Database(poses, starts, num_yaws=30, rate_hz=24.0, camera=DatabaseCamera())), names
 
 
 def seen(world: np.ndarray, *, hidden: float = 0.0) -> Track:

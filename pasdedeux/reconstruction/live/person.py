@@ -69,11 +69,6 @@ class LiveOptions(Settings):
         OneEuro(min_cutoff_hz=2.0, beta=1.0), description="That of what spine, head and feet take from the matches"
     )
     identities: IdentityOptions = Field(IdentityOptions(), description="How people are followed")
-    search_slack: float = Field(
-        0.2,
-        ge=0,
-        description="The search may miss what is not nearer than 1 / (1 + this) of the farthest candidate; 0 is exact",
-    )
     metres_per_pixel: float | None = Field(
         None, gt=0, description="Scale of the image at the person where it is known; estimated otherwise"
     )
@@ -248,7 +243,6 @@ class _Chain:
         self._viterbi = FixedLagViterbi(searcher.database, rate_hz=rate_hz, lag=options.lag, weights=options.temporal)
         self._scales: deque[float] = deque(maxlen=max(3, round(options.window_s * rate_hz)))
         self._waiting: deque[_Waiting] = deque()
-        self._index = searcher.index.with_slack(max(searcher.index.slack, options.search_slack))
         self._fit = WindowFit(rate_hz, options.fit)
         self._lengths_m, self._hip_width_m = bones.lengths_m, bones.hip_width_m
         self._body = body_of(self._lengths_m, self._hip_width_m)
@@ -320,7 +314,7 @@ class _Chain:
         ratio = float("nan")
         for _ in range(rounds):
             query = retarget_image((straight - centre) * scale, self._proportions)
-            found = self._index.search(query, weights, num_neighbours=self._options.num_candidates)
+            found = self._searcher.index.search(query, weights, num_neighbours=self._options.num_candidates)
             if found.projection[0] < 0:
                 return None
             best = database.turned(found.row[0], found.yaw_index[0])

@@ -19,7 +19,7 @@ from pasdedeux.experiments.unseen_views import (
     see,
     unseen_view_scores,
 )
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Store
@@ -104,7 +104,7 @@ def _database(shard: Shard, store: Store) -> Searcher:
     refuse_overlap("the projection database", [name for one in used for name in one["takes"]], [take_id])
     database, _, _ = read_database(store, parts)
     # To compare with the paper, parallel rays see the database too, whatever the study's camera.
-    return Searcher.of(replace(database, camera=OrthographicCamera()))
+    return Searcher.of(replace(database, camera=DatabaseCamera()))
 
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:

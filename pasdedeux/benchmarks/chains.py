@@ -24,11 +24,12 @@ from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage
-from pasdedeux.sampling.density import DensityInputs, ImageLikelihood, Likelihood, PairDensity, TargetSettings
-from pasdedeux.sampling.likelihood import InteractionKind, InteractionLikelihood
+from pasdedeux.sampling.densities.annotated import AnnotationSettings
+from pasdedeux.sampling.densities.density import Likelihood, PairDensity, TargetSettings
+from pasdedeux.sampling.densities.interaction import INTERACTION, InteractionLikelihood
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
-from pasdedeux.sampling.proposals import GaussianBlocks
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks
 
 NUM_ANNOTATIONS, NUM_VIEWS, NUM_CANDIDATES = 8000, 20, 500
 NUM_SAMPLES = 200
@@ -43,9 +44,7 @@ def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     return pairs, annotations, random_bank(rng, annotations, NUM_VIEWS, num_candidates=NUM_CANDIDATES)
 
 
-def default_target(
-    seed_m: np.ndarray, *, max_invalid_angles: int
-) -> tuple[PairDensity, PhysicalPrior, ImageLikelihood]:
+def default_target(seed_m: np.ndarray, *, max_invalid_angles: int) -> tuple[PairDensity, PhysicalPrior, Likelihood]:
     """Return what a study samples round a pair where it sets nothing, but for the limit of angles; made-up annotations.
 
     Joints of made-up pairs turn as they like.
@@ -53,49 +52,31 @@ def default_target(
     _, annotations, _ = _problem()
     count = len(annotations.directions)
     gathered = GatheredPairs(annotations, np.ones(count), 0, np.ones((count, 2)))
-    kind, settings = InteractionKind(), TargetSettings(max_invalid_angles=max_invalid_angles)
-    chart, limits = PairChart(seed_m), JointLimits.published()
-    likelihood = kind.likelihood(kind.settings(), DensityInputs(seed_m, np.random.default_rng(1), gathered))
-    target = kind.target(chart, limits, likelihood, settings)
-    return target, PhysicalPrior(chart, limits, kind.prior(settings)), likelihood
+    settings = TargetSettings(max_invalid_angles=max_invalid_angles)
+    chart = PairChart(seed_m)
+    prior = PhysicalPrior(chart, JointLimits.published(), settings)
+    likelihood = INTERACTION.init(AnnotationSettings(), np.random.default_rng(1), gathered)
+    return PairDensity(chart, prior, likelihood, settings), prior, likelihood
 
 
 def _samples() -> np.ndarray:
     return random_pairs(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
 
 
-def _against_plain(
-    name: str, fast: Likelihood, fast_name: str, note: str, plain_name: str = "numpy, vectorised over candidates"
-) -> BenchmarkResult:
-    """Measure likelihood evaluations, none cut short by the prior or by a level to reach."""
+def _likelihood() -> BenchmarkResult:
+    """The published likelihood, without prior; none is cut short by a level to reach."""
+    likelihood = InteractionLikelihood(*_problem()[1:])
+    same = [abs(likelihood.log_likelihood(pair) - likelihood.plain(pair)) < 1e-6 for pair in _samples()[:50]]
     turns, slow_turns = itertools.cycle(_samples()), itertools.cycle(_samples())
     return BenchmarkResult(
-        name=name,
+        name="likelihood",
         unit="evaluations",
-        fast_name=fast_name,
-        fast_per_s=measure_rate(lambda: [fast.log_likelihood(next(turns)) for _ in range(50)], count=50),
-        plain_name=plain_name,
-        plain_per_s=measure_rate(lambda: fast.plain(next(slow_turns))),
-        note=note,
+        fast_name="only who has a chance",
+        fast_per_s=measure_rate(lambda: [likelihood.log_likelihood(next(turns)) for _ in range(50)], count=50),
+        plain_name="all candidates",
+        plain_per_s=measure_rate(lambda: likelihood.plain(next(slow_turns))),
+        note=f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}",
     )
-
-
-def _share_of_best(fast: Likelihood, exact: Likelihood) -> str:
-    """Say in how many evaluations leaving candidates out does not change the result."""
-    same = [abs(fast.log_likelihood(pair) - exact.log_likelihood(pair)) < 1e-6 for pair in _samples()]
-    return f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}"
-
-
-def _likelihood() -> BenchmarkResult:
-    """The published likelihood, without prior."""
-    fast, exact = (InteractionLikelihood(*_problem()[1:], is_exact=is_exact) for is_exact in (False, True))
-    return _against_plain("likelihood", fast, "only who has a chance", _share_of_best(fast, exact))
-
-
-def _exact() -> BenchmarkResult:
-    """The published likelihood with all candidates compared."""
-    exact = InteractionLikelihood(*_problem()[1:], is_exact=True)
-    return _against_plain("likelihood, exact", exact, "all candidates, compiled", _SIZE)
 
 
 def _density() -> BenchmarkResult:
@@ -126,11 +107,11 @@ def _chain() -> BenchmarkResult:
     """Steps of a chain of the density that studies sample; the plain form has no early end."""
     target, prior, likelihood = default_target(gauge_fix(_problem()[0][0]), max_invalid_angles=NUM_ANGLES)
     chart = target.chart
-    propose, rng = GaussianBlocks(), np.random.default_rng(3)
+    propose, rng = GaussianBlocks().propose, np.random.default_rng(3)
     state = ChainState(chart.seed_parameters(), target.seed_evaluation)
 
     def plain_step() -> None:
-        parameters = propose(state.parameters, None, rng).parameters
+        parameters = propose(rng, state).parameters
         pair = chart.positions(parameters)
         prior.terms(parameters, pair)
         likelihood.plain(pair)
@@ -193,7 +174,6 @@ def _centred(pairs_m: np.ndarray) -> np.ndarray:
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "likelihood": _likelihood,
-    "exact": _exact,
     "density": _density,
     "chain": _chain,
     "triangulation": _triangulation,

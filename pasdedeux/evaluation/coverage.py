@@ -12,7 +12,7 @@ from pasdedeux.evaluation.figures import Curve, CurvePanel, panel_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
-from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 
 _MAX_DRAWS, _MAX_REAL = 200, 1500
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)

@@ -18,7 +18,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import figure_svg, new_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.interaction.nearest import image_distances, interaction_distances
-from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 
 _MARKERS = ("^", "s", "X", "D", "v")
 

@@ -16,7 +16,7 @@ from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.bandwidth import SAME_MOMENT, LeftOut, left_out
+from pasdedeux.sampling.bandwidth import SAME_MOMENT, LeaveOneOut, leave_one_out
 
 MIN_CANDIDATES = 20
 """Annotations a view is compared with even when none is within the view bandwidth."""
@@ -110,7 +110,7 @@ class GatheredPairs:
         weights: Weight of each entry's view in the view density, (entry,).
         num_skipped: Annotations left out because they show too little, or the scale or the view was missing.
         metres_per_pixel: Scale of each person in each entry, (entry, person=2).
-        moment: When each annotation was, as `left_out` takes it, (annotation,); all far apart where not given.
+        moment: When each annotation was, as `leave_one_out` takes it, (annotation,); all far apart where not given.
     """
 
     pairs: AnnotatedPairs
@@ -120,11 +120,11 @@ class GatheredPairs:
     moment: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @cached_property
-    def left_out(self) -> LeftOut:
-        """What annotations that are left out in turn, each under its first view, say of the bandwidth."""
+    def leave_one_out(self) -> LeaveOneOut:
+        """What annotations compared with the others in turn, each under its first view, say of the bandwidth."""
         annotation, first = np.unique(self.pairs.annotation_index, return_index=True)
         moment = self.moment[annotation] if len(self.moment) else SAME_MOMENT * annotation
-        return left_out(self.pairs.points_m[first], self.pairs.directions[first], moment)
+        return leave_one_out(self.pairs.points_m[first], self.pairs.directions[first], moment)
 
     @cached_property
     def view_spread_rad(self) -> float:
@@ -135,9 +135,9 @@ class GatheredPairs:
         directions = self.pairs.directions[first]
         return float(np.percentile(angle_between_directions(directions.mean(axis=0), directions), 90.0))
 
-    def view_density(self, *, deviation_rad: float = 0.5) -> ViewDensity:
+    def view_density(self) -> ViewDensity:
         """Return the density of views over these annotations (Yin et al. 2018, eq. 5)."""
-        return ViewDensity(self.pairs.directions, self.weights, deviation_rad)
+        return ViewDensity(self.pairs.directions, self.weights)
 
 
 def gather_pairs(

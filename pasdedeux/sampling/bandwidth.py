@@ -25,7 +25,7 @@ PUBLISHED_SIGMA_L = 0.01
 SAME_MOMENT = 30
 """Frames of a video nearer to each other than this are left out together: they show nearly the same pose."""
 
-_NUM_LEFT_OUT = 100
+_NUM_JUDGED = 100
 _NUM_COMPARED = 10
 """Others with the least rigid residual that d_I is computed for: its nearest is among the first few."""
 _SAME_M = 1e-6
@@ -35,7 +35,7 @@ _MIN_SHARED = 10
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeaveOneOut:
     """Annotations left out in turn.
 
     Args:
@@ -60,13 +60,13 @@ class LeftOut:
         return float(np.mean(-self.nearest_m / scale - self.freedom * math.log(scale)))
 
 
-def left_out(
+def leave_one_out(
     points_m: Array,
     directions: Array,
     moment: npt.NDArray[np.int64],
     *,
     view_bandwidth_rad: float = 0.5,
-) -> LeftOut:
+) -> LeaveOneOut:
     """Leave out up to 100 annotations in turn, evenly spread, each with all that show nearly the same moment.
 
     Args:
@@ -78,7 +78,7 @@ def left_out(
     points = points_m.reshape(len(points_m), -1, 2)
     is_seen = np.asarray(np.isfinite(points).all(axis=-1))
     nearest, freedom = [], []
-    for row in evenly_spread(len(points), _NUM_LEFT_OUT):
+    for row in evenly_spread(len(points), _NUM_JUDGED):
         is_similar = angle_between_directions(directions[row], directions) < view_bandwidth_rad
         num_shared = (is_seen & is_seen[row]).sum(axis=1)
         is_another = np.abs(moment - moment[row]) >= SAME_MOMENT
@@ -90,4 +90,4 @@ def left_out(
         found = [interaction_dissimilarity(points[row], points[one]) for one in tried]
         nearest.append(min(found))
         freedom.append(2.0 * num_shared[tried[int(np.argmin(found))]] - 3.0)
-    return LeftOut(np.array(nearest), np.array(freedom))
+    return LeaveOneOut(np.array(nearest), np.array(freedom))

@@ -4,28 +4,74 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
-from pasdedeux.sampling.density import Evaluation
-from pasdedeux.sampling.proposals.proposal import Blocks, Context, Proposed
+from pasdedeux.sampling.densities.density import Evaluation
+from pasdedeux.sampling.parameters import NUM_BLOCKS
 
-LogDensity = Callable[[Array, float], Evaluation]
-Propose = Callable[[Array, Context | None, np.random.Generator], Proposed]
-Gauge = Callable[[Array], Array]
+Context = npt.NDArray[np.int64]
+"""What a proposal must know of a point before it can leave it: the annotations that are nearest to it, (view,)."""
+Blocks = npt.NDArray[np.int64]
+"""Blocks that a step moved (see `NUM_BLOCKS`)."""
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """What the next step needs: where the chain is, the target there, and what the proposal must know of the place."""
+    """What the next step needs.
+
+    Args:
+        parameters: Where the chain is.
+        evaluation: The target there; its density must be positive.
+        context: What the proposal must know of the place; None where it needs nothing.
+        log_scales: Logarithms of the factors on the proposal's deviations of each block, (34,), learned in warm-up.
+    """
 
     parameters: Array
     evaluation: Evaluation
     context: Context | None = None
+    log_scales: Array = field(default_factory=lambda: np.zeros(NUM_BLOCKS))
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a proposal that depends on where it stands knows once it was prepared at the proposed point.
+
+    Args:
+        log_ratio: log Q(here | there) - log Q(there | here): what eq. 10 adds.
+        context: What the proposal must know of the proposed point.
+    """
+
+    log_ratio: float
+    context: Context | None
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """A proposed point.
+
+    Args:
+        parameters: The point.
+        log_ratio: log Q(here | there) - log Q(there | here): what eq. 10 adds; 0 for a symmetric proposal.  An upper
+            bound of it when there is `correct`.
+        correct: Prepares the proposal at the proposed point, which is dear, for the ratio itself; None where it is
+            known.
+        blocks: Blocks that moved, for warm-up, which learns their scales; None where scales are not learned.
+    """
+
+    parameters: Array
+    log_ratio: float = 0.0
+    correct: Callable[[], Correction] | None = None
+    blocks: Blocks | None = None
+
+
+LogDensity = Callable[[Array, float], Evaluation]
+"""The target at a point; below the level given with it, its value does not matter."""
+Propose = Callable[[np.random.Generator, ChainState], Proposed]
+Gauge = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -66,11 +112,11 @@ def step(
 
     Args:
         rng: Source of randomness.
-        state: Where the chain is; its density must be positive.
-        log_density: Target; called with a point and the level below which its value does not matter.
+        state: Where the chain is.
+        log_density: Target.
         propose: Proposal.
     """
-    proposed = propose(state.parameters, state.context, rng)
+    proposed = propose(rng, state)
     uncorrected = state.evaluation.log_target - rng.standard_exponential()
     level = uncorrected - proposed.log_ratio
     refused = state, StepInfo(is_accepted=False, blocks=proposed.blocks)
@@ -83,7 +129,8 @@ def step(
         if not evaluation.log_target >= uncorrected - correction.log_ratio:
             return refused
         context = correction.context
-    return ChainState(proposed.parameters, evaluation, context), StepInfo(is_accepted=True, blocks=proposed.blocks)
+    moved = ChainState(proposed.parameters, evaluation, context, state.log_scales)
+    return moved, StepInfo(is_accepted=True, blocks=proposed.blocks)
 
 
 def run_segment(
@@ -107,12 +154,7 @@ def run_segment(
         thin: Steps per kept draw.
         gauge: Moves a kept draw rigidly to the representative that is stored; the target there is the same, and so is
             what the proposal must know of it.
-
-    Raises:
-        InputError: `num_draws` or `thin` is not positive.
     """
-    if num_draws < 1 or thin < 1:
-        raise InputError(f"a segment needs draws and steps, found {num_draws} draws of {thin} steps")
     draws: list[ChainState] = []
     num_accepted = np.zeros(num_draws, dtype=np.int64)
     for draw in range(num_draws):
@@ -120,7 +162,7 @@ def run_segment(
             state, info = step(rng, state, log_density, propose)
             num_accepted[draw] += info.is_accepted
         if gauge is not None and num_accepted[draw]:
-            state = ChainState(gauge(state.parameters), state.evaluation, state.context)
+            state = replace(state, parameters=gauge(state.parameters))
         draws.append(state)
     segment = Segment(
         parameters=np.stack([draw.parameters for draw in draws]),
@@ -133,22 +175,25 @@ def run_segment(
 
 
 def generator_to_json(rng: np.random.Generator) -> str:
-    """Return the state of a generator as JSON, for `generator_from_json`."""
+    """Return the state of a generator (PCG64) as JSON, for `generator_from_json`."""
     return json.dumps(rng.bit_generator.state, sort_keys=True)
 
 
 def generator_from_json(text: str) -> np.random.Generator:
-    """Return a generator that continues exactly where the one of `generator_to_json` stood.
-
-    Raises:
-        InputError: The text is not the state of a PCG64 generator.
-    """
-    try:
-        state = json.loads(text)
-        if state["bit_generator"] != "PCG64":
-            raise ValueError(state["bit_generator"])
-        bits = np.random.PCG64(0)
-        bits.state = state
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"not the state of a PCG64 generator: {error}") from error
+    """Return a generator that continues exactly where the one of `generator_to_json` stood."""
+    bits = np.random.PCG64(0)
+    bits.state = json.loads(text)
     return np.random.Generator(bits)
+
+
+def proposal_to_json(state: ChainState) -> str:
+    """Return what a chain must remember of its proposal, as JSON without loss."""
+    context = None if state.context is None else state.context.tolist()
+    return json.dumps({"log_block": state.log_scales.tolist(), "context": context})
+
+
+def proposal_from_json(text: str) -> tuple[Array, Context | None]:
+    """Return the learned scales (34,), and the context of the place, that `proposal_to_json` wrote."""
+    state = json.loads(text)
+    context = state["context"]
+    return np.array(state["log_block"]), None if context is None else np.array(context, dtype=np.int64)

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, create_model, model_validator
 
-from pasdedeux.sampling.density import PRIOR_ONLY, DensityKind, TargetSettings
+from pasdedeux.sampling.densities import DENSITIES
+from pasdedeux.sampling.densities.density import PRIOR_ONLY, Density, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.settings import Settings
-from tasks.chains.densities import DENSITIES
 from tasks.stage import Parameters
 
 P = TypeVar("P", bound=Parameters)
@@ -51,7 +51,7 @@ class RunSettings(Settings):
     )
 
 
-def _with_settings_of(kinds: Sequence[DensityKind[Any]]) -> Callable[[type[P]], type[P]]:
+def _with_settings_of(kinds: Sequence[Density[Any]]) -> Callable[[type[P]], type[P]]:
     """Return what adds the settings of kinds to a section; a name that several kinds have is one setting."""
 
     def extended(section: type[P]) -> type[P]:
@@ -109,7 +109,7 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
             self.variant(name)
         return self
 
-    def settings_of(self, kind: DensityKind[Any]) -> Settings:
+    def settings_of(self, kind: Density[Any]) -> Settings:
         """Return the settings of a density out of this section.
 
         Raises:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pasdedeux.errors import InputError
-from pasdedeux.sampling.density import Reads, TargetSettings
+from pasdedeux.sampling.densities import DENSITIES
+from pasdedeux.sampling.densities.density import TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import ChainsParameters, RunSettings, SegmentParameters, SummaryParameters
 from tasks.draw_sets import GROWN
 from tasks.seeds import start_indices
@@ -48,13 +48,11 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
 
 def _read_by(density: str, inputs: StageInputs) -> Inputs | None:
     """Return what a density reads beside a seed and joint limits; None where a study has not got it."""
-    match DENSITIES[density].reads:
-        case Reads.ANNOTATIONS:
-            annotations = annotated_pairs(inputs)
-            views = views_of(annotations, inputs)
-            return {"annotations": annotations, "views": views} if annotations and views else None
-        case Reads.NOTHING:
-            return {}
+    if not DENSITIES[density].reads_annotations:
+        return {}
+    annotations = annotated_pairs(inputs)
+    views = views_of(annotations, inputs)
+    return {"annotations": annotations, "views": views} if annotations and views else None
 
 
 def _starts(inputs: StageInputs, which: str) -> list[tuple[Manifest, int]]:
@@ -74,7 +72,7 @@ def _plan_seed(
     read = {"seed": [seed], "joint_limits": inputs.of("joint_limits"), **needed}
     density = DENSITIES[own.densities[0]]
     proposal = PROPOSALS[own.proposal]
-    if proposal.reads_annotations and density.reads is not Reads.ANNOTATIONS:
+    if proposal.reads_annotations and not density.reads_annotations:
         proposal = next(iter(PROPOSALS.values()))
     partition, num_segments = f"{name}-seed{index}", -(-own.num_draws // own.segment_draws)
     segments: list[Shard] = []

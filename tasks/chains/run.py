@@ -1,4 +1,4 @@
-"""The way of annotations into draws: annotated pairs, a bank of views of them, a density, a chain, its draws."""
+"""Run one segment of a chain, or diagnose the chains of a seed."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import numpy as np
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.sampling.annotations import MIN_CANDIDATES
-from pasdedeux.sampling.chain import ChainState, Segment, generator_from_json, generator_to_json, run_segment
-from pasdedeux.sampling.density import (
-    DensityInputs,
-    Evaluation,
-    ImageLikelihood,
-    ImageSettings,
-    Likelihood,
-    PairDensity,
-    Reads,
+from pasdedeux.sampling.chain import (
+    ChainState,
+    generator_from_json,
+    generator_to_json,
+    proposal_from_json,
+    proposal_to_json,
+    run_segment,
 )
+from pasdedeux.sampling.densities import DENSITIES
+from pasdedeux.sampling.densities.density import Evaluation, Likelihood, PairDensity
 from pasdedeux.sampling.diagnostics import FIGURES, diagnose
 from pasdedeux.sampling.parameters import PairChart
-from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs, Scales
+from pasdedeux.sampling.prior import PhysicalPrior
+from pasdedeux.sampling.proposals import PROPOSALS
+from pasdedeux.sampling.proposals.proposal import Proposal, ProposalInputs
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
-from pasdedeux.sampling.warm_up import disperse, proposal_from_json, proposal_to_json, warm_up
+from pasdedeux.sampling.warm_up import disperse, warm_up
 from pasdedeux.settings import Settings
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
-from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
@@ -55,27 +56,16 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> ArtifactRef:
     """Run a segment of a chain on from where the one before ended, or from the seed."""
     problem = chain_problem(shard, options, store)
-    chart, target, propose = problem.chart, problem.target, problem.propose
+    chart, target, proposal = problem.chart, problem.target, problem.proposal
+    run, gauge = options.run, problem.chart.gauge_fixed
     if options.segment == 0:
         rng = stream(shard.seed, "chains", options.name, options.seed_index, options.chain)
-        state, propose = disperse(
-            rng, chart.seed_parameters(), target, propose, num_steps=options.run.num_dispersing * options.run.thin
-        )
-        state, propose = warm_up(
-            rng,
-            state,
-            target,
-            propose,
-            num_steps=options.run.num_warm_up * options.run.thin,
-            gauge=chart.gauge_fixed,
-        )
+        state = disperse(rng, chart.seed_parameters(), target, proposal, num_steps=run.num_dispersing * run.thin)
+        state = warm_up(rng, state, target, proposal.propose, num_steps=run.num_warm_up * run.thin, gauge=gauge)
     else:
-        rng, state, scales = _resume(shard, chart, store)
-        propose = propose.with_scales(scales)
-    count = options.run.segment_draws
-    state, draws = run_segment(
-        rng, state, target, propose, num_draws=count, thin=options.run.thin, gauge=chart.gauge_fixed
-    )
+        rng, state = _resume(shard, chart, store)
+    count = run.segment_draws
+    state, draws = run_segment(rng, state, target, proposal.propose, num_draws=count, thin=run.thin, gauge=gauge)
     identity: dict[str, list[Any]] = {
         "density": [options.name],
         "seed_index": [options.seed_index],
@@ -91,7 +81,7 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             "log_prior": draws.log_prior,
             "log_likelihood": draws.log_likelihood,
             "num_accepted": draws.num_accepted,
-            **_nearest(problem, draws),
+            **_nearest(problem, draws.parameters),
             "take_id": [problem.seed.take_id] * count,
         },
         "chain_states": {
@@ -103,7 +93,7 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             "log_prior": [state.evaluation.log_prior],
             "log_likelihood": [state.evaluation.log_likelihood],
             "generator_state": [generator_to_json(rng)],
-            "proposal_state": [proposal_to_json(propose.scales, state.context)],
+            "proposal_state": [proposal_to_json(state)],
         },
     }
     facts = {
@@ -115,7 +105,7 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
         "num_draws": count,
         "log_seed": target.log_seed,
         "log_ceiling": target.log_ceiling if np.isfinite(target.log_ceiling) else None,
-        "sigma_l": problem.evidence.sigma_l,
+        "sigma_l": problem.evidence.likelihood.sigma_l,
         "num_annotations_skipped": problem.evidence.num_skipped,
         "note": problem.evidence.note(),
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
@@ -123,36 +113,22 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
     return commit(shard, store, tables=tables, facts=facts)
 
 
-def _nearest(problem: ChainProblem, draws: Segment) -> dict[str, Any]:
-    """Return the annotation that each draw is nearest to, the view, and how near, as columns."""
-    count, likelihood = len(draws.parameters), problem.evidence.likelihood
-    if not isinstance(likelihood, ImageLikelihood):
-        return {
-            "sequence_id": [None] * count,
-            "sequence_frame": [None] * count,
-            "sequence_person_id": [None] * count,
-            "view": np.full((count, 3), np.nan),
-            "dissimilarity_m": np.full(count, np.nan),
-        }
-    places: list[Place] = []
-    views, distances = [], []
-    for draw, parameters in enumerate(draws.parameters):
-        if draws.num_accepted[draw] or not places:
-            # A little below what is known: rounding of the gauge must not hide it.
-            found = likelihood.match(
-                problem.chart.positions_fast(parameters), at_least=draws.log_likelihood[draw] - 1.0
-            )
-            view = int(np.argmin(found.dissimilarity_m))
-            place = problem.evidence.places[int(found.entry[view])]
-        places.append(place)
-        views.append(likelihood.directions[view])
-        distances.append(float(found.dissimilarity_m[view]))
+def _nearest(problem: ChainProblem, parameters: np.ndarray) -> dict[str, Any]:
+    """Return the annotation that each draw (draw, 108) is nearest to, the view, and how near, as columns."""
+    count, likelihood = len(parameters), problem.evidence.likelihood
+    places: list[Place | None] = [None] * count
+    views, distances = np.full((count, 3), np.nan), np.full(count, np.nan)
+    for draw, own in enumerate(parameters if len(likelihood.directions) else ()):
+        found = likelihood.nearest(problem.chart.positions_fast(own))
+        view = int(np.argmin(found.dissimilarity_m))
+        places[draw] = problem.evidence.places[int(found.entry[view])]
+        views[draw], distances[draw] = likelihood.directions[view], found.dissimilarity_m[view]
     return {
-        "sequence_id": [place.sequence_id for place in places],
-        "sequence_frame": [place.frame for place in places],
-        "sequence_person_id": [place.person_id for place in places],
-        "view": np.array(views),
-        "dissimilarity_m": np.array(distances),
+        "sequence_id": [place and place.sequence_id for place in places],
+        "sequence_frame": [place and place.frame for place in places],
+        "sequence_person_id": [place and place.person_id for place in places],
+        "view": views,
+        "dissimilarity_m": distances,
     }
 
 
@@ -163,7 +139,7 @@ class ChainProblem:
     seed: SeedRow
     chart: PairChart
     target: PairDensity
-    propose: Proposal
+    proposal: Proposal
     evidence: Evidence
 
 
@@ -174,12 +150,10 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
         InputError: The seed has density 0, with the term that made it so, or is no pair; names the seed.
     """
     seed = read_seed_row(store, shard.ref("seed"), options.seed_index)
-    density, kind = DENSITIES[options.density], PROPOSALS[options.proposal]
-    evidence = _NO_EVIDENCE
-    if density.reads is Reads.ANNOTATIONS:
-        evidence = _image_evidence(
+    kind = PROPOSALS[options.proposal]
+    try:
+        evidence = _evidence(
             store,
-            shard.ref("seed"),
             shard.refs("annotations"),
             shard.refs("views"),
             options.density,
@@ -188,39 +162,29 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
             options.seed_index,
             needs_speeds=kind.reads_annotations,
         )
-    try:
         chart = PairChart(seed.pair_m)
-        likelihood = evidence.likelihood
-        if density.reads is not Reads.ANNOTATIONS:
-            rng = stream(shard.seed, "chains", "density", options.seed_index)
-            likelihood = density.likelihood(options.density_settings, DensityInputs(seed.pair_m, rng))
-        target = density.target(chart, read_limits(store, shard.refs("joint_limits")), likelihood, options.target)
+        prior = PhysicalPrior(chart, read_limits(store, shard.refs("joint_limits")), options.target)
+        target = PairDensity(chart, prior, evidence.likelihood, options.target)
     except InputError as error:
         raise InputError(f"seed {options.seed_index} ({seed.origin}): {error}") from None
-    nearest = likelihood.nearest if isinstance(likelihood, ImageLikelihood) else None
-    propose = kind.build(ProposalInputs(chart, nearest, evidence.speeds))
-    return ChainProblem(seed, chart, target, propose, evidence)
+    inputs = ProposalInputs(chart, lambda pair_m: evidence.likelihood.nearest(pair_m).entry, evidence.speeds)
+    return ChainProblem(seed, chart, target, kind.init(inputs), evidence)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the annotations say about pairs near one seed; nothing for a density that does not read them.
+    """What the annotations say about pairs near one seed; nothing but the likelihood where they are not read.
 
     `places` are sequence and frame of each entry of the annotations.
     """
 
-    likelihood: Likelihood | None = None
+    likelihood: Likelihood
     places: tuple[Place, ...] = ()
     speeds: Speeds | None = None
     num_annotations: int = 0
     view_spread_rad: float = np.pi
     num_skipped: int = 0
     num_swapped: int = 0
-
-    @property
-    def sigma_l(self) -> float | None:
-        """Bandwidth of the likelihood; None for a density that reads no annotations."""
-        return self.likelihood.sigma_l if isinstance(self.likelihood, ImageLikelihood) else None
 
     def note(self) -> str:
         """Say what is unusual about the annotations; nothing when all is well."""
@@ -246,13 +210,9 @@ class Evidence:
         return "; ".join(notes)
 
 
-_NO_EVIDENCE = Evidence()
-
-
 @lru_cache(maxsize=2)
-def _image_evidence(
+def _evidence(
     store: Store,
-    seed: ArtifactRef,
     annotations: Refs,
     views: Refs,
     density: str,
@@ -266,18 +226,18 @@ def _image_evidence(
 
     This reads every annotation; the segments that one worker runs in a row mostly share it.
     """
-    assert isinstance(settings, ImageSettings)
+    rng = stream(study_seed, "chains", "views", seed_index)
+    if not DENSITIES[density].reads_annotations:
+        return Evidence(DENSITIES[density].init(settings, rng, None))
     placed = _gathered(store, annotations, views)
     pairs = placed.gathered.pairs
-    rng = stream(study_seed, "chains", "views", seed_index)
-    inputs = DensityInputs(read_seed_row(store, seed, seed_index).pair_m, rng, annotated=placed.gathered)
     speeds, num_swapped = None, 0
     if needs_speeds:
         tracks, was_swapped = undo_swaps(gather_tracks(placed))
         speeds = annotation_speeds(tracks)
         num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
     return Evidence(
-        likelihood=DENSITIES[density].likelihood(settings, inputs),
+        likelihood=DENSITIES[density].init(settings, rng, placed.gathered),
         places=tuple(placed.places[one] for one in pairs.annotation_index),
         speeds=speeds,
         num_annotations=len(np.unique(pairs.annotation_index)),
@@ -322,8 +282,8 @@ def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
     )
 
 
-def _resume(shard: Shard, chart: PairChart, store: Store) -> tuple[np.random.Generator, ChainState, Scales]:
-    """Return generator, state and learned scales as the previous segment left them."""
+def _resume(shard: Shard, chart: PairChart, store: Store) -> tuple[np.random.Generator, ChainState]:
+    """Return generator and state as the previous segment left them."""
     table = store.read(_done(shard.after[0], store).ref, "chain_states")
     parameters = np.array(table["parameters"][0], dtype=np.float64)
     evaluation = Evaluation(
@@ -332,9 +292,9 @@ def _resume(shard: Shard, chart: PairChart, store: Store) -> tuple[np.random.Gen
         log_likelihood=float(table["log_likelihood"][0]),
         log_measure=chart.log_measure(parameters),
     )
-    scales, context = proposal_from_json(str(table["proposal_state"][0]))
+    log_scales, context = proposal_from_json(str(table["proposal_state"][0]))
     rng = generator_from_json(str(table["generator_state"][0]))
-    return rng, ChainState(parameters, evaluation, context), scales
+    return rng, ChainState(parameters, evaluation, context, log_scales)
 
 
 def _done(key: str, store: Store) -> Manifest:

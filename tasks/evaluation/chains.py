@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
-from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.diagnostics import FIGURES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread

@@ -16,7 +16,7 @@ from pasdedeux.evaluation.left_out import (
 )
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
-from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_seen_pairs, views_of

@@ -27,7 +27,7 @@ from pasdedeux.evaluation.lifted_pairs import (
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
-from pasdedeux.sampling.density import PRIOR_ONLY
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store, TableData

@@ -6,22 +6,24 @@ itself, comparisons are gated on the effective sample size.  A proposal that sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.chain import ChainState, run_segment
-from pasdedeux.sampling.density import Evaluation, PairDensity
+from pasdedeux.sampling.chain import ChainState, Context, Correction, Propose, Proposed, run_segment
+from pasdedeux.sampling.densities.density import Evaluation, PairDensity
+from pasdedeux.sampling.densities.interaction import InteractionLikelihood
 from pasdedeux.sampling.diagnostics import effective_sample_size, invariants
-from pasdedeux.sampling.likelihood import InteractionLikelihood
 from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES, PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
-from pasdedeux.sampling.proposals import PROPOSALS, Context, Correction, Proposal, ProposalInputs, Proposed, Steps
+from pasdedeux.sampling.proposals import PROPOSALS
+from pasdedeux.sampling.proposals.blocks import Steps
+from pasdedeux.sampling.proposals.proposal import Proposal, ProposalInputs
 from pasdedeux.sampling.speeds import Speeds
-from pasdedeux.sampling.warm_up import warm_up
+from pasdedeux.sampling.warm_up import TARGET_ACCEPTANCE, warm_up
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import block_indices
 
@@ -78,31 +80,33 @@ def nearest(pair_m: np.ndarray) -> Context:
 def proposal(name: str, **steps: float) -> Proposal:
     """A registered proposal with large steps of many blocks, as far as it has such."""
     large = {"root_rotation_rad": 0.2, "root_position_m": 0.7, "joint_rotation_rad": 0.12, "max_blocks": 34}
-    built = PROPOSALS[name].build(ProposalInputs(CHART, nearest, speeds()))
+    built = PROPOSALS[name].init(ProposalInputs(CHART, nearest, speeds()))
     return replace(built, steps=Steps(**{**large, **steps})) if hasattr(built, "steps") else built
 
 
-@dataclass(frozen=True)
-class WithoutRatio:
+def without_ratio(right: Proposal) -> Propose:
     """The velocity-biased proposal as one would write it who forgets that its densities differ."""
 
-    right: Proposal
-
-    def __call__(self, parameters: np.ndarray, context: Context | None, rng: np.random.Generator) -> Proposed:
-        proposed = self.right(parameters, context, rng)
+    def propose(rng: np.random.Generator, state: ChainState) -> Proposed:
+        proposed = right.propose(rng, state)
         assert proposed.correct is not None
         there = proposed.correct().context
         return replace(proposed, log_ratio=0.0, correct=lambda: Correction(0.0, there))
 
+    return propose
 
-def sample(propose: object, right: Proposal, *, num_draws: int, thin: int, num_chains: int = 3) -> np.ndarray:
+
+def started(proposal: Proposal) -> ChainState:
+    start = CHART.seed_parameters()
+    start[[X, Y, Z]] = [3.0, 0.5, 0.0]
+    return ChainState(start, log_target(start, -np.inf), proposal.init(start))
+
+
+def sample(propose: Propose, begun: ChainState, *, num_draws: int, thin: int, num_chains: int = 3) -> np.ndarray:
     chains = []
     for chain in range(num_chains):
         rng = np.random.default_rng([17, chain])
-        start = CHART.seed_parameters()
-        start[[X, Y, Z]] = [3.0, 0.5, 0.0]
-        state = ChainState(start, log_target(start, -np.inf), right.prepare(start))
-        state, _ = run_segment(rng, state, log_target, propose, num_draws=50, thin=thin)
+        state, _ = run_segment(rng, begun, log_target, propose, num_draws=50, thin=thin)
         _, segment = run_segment(rng, state, log_target, propose, num_draws=num_draws, thin=thin)
         chains.append(segment.parameters)
     return np.stack(chains)
@@ -121,8 +125,8 @@ def worst_error(draws: np.ndarray, known: dict[int, tuple[float, float]]) -> flo
 
 @pytest.mark.parametrize("name", PROPOSALS)
 def test_draws_have_the_moments_of_a_skewed_and_a_truncated_target(name: str) -> None:
-    propose = proposal(name)
-    draws = sample(propose, propose, num_draws=350, thin=90)
+    built = proposal(name)
+    draws = sample(built.propose, started(built), num_draws=350, thin=90)
     assert worst_error(draws, {**KNOWN, **KNOWN_BONES}) < NUM_ERRORS
 
 
@@ -130,7 +134,8 @@ def test_steps_as_wide_as_annotations_move_keep_a_skewed_target_and_without_thei
     """Where speeds decide how wide steps are, the ratio decides where draws lie."""
     right = proposal("velocity", root_position_m=0.3, joint_rotation_rad=1e-3)
     errors = [
-        worst_error(sample(propose, right, num_draws=300, thin=25), KNOWN) for propose in (right, WithoutRatio(right))
+        worst_error(sample(propose, started(right), num_draws=300, thin=25), KNOWN)
+        for propose in (right.propose, without_ratio(right))
     ]
     assert errors[0] < NUM_ERRORS
     assert errors[1] > 2 * NUM_ERRORS
@@ -138,12 +143,12 @@ def test_steps_as_wide_as_annotations_move_keep_a_skewed_target_and_without_thei
 
 def test_the_ratio_of_a_step_is_that_of_its_density_back_and_forth() -> None:
     """Of a root, whose shift is plain to see: a normal density of the deviations at either end."""
-    propose = proposal("velocity", max_blocks=1)
+    built = proposal("velocity", max_blocks=1)
     rng = np.random.default_rng(3)
     start, ratios = CHART.seed_parameters(), []
-    here = propose.prepare(start)
+    here = built.init(start)
     while len(ratios) < 5:
-        proposed = propose(start, here, rng)
+        proposed = built.propose(rng, ChainState(start, log_target(start, -np.inf), here))
         if proposed.blocks is None or proposed.blocks.tolist() != [0] or proposed.correct is None:
             continue
         correction = proposed.correct()
@@ -163,35 +168,31 @@ def test_the_ratio_of_a_step_is_that_of_its_density_back_and_forth() -> None:
 @pytest.mark.parametrize("name", PROPOSALS)
 def test_giving_up_early_changes_nothing(name: str) -> None:
     """A bound on the ratio only saves work: a target that never stops early gives the same draws."""
-    propose = proposal(name)
+    built = proposal(name)
 
     def impatient(parameters: np.ndarray, at_least: float) -> Evaluation:
         evaluation = log_target(parameters, at_least)
         return evaluation if evaluation.log_density >= at_least else Evaluation(-np.inf)
 
-    start = CHART.seed_parameters()
-    start[[X, Y, Z]] = [3.0, 0.5, 0.0]
-    state = ChainState(start, log_target(start, -np.inf), propose.prepare(start))
     runs = [
-        run_segment(np.random.default_rng(3), state, target, propose, num_draws=60, thin=5)[1]
+        run_segment(np.random.default_rng(3), started(built), target, built.propose, num_draws=60, thin=5)[1]
         for target in (log_target, impatient)
     ]
     np.testing.assert_array_equal(runs[0].parameters, runs[1].parameters)
     assert 0 < runs[0].num_accepted.sum() < 300
 
 
-def test_warm_up_finds_scales_with_the_acceptance_asked_for_and_then_the_target_is_still_right() -> None:
-    begun = proposal("velocity", joint_rotation_rad=3.0, root_position_m=12.0)
-    start = CHART.seed_parameters()
-    start[[X, Y, Z]] = [3.0, 0.5, 0.0]
-    rng = np.random.default_rng(5)
-    state = ChainState(start, log_target(start, -np.inf), begun.prepare(start))
-    state, learned = warm_up(rng, state, log_target, begun, num_steps=4000, target_acceptance=0.3)
-    _, before = run_segment(np.random.default_rng(6), state, log_target, begun, num_draws=200, thin=5)
-    _, after = run_segment(np.random.default_rng(6), state, log_target, learned, num_draws=200, thin=5)
+def test_warm_up_finds_scales_with_the_acceptance_aimed_at_and_then_the_target_is_still_right() -> None:
+    built = proposal("velocity", joint_rotation_rad=3.0, root_position_m=12.0)
+    begun = started(built)
+    learned = warm_up(np.random.default_rng(5), begun, log_target, built.propose, num_steps=4000)
+    before, after = (
+        run_segment(np.random.default_rng(6), state, log_target, built.propose, num_draws=200, thin=5)[1]
+        for state in (replace(learned, log_scales=begun.log_scales), learned)
+    )
     assert before.num_accepted.sum() / 1000 < 0.1
-    assert after.num_accepted.sum() / 1000 == pytest.approx(0.3, abs=0.08)
-    draws = sample(learned, learned, num_draws=300, thin=40)
+    assert after.num_accepted.sum() / 1000 == pytest.approx(TARGET_ACCEPTANCE, abs=0.08)
+    draws = sample(built.propose, replace(begun, log_scales=learned.log_scales), num_draws=300, thin=40)
     assert worst_error(draws, KNOWN) < NUM_ERRORS
 
 
@@ -209,16 +210,16 @@ def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_un
     target = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
     turn, shift = (0.08 * rng.random((30, 34))) ** 2, (0.04 * rng.random((30, 2))) ** 2
     turn[:, np.arange(34) % 17 > 0] = 0.0
-    known = ProposalInputs(chart, likelihood.nearest, Speeds(turn, shift))
+    known = ProposalInputs(chart, lambda pair_m: likelihood.nearest(pair_m).entry, Speeds(turn, shift))
     watched = []
     for name, scale in (("unbiased", 0.03), ("velocity", 0.015)):
         steps = {"root_rotation_rad": scale, "root_position_m": scale / 2, "joint_rotation_rad": 1e-9}
-        propose = replace(PROPOSALS[name].build(known), steps=Steps(**steps, length_change=0.0, max_blocks=34))
+        built = replace(PROPOSALS[name].init(known), steps=Steps(**steps, length_change=0.0, max_blocks=34))
         chains = []
         for chain in range(2):
             rng = np.random.default_rng([19, chain])
             start = chart.seed_parameters()
-            state = ChainState(start, target.seed_evaluation, propose.prepare(start))
+            state, propose = ChainState(start, target.seed_evaluation, built.init(start)), built.propose
             state, _ = run_segment(rng, state, target, propose, num_draws=20, thin=20, gauge=chart.gauge_fixed)
             _, segment = run_segment(rng, state, target, propose, num_draws=220, thin=60, gauge=chart.gauge_fixed)
             chains.append(invariants(chart.positions(segment.parameters)))

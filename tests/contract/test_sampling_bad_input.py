@@ -12,10 +12,11 @@ import pytest
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
+from pasdedeux.sampling.chain import proposal_from_json
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
-from pasdedeux.sampling.proposals import GaussianBlocks, Steps
-from pasdedeux.sampling.proposals.blocks import UnbiasedKind
-from pasdedeux.sampling.warm_up import proposal_from_json
+from pasdedeux.sampling.proposals import PROPOSALS
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
+from pasdedeux.sampling.proposals.proposal import ProposalKind
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks import chains
@@ -152,7 +153,7 @@ def test_a_chain_that_cannot_move_is_reported_as_stuck(tmp_path: Path, monkeypat
     tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
     given = with_seeds(store, tables, num_seeds=1)
     far = Steps(root_rotation_rad=3.0, root_position_m=9.0, joint_rotation_rad=3.0, max_blocks=34)
-    monkeypatch.setattr(UnbiasedKind, "build", lambda self, inputs: GaussianBlocks(far))
+    monkeypatch.setitem(PROPOSALS, "unbiased", ProposalKind("unbiased", lambda _: GaussianBlocks(far)))
     planned = chains.plan(given, ChainsParameters(**{**QUICK, "num_chains": 1, "densities": ("ic",)}))
     made = run(planned, chains, store)
     info = store.read(made[-1].ref, "chain_info")

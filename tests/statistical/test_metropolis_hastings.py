@@ -5,20 +5,27 @@ Every comparison is gated on the effective sample size: the tolerance is a numbe
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
-from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment, step
-from pasdedeux.sampling.density import Evaluation, PairDensity
+from pasdedeux.sampling.chain import (
+    ChainState,
+    LogDensity,
+    Propose,
+    Proposed,
+    generator_from_json,
+    generator_to_json,
+    run_segment,
+    step,
+)
+from pasdedeux.sampling.densities.density import Evaluation, PairDensity, PriorOnly
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
-from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, Steps
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
 from pasdedeux.sampling.proposals.velocity import VelocityBlocks
 from pasdedeux.sampling.speeds import Speeds
 from pasdedeux.skeletons import PAIR17
@@ -26,9 +33,6 @@ from pasdedeux.skeletons import PAIR17
 MIN_ESS = 400.0
 NUM_ERRORS = 4.5
 """Standard errors allowed: about one false alarm in 150,000 comparisons."""
-
-LogDensity = Callable[[np.ndarray, float], Evaluation]
-Propose = Callable[[np.ndarray, np.ndarray | None, np.random.Generator], Proposed]
 
 
 def log_normal(x: np.ndarray, at_least: float) -> Evaluation:
@@ -57,7 +61,8 @@ def log_gamma(x: np.ndarray, at_least: float) -> Evaluation:
 
 
 def symmetric(scale: float) -> Propose:
-    def propose(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def propose(rng: np.random.Generator, state: ChainState) -> Proposed:
+        x = state.parameters
         return Proposed(x + scale * rng.standard_normal(x.shape))
 
     return propose
@@ -66,7 +71,8 @@ def symmetric(scale: float) -> Propose:
 def multiplicative(scale: float) -> Propose:
     """An asymmetric proposal: a step of log x; the ratio of the two densities is x' / x."""
 
-    def propose(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def propose(rng: np.random.Generator, state: ChainState) -> Proposed:
+        x = state.parameters
         there = x * np.exp(scale * rng.standard_normal(x.shape))
         return Proposed(there, log_ratio=float(np.log(there).sum() - np.log(x).sum()))
 
@@ -127,14 +133,15 @@ def test_moments_of_analytic_targets(
 def test_an_asymmetric_proposal_without_its_correction_is_caught() -> None:
     right = multiplicative(1.0)
 
-    def broken(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
-        return Proposed(right(x, context, rng).parameters)
+    def broken(rng: np.random.Generator, state: ChainState) -> Proposed:
+        return Proposed(right(rng, state).parameters)
 
     assert worst_error(sample(log_gamma, broken, 3.0), (3.0, 12.0)) > 2 * NUM_ERRORS
 
 
 def test_a_drifting_proposal_is_caught() -> None:
-    def drifting(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def drifting(rng: np.random.Generator, state: ChainState) -> Proposed:
+        x = state.parameters
         return Proposed(x + 0.3 + 2.4 * rng.standard_normal(x.shape))
 
     assert worst_error(sample(log_normal, drifting, 0.0), (0.0, 1.0)) > 2 * NUM_ERRORS
@@ -147,7 +154,8 @@ def test_flow_between_states_is_in_detailed_balance() -> None:
     def log_density(x: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(weights[int(x[0])]))
 
-    def propose(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def propose(rng: np.random.Generator, state: ChainState) -> Proposed:
+        x = state.parameters
         return Proposed((x + rng.choice([-1, 1])) % 5)
 
     rng = np.random.default_rng(3)
@@ -182,7 +190,7 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
     The angle of a uniform rotation has density (1 - cos t) / pi, so its mean is pi / 2 + 2 / pi.
     """
     chart = PairChart(standing_pair())
-    propose = GaussianBlocks(Steps(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34))
+    propose = GaussianBlocks(Steps(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34)).propose
 
     def log_density(parameters: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(-0.5 * (parameters[POSITION_INDICES] ** 2).sum() / 0.2**2))
@@ -211,8 +219,8 @@ def test_velocity_steps_that_widen_halfway_sample_a_skewed_target() -> None:
     """
     mean_m, step_m, place = 0.2, 0.2, POSITION_INDICES[0, 0]
     speeds = Speeds(np.zeros((2, NUM_BLOCKS)), np.array([[0.0, 0.0], [8.0, 8.0]]) * step_m**2)
-    propose = VelocityBlocks(
-        Steps(root_position_m=step_m, max_blocks=34),
+    proposal = VelocityBlocks(
+        steps=Steps(root_position_m=step_m, max_blocks=34),
         speeds=speeds,
         nearest=lambda parameters: np.array([int(parameters[place] > mean_m)]),
     )
@@ -226,20 +234,23 @@ def test_velocity_steps_that_widen_halfway_sample_a_skewed_target() -> None:
     for chain in range(3):
         rng, start = np.random.default_rng([17, chain]), PairChart(standing_pair()).seed_parameters()
         start[POSITION_INDICES] = mean_m
-        state = ChainState(start, log_density(start, -np.inf), propose.prepare(start))
-        _, segment = run_segment(rng, state, log_density, propose, num_draws=1800, thin=16)
+        state = ChainState(start, log_density(start, -np.inf), proposal.init(start))
+        _, segment = run_segment(rng, state, log_density, proposal.propose, num_draws=1800, thin=16)
         chains.append(segment.parameters[50:])
     value = np.stack(chains)[..., place, None]
     assert worst_error(value / mean_m, (1.0, 2.0)) < NUM_ERRORS
 
 
-def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_ball() -> None:
+def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_ball(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A target flat over poses: cosines of bones to the seed's uniform on -1..1, cubes of the distance on 0..bound."""
     chart, bound_m = PairChart(standing_pair()), 1.5
+    monkeypatch.setattr("pasdedeux.sampling.densities.density.MAX_APART_M", bound_m)
     anything = PriorSettings(alpha=0.0, sigma_p_m=1e6, max_invalid_angles=2 * NUM_ANGLES)
     prior = PhysicalPrior(chart, JointLimits.published(), anything)
-    target = PairDensity(chart, prior, None, max_apart_m=bound_m)
-    propose = GaussianBlocks(Steps(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4))
+    target = PairDensity(chart, prior, PriorOnly())
+    propose = GaussianBlocks(Steps(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4)).propose
     chains = []
     for chain in range(3):
         rng = np.random.default_rng([13, chain])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs
-from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L, SAME_MOMENT, LeftOut, left_out
+from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L, SAME_MOMENT, LeaveOneOut, leave_one_out
 
 
 def annotated(spread_rad: float, count: int = 120) -> AnnotatedPairs:
@@ -29,7 +29,7 @@ def gathered(pairs: AnnotatedPairs, moment: np.ndarray | None = None) -> Gathere
 )
 def test_no_other_bandwidth_makes_left_out_annotations_likelier(found: list[tuple[float, int]], factor: float) -> None:
     distance, joints = np.array(found).T
-    own = LeftOut(distance, 2.0 * joints - 3.0)
+    own = LeaveOneOut(distance, 2.0 * joints - 3.0)
     assert own.log_likelihood(own.sigma_l) > own.log_likelihood(factor * own.sigma_l)
 
 
@@ -37,11 +37,11 @@ def test_the_bandwidth_is_that_of_annotations_with_such_neighbours() -> None:
     """Points round centres by eq. 9's own kernel (a length of Gamma(D), any direction), as d_I in D numbers."""
     rng, freedom, sigma_l = np.random.default_rng(2), 65.0, 0.03
     lengths = rng.gamma(freedom, 2.0 * sigma_l**2, size=400)
-    assert abs(LeftOut(lengths, np.full(400, freedom)).sigma_l / sigma_l - 1.0) < 0.02
+    assert abs(LeaveOneOut(lengths, np.full(400, freedom)).sigma_l / sigma_l - 1.0) < 0.02
 
 
 def test_annotations_that_lie_closer_together_ask_for_a_smaller_bandwidth() -> None:
-    near, far = (gathered(annotated(spread)).left_out for spread in (0.05, 0.3))
+    near, far = (gathered(annotated(spread)).leave_one_out for spread in (0.05, 0.3))
     assert 0.0 < near.sigma_l < 0.7 * far.sigma_l
     # Far apart as these are, the published bandwidth finds them hardly possible.
     assert far.log_likelihood(far.sigma_l) > far.log_likelihood(PUBLISHED_SIGMA_L) + 50.0
@@ -52,17 +52,17 @@ def test_annotations_of_one_moment_are_left_out_together() -> None:
     twice = AnnotatedPairs(
         np.repeat(once.points_m, 2, axis=0), np.repeat(once.directions, 2, axis=0), np.arange(2 * len(once.points_m))
     )
-    apart = gathered(twice).left_out
+    apart = gathered(twice).leave_one_out
     assert apart.nearest_m.max() < 1e-9
-    together = gathered(twice, SAME_MOMENT * (np.arange(len(twice.points_m)) // 2)).left_out
-    assert abs(together.sigma_l / gathered(once).left_out.sigma_l - 1.0) < 0.1
+    together = gathered(twice, SAME_MOMENT * (np.arange(len(twice.points_m)) // 2)).leave_one_out
+    assert abs(together.sigma_l / gathered(once).leave_one_out.sigma_l - 1.0) < 0.1
 
 
 def test_no_frame_of_a_video_is_compared_with_one_just_before_or_after_it() -> None:
     first, last = annotated(0.2, 2).points_m
     frames = np.arange(90)
     points = first + (frames / 900.0)[:, None, None, None] * (last - first)
-    found = left_out(points, np.repeat([[0.0, 0.0, 1.0]], len(frames), axis=0), frames)
+    found = leave_one_out(points, np.repeat([[0.0, 0.0, 1.0]], len(frames), axis=0), frames)
     assert len(found.nearest_m) == len(frames)
     apart = interaction_dissimilarity(points[0].reshape(-1, 2), points[SAME_MOMENT].reshape(-1, 2))
     np.testing.assert_allclose(found.nearest_m, apart, rtol=0.2)
@@ -70,11 +70,11 @@ def test_no_frame_of_a_video_is_compared_with_one_just_before_or_after_it() -> N
 
 def test_where_nothing_can_be_left_out_the_published_bandwidth_stays() -> None:
     pairs = annotated(0.2, 3)
-    one = gathered(AnnotatedPairs(pairs.points_m[:1], pairs.directions[:1], np.zeros(1, dtype=np.int64))).left_out
+    one = gathered(AnnotatedPairs(pairs.points_m[:1], pairs.directions[:1], np.zeros(1, dtype=np.int64))).leave_one_out
     assert one.sigma_l == PUBLISHED_SIGMA_L
     assert np.isnan(one.log_likelihood(0.01))
     same = (np.repeat(values[:1], 4, axis=0) for values in (pairs.points_m, pairs.directions))
-    alike = left_out(*same, SAME_MOMENT * np.arange(4))
+    alike = leave_one_out(*same, SAME_MOMENT * np.arange(4))
     assert len(alike.nearest_m) == 4
     assert alike.sigma_l == PUBLISHED_SIGMA_L
 
@@ -83,7 +83,9 @@ def test_joints_that_are_not_seen_do_not_count() -> None:
     pairs = annotated(0.2, 60)
     points = pairs.points_m.copy()
     points[::2, 1, 14:] = np.nan
-    found = left_out(points, np.repeat([[0.0, 0.0, 1.0]], len(points), axis=0), SAME_MOMENT * np.arange(len(points)))
+    found = leave_one_out(
+        points, np.repeat([[0.0, 0.0, 1.0]], len(points), axis=0), SAME_MOMENT * np.arange(len(points))
+    )
     # Of two images what one of them lacks says nothing of either.
     assert (found.freedom[::2] == 59.0).all()
     assert set(found.freedom[1::2]) == {65.0, 59.0}

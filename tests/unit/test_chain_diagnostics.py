@@ -11,7 +11,7 @@ from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.density import PairDensity
+from pasdedeux.sampling.densities.density import PairDensity, PriorOnly
 from pasdedeux.sampling.diagnostics import MAX_AT_CEILING, diagnose, invariants
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior
@@ -89,11 +89,8 @@ def test_what_is_watched_does_not_change_when_the_pair_moves_rigidly() -> None:
 
 
 def test_a_seed_that_no_annotation_resembles_is_named_with_its_likelihood() -> None:
-    class Nothing:
+    class Nothing(PriorOnly):
         def log_likelihood(self, pair_m: np.ndarray, *, at_least: float = -np.inf) -> float:
-            return -np.inf
-
-        def plain(self, pair_m: np.ndarray) -> float:
             return -np.inf
 
     chart = PairChart(SEED)

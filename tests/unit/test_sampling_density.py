@@ -13,9 +13,10 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
-from pasdedeux.sampling.density import MAX_APART_M, PairDensity, TargetSettings
+from pasdedeux.sampling.chain import ChainState
+from pasdedeux.sampling.densities.density import MAX_APART_M, Evaluation, PairDensity, PriorOnly, TargetSettings
+from pasdedeux.sampling.densities.interaction import InteractionLikelihood
 from pasdedeux.sampling.image_kernels import pair_axes
-from pasdedeux.sampling.likelihood import InteractionKind, InteractionLikelihood
 from pasdedeux.sampling.parameters import (
     LENGTH_INDICES,
     MIRRORED_LENGTH,
@@ -27,7 +28,7 @@ from pasdedeux.sampling.parameters import (
     gauge_fix,
 )
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
-from pasdedeux.sampling.proposals import GaussianBlocks, Steps
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import block_indices
@@ -200,9 +201,10 @@ def test_prior_is_zero_for_stretched_or_untied_bones() -> None:
     assert prior.terms(stretched, chart.positions(stretched)).log_prior > -np.inf
 
 
-def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
+def test_people_too_far_apart_and_turned_over_bones_have_density_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pasdedeux.sampling.densities.density.MAX_APART_M", 1.5)
     chart = PairChart(SEED)
-    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), None, max_apart_m=1.5)
+    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), PriorOnly())
     near, far, turned = (chart.seed_parameters() for _ in range(3))
     near[POSITION_INDICES[1]] = near[POSITION_INDICES[0]] + [1.49, 0.0, 0.0]
     far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [1.51, 0.0, 0.0]
@@ -210,7 +212,7 @@ def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
     assert np.isfinite(density(near).log_density)
     assert density(far).log_density == density(turned).log_density == -np.inf
     wide = PairChart(chart.positions(far))
-    wider = PairDensity(wide, PhysicalPrior(wide, LIMITS), None, max_apart_m=1.5)
+    wider = PairDensity(wide, PhysicalPrior(wide, LIMITS), PriorOnly())
     assert np.isfinite(wider(wide.seed_parameters()).log_density)
 
 
@@ -219,7 +221,7 @@ def test_a_density_that_is_told_nothing_is_the_one_that_studies_sample(
 ) -> None:
     chart, likelihood = PairChart(SEED), InteractionLikelihood(*annotated)
     own = PairDensity(chart, PhysicalPrior(chart, LIMITS), likelihood)
-    study = InteractionKind().target(chart, LIMITS, likelihood, TargetSettings())
+    study = PairDensity(chart, PhysicalPrior(chart, LIMITS, TargetSettings()), likelihood, TargetSettings())
     assert (own.log_floor, own.log_ceiling) == (study.log_floor, study.log_ceiling) == (-np.inf, np.inf)
     far = chart.seed_parameters()
     far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [MAX_APART_M + 0.01, 0.0, 0.0]
@@ -267,7 +269,7 @@ def test_a_seed_with_density_zero_names_the_term_and_the_amount() -> None:
             bent[block_indices(PAIR17.index(name) + 17 * person)[:2]] = [1.8, 0.5]
     broken = PairChart(chart.positions(bent))
     with pytest.raises(InputError, match=r"density 0: the prior found \d+ joint angles out of range, \d+ more than"):
-        PairDensity(broken, PhysicalPrior(broken, LIMITS), None)
+        PairDensity(broken, PhysicalPrior(broken, LIMITS), PriorOnly())
 
 
 def test_a_seed_without_bones_or_with_nan_is_refused() -> None:
@@ -285,7 +287,7 @@ def test_proposals_keep_ties_and_move_few_blocks() -> None:
     propose = GaussianBlocks(Steps(max_blocks=3))
     parameters = random_parameters(rng)
     for _ in range(200):
-        proposed = propose(parameters, None, rng).parameters
+        proposed = propose.propose(rng, ChainState(parameters, Evaluation(0.0))).parameters
         np.testing.assert_allclose(proposed[LENGTH_INDICES], proposed[MIRRORED_LENGTH], atol=1e-12)
         changed = [
             block

@@ -11,8 +11,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs, shows_enough
-from pasdedeux.sampling.density import Pooling
-from pasdedeux.sampling.likelihood import InteractionLikelihood, plain_log_likelihood
+from pasdedeux.sampling.densities.annotated import Pooling
+from pasdedeux.sampling.densities.interaction import InteractionLikelihood
 from pasdedeux.skeletons import PAIR17
 
 
@@ -23,30 +23,14 @@ def annotated() -> tuple[AnnotatedPairs, ViewBank]:
     return annotations, random_bank(rng, annotations, 8, num_candidates=80)
 
 
-def test_compiled_likelihood_agrees_with_the_definition(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
-    pairs, bank = annotated
-    exact = InteractionLikelihood(pairs, bank, is_exact=True)
-    for pair in random_pairs(np.random.default_rng(7), 12, spread_rad=0.15):
-        plain = plain_log_likelihood(pair, pairs, bank)
-        match = exact.match(pair)
-        assert match.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
-        mattered = np.isfinite(match.dissimilarity_m)
-        np.testing.assert_allclose(match.dissimilarity_m[mattered], plain.dissimilarity_m[mattered], rtol=1e-9)
-        np.testing.assert_array_equal(match.entry[mattered], plain.entry[mattered])
-
-
 def test_estimates_leave_the_same_best_as_comparing_all() -> None:
     rng = np.random.default_rng(8)
     pairs = random_annotations(rng, random_pairs(rng, 500, spread_rad=0.2), 1500)
     bank = random_bank(rng, pairs, 6, num_candidates=400, view_bandwidth_rad=1.2)
     assert bank.counts.max() > 300
-    fast, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
-    # An estimate trusted too far loses the best: the comparison can fail.
-    careless = InteractionLikelihood(pairs, bank, min_ratio=1.0, min_own_ratio=1.0)
-    samples = random_pairs(rng, 150, spread_rad=0.2)
-    expected = np.array([exact.log_likelihood(pair) for pair in samples])
-    assert np.array([fast.log_likelihood(pair) for pair in samples]) == pytest.approx(expected, rel=1e-12)
-    assert np.array([careless.log_likelihood(pair) for pair in samples]) != pytest.approx(expected, rel=1e-12)
+    likelihood = InteractionLikelihood(pairs, bank)
+    for pair in random_pairs(rng, 150, spread_rad=0.2):
+        assert likelihood.log_likelihood(pair) == pytest.approx(likelihood.plain(pair), rel=1e-10)
 
 
 def with_hidden(rng: np.random.Generator, pairs: AnnotatedPairs, share: float) -> AnnotatedPairs:
@@ -65,24 +49,24 @@ def test_a_likelihood_that_every_view_has_a_say_in_is_its_definition(share: floa
     every = InteractionLikelihood(pairs, bank, sigma_l=0.03, pooling=Pooling.EVERY_VIEW)
     best_alone = InteractionLikelihood(pairs, bank, sigma_l=0.03)
     for pair in random_pairs(rng, 8, spread_rad=0.2):
-        plain = plain_log_likelihood(pair, pairs, bank, sigma_l=0.03, pooling=Pooling.EVERY_VIEW)
-        assert plain.log_likelihood == pytest.approx(-plain.dissimilarity_m.mean() / (2 * 0.03**2), rel=1e-12)
+        plain = every.plain_nearest(pair)
+        assert every.plain(pair) == pytest.approx(-plain.dissimilarity_m.mean() / (2 * 0.03**2), rel=1e-12)
         value = every.log_likelihood(pair)
-        assert value == pytest.approx(plain.log_likelihood, rel=1e-9)
-        np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        assert value == pytest.approx(every.plain(pair), rel=1e-9)
+        np.testing.assert_array_equal(every.nearest(pair).entry, plain.entry)
         # Jensen: the mean of logarithms is at most the logarithm of the mean.
         assert value <= best_alone.log_likelihood(pair)
         for level in (value - 1e-9 * abs(value), value + 1e-9 * abs(value), 0.9 * value, 1.1 * value):
             found = every.log_likelihood(pair, at_least=level)
             assert found == (value if value >= level else -np.inf)
-            np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+            np.testing.assert_array_equal(every.nearest(pair).entry, plain.entry)
         # What was found of this pair is not taken for that of one asked for between, nor of one in the same memory.
         every.nearest(1.1 * pair)
-        np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        np.testing.assert_array_equal(every.nearest(pair).entry, plain.entry)
         moving = 1.5 * pair
         every.log_likelihood(moving)
         moving[:] = pair
-        np.testing.assert_array_equal(every.nearest(moving), plain.entry)
+        np.testing.assert_array_equal(every.nearest(moving).entry, plain.entry)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.35])
@@ -90,14 +74,13 @@ def test_a_likelihood_with_hidden_joints_is_the_definition_and_looks_at_all_that
     rng = np.random.default_rng(17)
     pairs = with_hidden(rng, random_annotations(rng, random_pairs(rng, 400, spread_rad=0.2), 1200), share)
     bank = random_bank(rng, pairs, 6, num_candidates=300, view_bandwidth_rad=1.2)
-    fast, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
+    fast = InteractionLikelihood(pairs, bank)
     assert not pairs.is_seen.all()
     for pair in random_pairs(rng, 40, spread_rad=0.2):
-        assert fast.log_likelihood(pair) == exact.log_likelihood(pair)
+        assert fast.log_likelihood(pair) == pytest.approx(fast.plain(pair), rel=1e-10)
     for pair in random_pairs(rng, 6, spread_rad=0.2):
-        plain = plain_log_likelihood(pair, pairs, bank)
-        np.testing.assert_array_equal(fast.nearest(pair), plain.entry)
-        assert exact.log_likelihood(pair) == pytest.approx(plain.log_likelihood, rel=1e-9)
+        plain = fast.plain_nearest(pair)
+        np.testing.assert_array_equal(fast.nearest(pair).entry, plain.entry)
         # The definition itself: the least d_I of one pair and one annotation at a time.
         image = project_pair(pair, bank.directions[0]).reshape(34, 2)
         own = bank.candidates[0, : bank.counts[0]]
@@ -123,20 +106,15 @@ def test_an_annotation_with_hidden_joints_still_fits_its_own_pair() -> None:
     assert InteractionLikelihood(whole, build_bank(view, whole)).log_likelihood(waving) < -300.0
 
 
-def test_views_left_out_add_less_than_rounding_to_the_likelihood() -> None:
+def test_views_that_are_skipped_add_less_than_rounding_to_the_likelihood() -> None:
     rng = np.random.default_rng(14)
     pairs = random_annotations(rng, random_pairs(rng, 60, spread_rad=0.1), 150)
     bank = build_bank(pairs.directions[:12], pairs, num_candidates=50, view_bandwidth_rad=1.0)
-    left_out = 0
     for sigma_l in (0.01, 0.05):
         likelihood = InteractionLikelihood(pairs, bank, sigma_l=sigma_l)
         for pair in random_pairs(rng, 12, spread_rad=0.1):
-            plain = plain_log_likelihood(pair, pairs, bank, sigma_l=sigma_l)
-            match = likelihood.match(pair)
-            left_out += np.isinf(match.dissimilarity_m).sum()
             # exp of the logs agrees to 1e-9 relative; d_I itself is only known to that once divided by 2 sigma_l^2.
-            assert match.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-11, abs=1e-10)
-    assert left_out > 100
+            assert likelihood.log_likelihood(pair) == pytest.approx(likelihood.plain(pair), rel=1e-11, abs=1e-10)
 
 
 def test_every_view_finds_its_nearest_annotation_also_where_it_cannot_matter(
@@ -145,8 +123,8 @@ def test_every_view_finds_its_nearest_annotation_also_where_it_cannot_matter(
     pairs, bank = annotated
     likelihood = InteractionLikelihood(pairs, bank)
     for pair in random_pairs(np.random.default_rng(9), 12, spread_rad=0.15):
-        plain = plain_log_likelihood(pair, pairs, bank)
-        np.testing.assert_array_equal(likelihood.nearest(pair), plain.entry)
+        plain = likelihood.plain_nearest(pair)
+        np.testing.assert_array_equal(likelihood.nearest(pair).entry, plain.entry)
 
 
 def test_likelihood_of_an_annotated_pair_under_its_own_view_is_one() -> None:
@@ -204,5 +182,4 @@ def test_fewer_annotations_than_candidates_are_all_used() -> None:
     pairs = random_annotations(rng, random_pairs(rng, 3), 3)
     bank = build_bank(normalise(rng.normal(size=(4, 3))), pairs)
     assert list(bank.counts) == [3, 3, 3, 3]
-    match = InteractionLikelihood(pairs, bank).match(random_pairs(rng, 1)[0])
-    assert np.isfinite(match.log_likelihood)
+    assert np.isfinite(InteractionLikelihood(pairs, bank).log_likelihood(random_pairs(rng, 1)[0]))

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.arrays import Array
+from pasdedeux.compiled import compiled
+from pasdedeux.kinematics.rotation_kernels import multiply, rotvec_from_unitquat, unitquat_from_rotvec
+from pasdedeux.sampling.chain import Blocks, ChainState, Proposed
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, NUM_PER_PERSON
-from pasdedeux.sampling.proposals.kernels import move_blocks
-from pasdedeux.sampling.proposals.proposal import (
-    Blocks,
-    Context,
-    Proposal,
-    ProposalInputs,
-    ProposalKind,
-    Proposed,
-    Scales,
-)
+from pasdedeux.sampling.proposals.proposal import Proposal, ProposalKind
 from pasdedeux.skeletons import PAIR17
 
 
@@ -44,7 +36,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class GaussianBlocks:
+class GaussianBlocks(Proposal):
     """Symmetric Gaussian steps.
 
     A root turns by a small rotation in the world (isotropic, so the step does not depend on how the pair stands: it is
@@ -53,41 +45,27 @@ class GaussianBlocks:
 
     Args:
         steps: Standard deviations, and how many blocks move together.
-        scales: Learned factors on them.
     """
 
-    steps: Steps = field(default_factory=Steps)
-    scales: Scales = field(default_factory=Scales)
+    steps: Steps = Steps()
 
-    def with_scales(self, scales: Scales) -> Self:
-        """Return the same proposal with other learned factors."""
-        return replace(self, scales=scales)
+    def propose(self, rng: np.random.Generator, state: ChainState) -> Proposed:
+        """Propose a step."""
+        blocks, noise = self._drawn(rng)
+        return Proposed(self._moved(state, blocks, noise, *self._deviations), blocks=blocks)
 
-    def prepare(self, parameters: Array) -> Context | None:
-        """Return nothing: the step is the same everywhere."""
-        return None
-
-    def __call__(self, parameters: Array, context: Context | None, rng: np.random.Generator) -> Proposed:
-        """Propose a step from parameters (108,)."""
-        blocks = self._drawn(rng)
-        noise = rng.standard_normal((len(blocks), 6))
-        moved = self._moved(parameters, blocks, noise, self.scales.of(blocks), *self._deviations)
-        return Proposed(moved, blocks=blocks)
-
-    def _drawn(self, rng: np.random.Generator) -> Blocks:
-        """Return the blocks of a step, 1 to `max_blocks` of them: with chances that do not depend on the place."""
+    def _drawn(self, rng: np.random.Generator) -> tuple[Blocks, Array]:
+        """Return the blocks of a step, 1 to `max_blocks` of them, wherever the chain is, and normal noise (n, 6)."""
         # A number that nothing uses: chains keep the random numbers, and so the draws, that they have always had.
         rng.random()
         count = int(rng.integers(1, self.steps.max_blocks + 1))
-        return rng.choice(NUM_BLOCKS, size=count, replace=False, shuffle=False)
+        blocks = rng.choice(NUM_BLOCKS, size=count, replace=False, shuffle=False)
+        return blocks, rng.standard_normal((count, 6))
 
-    def _moved(
-        self, parameters: Array, blocks: npt.NDArray[np.int64], noise: Array, factors: Array, turn: Array, shift: Array
-    ) -> Array:
+    def _moved(self, state: ChainState, blocks: Blocks, noise: Array, turn: Array, shift: Array) -> Array:
         """Return the parameters after a step with these deviations of turns (34,) and of the roots' shifts (2,)."""
-        moved = parameters.copy()
-        length_change = self.steps.length_change
-        move_blocks(moved, blocks, factors, noise, turn, shift, length_change, _TIED_LENGTHS, NUM_JOINTS)
+        moved, factors = state.parameters.copy(), np.exp(state.log_scales[blocks])
+        _move_blocks(moved, blocks, factors, noise, turn, shift, self.steps.length_change, _TIED_LENGTHS, NUM_JOINTS)
         return moved
 
     @cached_property
@@ -98,14 +76,8 @@ class GaussianBlocks:
         return turn, np.full(2, self.steps.root_position_m)
 
 
-class UnbiasedKind(ProposalKind):
-    """The same steps everywhere."""
-
-    name = "unbiased"
-
-    def build(self, inputs: ProposalInputs) -> Proposal:
-        """Return symmetric Gaussian steps."""
-        return GaussianBlocks()
+UNBIASED = ProposalKind("unbiased", lambda _: GaussianBlocks())
+"""The same steps everywhere."""
 
 
 def _tied_lengths(block: int) -> tuple[int, int]:
@@ -118,3 +90,39 @@ def _tied_lengths(block: int) -> tuple[int, int]:
 
 
 _TIED_LENGTHS = np.array([_tied_lengths(block) for block in range(NUM_BLOCKS)], dtype=np.int64)
+
+
+@compiled()
+def _move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, tied, num_joints):  # type: ignore[no-untyped-def]
+    """Move blocks of `parameters` in place: roots turn in the world and shift, bones turn and change their length.
+
+    Args:
+        parameters: Parameters (108,).
+        blocks: Blocks that move, (n,).
+        factors: Factor on their deviations, (n,).
+        noise: Standard normal numbers (n, 6); a bone needs three.
+        turn: Standard deviations of the blocks' turns, (34,).
+        shift: Those of the roots' shifts, (2,).
+        length_change: That of the bones' lengths.
+        tied: Length parameter of each block and of its counterpart, (34, 2); the second is -1 where it has none.
+        num_joints: Joints of a person.
+    """
+    for at in range(blocks.shape[0]):
+        block = blocks[at]
+        person, joint = block // num_joints, block % num_joints
+        start = person * (3 + 3 * num_joints)
+        size = factors[at] * turn[block]
+        if joint == 0:
+            turn_by = unitquat_from_rotvec((size * noise[at, 0], size * noise[at, 1], size * noise[at, 2]))
+            before = unitquat_from_rotvec((parameters[start], parameters[start + 1], parameters[start + 2]))
+            after = rotvec_from_unitquat(multiply(turn_by, before))
+            parameters[start], parameters[start + 1], parameters[start + 2] = after
+            for axis in range(3):
+                parameters[start + 3 + axis] += factors[at] * shift[person] * noise[at, 3 + axis]
+            continue
+        start += 3 + 3 * joint
+        parameters[start] += size * noise[at, 0]
+        parameters[start + 1] += size * noise[at, 1]
+        for side in range(2):
+            if tied[block, side] >= 0:
+                parameters[tied[block, side]] += factors[at] * length_change * noise[at, 2]

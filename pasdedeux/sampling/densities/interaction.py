@@ -5,89 +5,30 @@ exp(-d_I / (2 sigma_l^2)).  With a bandwidth this sharp that is the best view al
 any depth; so by default the logarithms are averaged, not the likelihoods: a pair must look like annotations from every
 view (`Pooling`).  The views are drawn once per seed from the view density and then stay: the target is one
 fixed function.  An annotation that lacks joints is compared over those that it shows (`interaction_dissimilarity`).
-`plain_log_likelihood` is the definition; `InteractionLikelihood` gives the same value fast.
 """
 
 from __future__ import annotations
-
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import project_pair
-from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, edge_weights, plane_residual
-from pasdedeux.interaction.graph import delaunay_edges
+from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, plane_residual
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
+from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.interaction.triangulation import jitter
-from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
+from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank
 from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L
-from pasdedeux.sampling.density import ImageKind, ImageSettings, Match, Pooling
-from pasdedeux.sampling.kernels import BankTables, best_per_view
-
-MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52
-"""d_I is taken to be at least so many times its estimate, and the side of eq. 8 over the pair's own edges so many times
-half of it: candidates for which that is too much are left.  Over 7,691 evaluations (random pairs among 8,000
-annotations; salsa frames and pairs round them, among 600 and 8,000) not one result differed in a bit from that of
-comparing all; with 0.65 and 0.58 two did."""
+from pasdedeux.sampling.densities.annotated import AnnotationSettings, Pooling
+from pasdedeux.sampling.densities.density import Density, Likelihood, Nearest
+from pasdedeux.sampling.densities.interaction_kernels import BankTables, best_per_view
 
 _NUM_SPRUNG = 160
 """Annotations, evenly spread, whose nearest neighbours say how far the ends of each edge mostly move apart."""
 
 
-def plain_log_likelihood(
-    pair_m: Array,
-    pairs: AnnotatedPairs,
-    bank: ViewBank,
-    *,
-    table: EdgeTable | None = None,
-    sigma_l: float = PUBLISHED_SIGMA_L,
-    pooling: Pooling = Pooling.MEAN,
-) -> Match:
-    """Return the log likelihood of a pair (2, 17, 3) by the definition, vectorised over the candidates of a view.
-
-    `table` are the edges of all of `pairs` (`edge_table`), made here when not given.  `InteractionLikelihood` with
-    `is_exact` gives the same.
-    """
-    if table is None:
-        table = edge_table(pairs.points_m.reshape(len(pairs.points_m), -1, 2))
-    images = project_pair(pair_m, bank.directions).reshape(len(bank.directions), -1, 2)
-    best = np.full(len(images), np.inf)
-    entry = np.full(len(images), -1, dtype=np.int64)
-    for view, image in enumerate(images):
-        own = bank.candidates[view, : bank.counts[view]]
-        if not len(own):
-            continue
-        fixed = pairs.points_m[own].reshape(len(own), -1, 2)
-        difference = align_plane(image, fixed) - fixed
-        edges = delaunay_edges(image)
-        along = difference[:, edges[:, 1]] - difference[:, edges[:, 0]]
-        lengths, is_kept = np.linalg.norm(along, axis=-1), np.isfinite(along).all(axis=-1)
-        weights = np.where(is_kept, edge_weights(image, edges), 0.0)
-        total = np.where(is_kept, weights * lengths, 0.0).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
-        start, end = np.moveaxis(table.edges[own], -1, 0)[..., None]
-        along = np.take_along_axis(difference, end, axis=1) - np.take_along_axis(difference, start, axis=1)
-        # Beyond an annotation's own edges the table has weight 0 and joint 0, which may be unseen.
-        lengths = np.where(table.weights[own] > 0.0, np.linalg.norm(along, axis=-1), 0.0)
-        total += np.sum(table.weights[own] * lengths, axis=-1)
-        best[view], entry[view] = total.min(), own[int(total.argmin())]
-    return Match(log_likelihood=_pooled_log(best, sigma_l, pooling), dissimilarity_m=best, entry=entry)
-
-
-def _pooled_log(best: Array, sigma_l: float, pooling: Pooling) -> float:
-    """Return the log of eq. 6, or what stands for it, of the smallest d_I of each view; inf where there is none."""
-    smallest = float(best.min())
-    if not np.isfinite(smallest):
-        return -np.inf
-    scale = 2.0 * sigma_l**2
-    if pooling is Pooling.EVERY_VIEW:
-        return float(-best[np.isfinite(best)].mean() / scale)
-    return float(np.log(np.mean(np.exp(-(best - smallest) / scale))) - smallest / scale)
-
-
-class InteractionLikelihood:
+class InteractionLikelihood(Likelihood):
     """The likelihood of eqs. 6 and 9 over a fixed bank, as a compiled kernel.
 
     For each view every candidate's d_I is estimated from springs (`_springs`); only those that the estimate leaves a
@@ -99,13 +40,9 @@ class InteractionLikelihood:
         bank: Views and their candidates.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres (the paper divides d_I, not its square).
         pooling: How the views are pooled.
-        min_ratio: Smallest ratio of d_I to its estimate that is reckoned with.
-        min_own_ratio: The same for the side of eq. 8 over the pair's own edges and half the estimate.
-        is_exact: Compare all candidates, whatever the estimate: the oracle.
-
-    Raises:
-        InputError: `sigma_l` is not positive.
     """
+
+    sigma_l: float
 
     def __init__(
         self,
@@ -114,12 +51,7 @@ class InteractionLikelihood:
         *,
         sigma_l: float = PUBLISHED_SIGMA_L,
         pooling: Pooling = Pooling.MEAN,
-        min_ratio: float = MIN_RATIO,
-        min_own_ratio: float = MIN_OWN_RATIO,
-        is_exact: bool = False,
     ) -> None:
-        if not sigma_l > 0.0:
-            raise InputError(f"sigma_l must be positive, found {sigma_l}")
         self._pairs, self._bank, self.sigma_l = pairs, bank, sigma_l
         self.directions, self._pooling = bank.directions, pooling
         # Only the entries that some view may meet are kept.
@@ -160,8 +92,6 @@ class InteractionLikelihood:
             has_partial=not bool(is_seen.all()),
             offsets=jitter(points.shape[1]),
             beta_m=BETA_M,
-            min_ratio=0.0 if is_exact else min_ratio,
-            min_own_ratio=0.0 if is_exact else min_own_ratio,
             scale=2.0 * sigma_l**2,
             is_every=pooling is Pooling.EVERY_VIEW,
         )
@@ -171,13 +101,8 @@ class InteractionLikelihood:
         self._best = np.empty(len(bank.directions))
         self._slot = np.empty(len(bank.directions), dtype=np.int64)
 
-    def match(self, pair_m: Array, *, at_least: float = -np.inf) -> Match:
-        """Return log likelihood of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
-        log_likelihood = self.log_likelihood(pair_m, at_least=at_least)
-        return Match(log_likelihood=log_likelihood, dissimilarity_m=self._best.copy(), entry=self._entries())
-
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Return the log likelihood alone."""
+        """Return the log of eq. 6 of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
         # The mean over views is at most the best view: it alone must reach the floor.
         limit = np.inf if at_least == -np.inf else -at_least * self._tables.scale
         if self._pooling is Pooling.EVERY_VIEW:
@@ -188,34 +113,25 @@ class InteractionLikelihood:
         return value if value >= at_least else -np.inf
 
     def plain(self, pair_m: Array) -> float:
-        """Return the log likelihood by its definition."""
-        table = self._plain_table
-        match = plain_log_likelihood(
-            pair_m,
-            self._pairs,
-            self._bank,
-            table=table,
-            sigma_l=self.sigma_l,
-            pooling=self._pooling,
-        )
-        return match.log_likelihood
+        """Return the same from d_I of all candidates of every view."""
+        return self._pooling.log_of(self.plain_nearest(pair_m).dissimilarity_m, self.sigma_l)
 
-    @cached_property
-    def _plain_table(self) -> EdgeTable:
-        return edge_table(self._pairs.points_m.reshape(len(self._pairs.points_m), -1, 2))
+    def plain_nearest(self, pair_m: Array) -> Nearest:
+        """Return what `nearest` does from d_I of all candidates."""
+        images, bank = project_pair(pair_m, self.directions), self._bank
+        entry, least = np.full(len(images), -1, dtype=np.int64), np.full(len(images), np.inf)
+        for view in np.flatnonzero(bank.counts):
+            own = bank.candidates[view, : bank.counts[view]]
+            distances = image_distances(images[view, None], self._pairs.points_m[own])[0]
+            entry[view], least[view] = own[distances.argmin()], distances.min()
+        return Nearest(entry, least)
 
-    def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
-        """Return the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
-
-        This is D* of eq. 12; -1 for a view without candidates.
-        """
+    def nearest(self, pair_m: Array) -> Nearest:
+        """Return the entry nearest in d_I to the pair (2, 17, 3) under every view: D* of eq. 12."""
         if self._searched_m is None or not np.array_equal(self._searched_m, pair_m):
             self._search(pair_m, np.inf, np.inf)
             self._searched_m = pair_m.copy()
-        return self._entries()
-
-    def _entries(self) -> npt.NDArray[np.int64]:
-        return np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
+        return Nearest(np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1), self._best.copy())
 
     def _search(self, pair_m: Array, limit: float, margin: float) -> float:
         """Fill the least d_I of each view as far as it matters, and who has it; give the log likelihood."""
@@ -224,18 +140,16 @@ class InteractionLikelihood:
         return float(value)
 
 
-class InteractionKind(ImageKind[ImageSettings]):
-    """The published density: interaction coordinates of the images (eqs. 6, 8 and 9)."""
+def _init(
+    settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs | None
+) -> InteractionLikelihood:
+    assert annotated is not None
+    bank, sigma_l = settings.bank(rng, annotated), settings.bandwidth(annotated)
+    return InteractionLikelihood(annotated.pairs, bank, sigma_l=sigma_l, pooling=settings.pooling)
 
-    name = "ic"
-    meaning = "interaction coordinates"
-    settings = ImageSettings
 
-    def compare(
-        self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
-    ) -> InteractionLikelihood:
-        """Return the likelihood of a bandwidth over a bank of views."""
-        return InteractionLikelihood(pairs, bank, sigma_l=sigma_l, pooling=settings.pooling)
+INTERACTION = Density("ic", "interaction coordinates", AnnotationSettings, _init, reads_annotations=True)
+"""The published density: interaction coordinates of the images (eqs. 6, 8 and 9)."""
 
 
 def _springs(

@@ -1,0 +1,11 @@
+"""The densities that chains can sample.  A new one is one file with a `Density`, and one line here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pasdedeux.sampling.densities.density import PRIOR_ONLY_DENSITY, Density
+from pasdedeux.sampling.densities.interaction import INTERACTION
+
+DENSITIES: dict[str, Density[Any]] = {density.name: density for density in (INTERACTION, PRIOR_ONLY_DENSITY)}
+"""The densities by their names in `chains.densities`."""

@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
-from pasdedeux.learning.clip_classifier import CLIP_HZ
+from pasdedeux.learning.clips import CLIP_HZ
 
 WITH, WITHOUT = "with_augmentation", "without_augmentation"
 STILL, LARGEST = "last_pose_held", "largest_class"

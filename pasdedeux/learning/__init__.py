@@ -14,21 +14,26 @@ from pasdedeux.learning.model import (
     TrainingItem,
     VariantModel,
     VariantRequest,
+    mapped_item,
+    mapped_source,
 )
 from pasdedeux.learning.registry import (
     BASELINES,
     DEFAULT_MODELS,
     MODELS,
+    ModelDescription,
+    Weights,
+    describe,
     load_model,
     model_arrays,
     model_class,
+    read_weights,
+    write_weights,
 )
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
+from pasdedeux.learning.settings import has_torch
 from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
-from pasdedeux.learning.topology import mapped_item, mapped_source
-from pasdedeux.learning.torch_settings import has_torch
-from pasdedeux.learning.weights import Weights, read_weights, write_weights
 
 __all__ = [
     "BASELINES",
@@ -40,6 +45,7 @@ __all__ = [
     "Items",
     "LogEntry",
     "MeshRefineModel",
+    "ModelDescription",
     "NaiveFkModel",
     "NoSettings",
     "RidgeAdaptedModel",
@@ -53,6 +59,7 @@ __all__ = [
     "VariantModel",
     "VariantRequest",
     "Weights",
+    "describe",
     "has_torch",
     "load_model",
     "make_split",

@@ -7,11 +7,11 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation import reference_motion
 from pasdedeux.augmentation.source import complete_scales
-from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest
+from pasdedeux.learning.model import Arrays, Config, Trained, Training, VariantModel, VariantRequest
 
 
 class _Untrained(VariantModel):
-    """A model without anything to learn; its one array says which form of it this is."""
+    """A model without anything to learn."""
 
     is_trained = False
     is_of_any_skeleton = True
@@ -22,13 +22,9 @@ class _Untrained(VariantModel):
         """Learn nothing; the items are not read."""
         return Trained(cls())
 
-    def arrays(self) -> dict[str, Array]:
-        """Return the form of the model, 1."""
-        return {"form": np.array([1.0])}
-
     @classmethod
-    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
-        """Make the model; there is nothing in the arrays."""
+    def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+        """Make the model; it knows nothing."""
         return cls()
 
 

@@ -18,17 +18,15 @@ from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.windows import LONGEST_S, blend_weights, plan_windows
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import FitSettings
-from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest, check_arrays
+from pasdedeux.learning.model import Arrays, Config, Trained, Training, VariantModel, VariantRequest
 from pasdedeux.settings import Settings
-
-_MOST_ITERATIONS = 1000
 
 
 class MeshRefineSettings(Settings):
     """From where, and how far."""
 
     start: str = Field("naive_fk", description="Model, or form of one, that gives the start")
-    num_iterations: int = Field(4, ge=0, le=_MOST_ITERATIONS, description="Iterations, whether accepted or refused")
+    num_iterations: int = Field(4, ge=0, le=1000, description="Iterations, whether accepted or refused")
 
 
 @dataclass
@@ -65,18 +63,16 @@ class MeshRefineModel(VariantModel):
         assert training.start is not None
         return Trained(cls(training.start, training.options(MeshRefineSettings).num_iterations))
 
-    def arrays(self) -> dict[str, Array]:
+    def config(self) -> Config:
         """Return the number of iterations."""
-        return {"num_iterations": np.array([float(self.num_iterations)])}
+        return {"num_iterations": self.num_iterations}
 
     @classmethod
-    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
-        """Make the model from its array and its start."""
-        check_arrays(cls.name, arrays, {"num_iterations": (1,)})
-        count = float(arrays["num_iterations"][0])
-        if built_on is None or not 0 <= count <= _MOST_ITERATIONS:
-            raise InputError(f"mesh_refine: the model it starts from is missing, or {count} iterations are asked for")
-        return cls(built_on, int(count))
+    def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+        """Make the model from its number of iterations and its start."""
+        if built_on is None:
+            raise InputError("mesh_refine: the model it starts from is missing")
+        return cls(built_on, MeshRefineSettings.model_validate(config).num_iterations)
 
     def predict(self, request: VariantRequest) -> Array:
         """Return where descent comes to; a long take is refined in the solver's windows."""

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.augmentation import AugmentationSettings, Source, UserContact
+from pasdedeux.augmentation import AugmentationSettings, Source, UserContact, reference_motion
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
 from pasdedeux.augmentation.variations import check_bone_scales
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths
 from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.skeletons import BODY22, MODEL_SKELETONS, JointMap, Skeleton
 
 S = TypeVar("S", bound=Settings)
 Arrays = Mapping[str, npt.NDArray[Any]]
 """Named arrays, float64 or float32: what a model knows, or what its training goes on from."""
+Config = Mapping[str, Any]
+"""What decides a model's architecture, as JSON has it."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class LogEntry:
 
 
 class NoSettings(Settings):
-    """Of a model without any."""
+    """Settings of a model without any."""
 
 
 @dataclass(frozen=True)
@@ -187,20 +190,25 @@ class VariantModel(ABC):
             InputError: There is nothing to train on, for a model that needs it.
         """
 
-    @abstractmethod
+    def config(self) -> Config:
+        """Return what decides the model's architecture."""
+        return {}
+
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return everything the model knows, as named float64 or float32 arrays; at least one.
+        """Return what the model learned, as named float64 or float32 arrays.
 
         What it is built on is not in them; see `model_arrays`.
         """
+        return {}
 
     @classmethod
     @abstractmethod
-    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
-        """Return the model that these arrays were taken from: it predicts the same to the last bit.
+    def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+        """Return the model that these are of: it predicts the same to the last bit.
 
         Raises:
             InputError: An array is missing or does not fit.
+            ValidationError: The configuration is none of this model's.
         """
 
     @abstractmethod
@@ -227,7 +235,7 @@ def check_arrays(name: str, arrays: Arrays, wanted: Mapping[str, tuple[int, ...]
         wanted: Shape of each array that there must be.
 
     Raises:
-        InputError: Names the array that is missing, of another shape, or of a type that no model has.
+        InputError: Names the array that is missing, or of another shape.
     """
     for key, shape in wanted.items():
         if key not in arrays:
@@ -236,6 +244,56 @@ def check_arrays(name: str, arrays: Arrays, wanted: Mapping[str, tuple[int, ...]
             raise InputError(
                 f"{name}: array '{key}' has shape {arrays[key].shape}, not {shape}: weights of another topology or size"
             )
-    for key, values in arrays.items():
-        if values.dtype not in (np.float32, np.float64):
-            raise InputError(f"{name}: array '{key}' is of {values.dtype}, not float32 or float64")
+
+
+def mapped_source(source: Source, joints: JointMap) -> Source:
+    """Return a take of `body22` on another skeleton, without objects."""
+    motion_m = joints.positions(source.positions_m, BODY22.joint_names)
+    return replace(source, positions_m=motion_m, skeleton=joints.target, objects=None)
+
+
+def mapped_item(item: TrainingItem, joints: JointMap, source: Source) -> TrainingItem:
+    """Return an item of `body22` on another skeleton: its motion, and its scales.
+
+    A bone's scale is what plain forward kinematics on `body22` makes of its median length.  Stated contacts, which name
+    bones of `body22`, are left out.
+
+    Args:
+        item: The item.
+        joints: What the joints follow from.
+        source: What `mapped_source` gives of its take, the same for all of its items.
+    """
+    request = item.request
+    scales = complete_scales(request.source, np.stack([request.bone_scale, np.ones_like(request.bone_scale)]))
+    posed = joints.positions(reference_motion(request.source, scales), BODY22.joint_names)
+    scaled, plain = np.median(bone_lengths(joints.target, posed), axis=1)
+    bone_scale = np.where(plain > 0.0, scaled / np.where(plain > 0.0, plain, 1.0), 1.0)
+    asked = replace(request, source=source, bone_scale=bone_scale, contacts=())
+    return TrainingItem(item.variant_id, asked, joints.positions(item.motion_m, BODY22.joint_names))
+
+
+def check_topology(model: VariantModel, source: Source) -> None:
+    """Refuse a take of another skeleton than a model's.
+
+    Raises:
+        InputError: Names both.
+    """
+    own = model.skeleton
+    if own not in (None, source.skeleton):
+        raise InputError(
+            f"{model.name}: weights of another topology: it is of {own.name}, {own.num_joints} joints a person, "
+            f"and {source.name} of {source.skeleton.name}, {source.skeleton.num_joints}"
+        )
+
+
+def skeleton_of(name: str, num_joints: int) -> Skeleton:
+    """Return the skeleton of so many joints that a model's arrays are of.
+
+    Raises:
+        InputError: There is none.
+    """
+    for skeleton in MODEL_SKELETONS.values():
+        if skeleton.num_joints == num_joints:
+            return skeleton
+    known = ", ".join(f"{one.name} {one.num_joints}" for one in MODEL_SKELETONS.values())
+    raise InputError(f"{name}: weights of another topology, {num_joints} joints; known skeletons: {known}")

@@ -1,20 +1,26 @@
-"""Every model by name, and trained models as named arrays."""
+"""Every model by name, and trained models as a description and named arrays, in a store or a safetensors file."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
-from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel
 from pasdedeux.learning.model import Arrays, VariantModel
-from pasdedeux.learning.paper_cvae import PaperCvaeModel
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
+from pasdedeux.learning.window_vae import Action2MotionLikeModel, ActorLikeModel, PaperCvaeModel
+from pasdedeux.settings import Settings
+from pasdedeux.skeletons import BODY22
 
 MODELS: dict[str, type[VariantModel]] = {
     model.name: model
@@ -50,34 +56,128 @@ def model_class(name: str) -> type[VariantModel]:
     return MODELS[name]
 
 
+class ModelDescription(Settings):
+    """What a trained model is beside its arrays: its name, what decides its architecture, what it builds on."""
+
+    model: str
+    config: dict[str, Any] = Field({})
+    built_on: ModelDescription | None = None
+
+
+def describe(model: VariantModel) -> ModelDescription:
+    """Return what `load_model` needs beside the arrays."""
+    built_on = None if model.built_on is None else describe(model.built_on)
+    return ModelDescription(model=model.name, config=dict(model.config()), built_on=built_on)
+
+
 def model_arrays(model: VariantModel) -> dict[str, npt.NDArray[Any]]:
-    """Return everything a model knows, with what it is built on under `on:<model>/`."""
-    arrays = dict(model.arrays())
+    """Return everything a model learned, with what it is built on under `built_on/`."""
+    arrays = model.arrays()
     if model.built_on is not None:
-        inner = model_arrays(model.built_on)
-        arrays |= {f"{_BUILT_ON}{model.built_on.name}/{name}": values for name, values in inner.items()}
+        arrays |= {f"{_BUILT_ON}{name}": values for name, values in model_arrays(model.built_on).items()}
     return arrays
 
 
-def load_model(name: str, arrays: Arrays) -> VariantModel:
-    """Return a trained model from its name and `model_arrays`; ask it with `predict(VariantRequest(...))`.
+def load_model(description: ModelDescription, arrays: Arrays) -> VariantModel:
+    """Return a trained model; ask it with `predict(VariantRequest(...))`.
 
     Raises:
-        InputError: Unknown model, or arrays that do not fit it or are not finite.
+        InputError: Unknown model, or settings or arrays that do not fit it or are not finite.
     """
+    name, kind = description.model, model_class(description.model)
     own = {key: values for key, values in arrays.items() if not key.startswith(_BUILT_ON)}
-    inner: dict[str, dict[str, npt.NDArray[Any]]] = {}
-    for key in sorted(set(arrays) - set(own)):
-        below, _, rest = key.removeprefix(_BUILT_ON).partition("/")
-        if rest.count(_BUILT_ON) > len(MODELS):
-            raise InputError(f"{name}: array '{key[:60]}' is of a model that builds on too many others")
-        inner.setdefault(below, {})[rest] = arrays[key]
-    kind = model_class(name)
+    inner = {key.removeprefix(_BUILT_ON): values for key, values in arrays.items() if key.startswith(_BUILT_ON)}
     for key, values in own.items():
+        if values.dtype not in (np.float32, np.float64):
+            raise InputError(f"{name}: array '{key}' is of {values.dtype}, not float32 or float64")
         if not np.isfinite(values).all():
             raise InputError(f"{name}: array '{key}' has a value that is not finite")
-    built_on = [load_model(below, found) for below, found in inner.items()]
-    return kind.from_arrays(own, *built_on[:1])
+    built_on = None if description.built_on is None else load_model(description.built_on, inner)
+    try:
+        return kind.restore(description.config, own, built_on)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{name}: its setting '{place}' is out of range: {first['msg']}") from None
 
 
-_BUILT_ON = "on:"
+@dataclass(frozen=True)
+class Weights:
+    """A trained model, and the takes that it knows.
+
+    Args:
+        model: The model.
+        takes: Content digest of each take that it was trained on, by the take's name.
+    """
+
+    model: VariantModel
+    takes: Mapping[str, str] = field(default_factory=dict)
+
+
+class _Header(Settings):
+    """The one entry of a file's metadata: JSON, so that its order is ours and the bytes are the same every time."""
+
+    description: ModelDescription
+    joints: str
+    takes: dict[str, str]
+
+
+def write_weights(weights: Weights) -> bytes:
+    """Return a safetensors file: every array in the type it has, and in the metadata what it is of.
+
+    Raises:
+        InputError: safetensors is not installed.
+    """
+    _require_safetensors()
+    from safetensors.numpy import save
+
+    header = _Header(description=describe(weights.model), joints=_joints(weights.model), takes=dict(weights.takes))
+    arrays = {name: np.ascontiguousarray(values) for name, values in model_arrays(weights.model).items()}
+    return bytes(save(arrays, metadata={_KEY: json.dumps(header.model_dump(mode="json"), sort_keys=True)}))
+
+
+def read_weights(data: bytes, what: str) -> Weights:
+    """Read what `write_weights` wrote.
+
+    Args:
+        data: The file.
+        what: Its name, for messages.
+
+    Raises:
+        InputError: It is no safetensors file or none of ours, is cut off, is of other joints, or its arrays are not
+            those of its model.
+    """
+    _require_safetensors()
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        arrays = load(data)
+        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])  # `load` has checked its length
+        said = _Header.model_validate_json(header["__metadata__"][_KEY])
+    except (SafetensorError, RecursionError, ValueError, TypeError, KeyError) as problem:
+        found = f"{type(problem).__name__}: {problem}".splitlines()[0][:120]
+        raise InputError(
+            f"{what}: these are no weights of a model that `export --format safetensors` wrote ({found})"
+        ) from None
+    try:
+        model = load_model(said.description, arrays)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
+    if said.joints != _joints(model):
+        count = said.joints.count(",") + 1
+        raise InputError(f"{what}: weights of another topology, {count} joints: {said.joints[:60]}")
+    return Weights(model, said.takes)
+
+
+def _joints(model: VariantModel) -> str:
+    return ",".join((model.skeleton or BODY22).joint_names)
+
+
+def _require_safetensors() -> None:
+    if find_spec("safetensors") is None:
+        raise InputError("weights in files need safetensors, which is not installed: pip install 'pasdedeux[learning]'")
+
+
+_BUILT_ON = "built_on/"
+_KEY = "pasdedeux"

@@ -15,16 +15,8 @@ from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.variations import Group, group_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning.model import (
-    Arrays,
-    Trained,
-    Training,
-    TrainingItem,
-    VariantModel,
-    VariantRequest,
-    check_arrays,
-)
-from pasdedeux.learning.ridge_scale import RIDGE, RidgeScaleModel
+from pasdedeux.learning.model import Arrays, Config, Trained, Training, TrainingItem, VariantModel, VariantRequest
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.skeletons import BODY22
 
 _GROUPS: tuple[Group, ...] = ("torso", "arms", "legs")
@@ -68,18 +60,11 @@ class RidgeAdaptedModel(VariantModel):
         assert isinstance(training.start, RidgeScaleModel)
         return Trained(cls(training.start))
 
-    def arrays(self) -> dict[str, Array]:
-        """Return how takes are adapted to."""
-        return {"adaptation": np.array([_REACH, RIDGE])}
-
     @classmethod
-    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
-        """Make the model from its arrays and `ridge_scale`."""
-        check_arrays(cls.name, arrays, {"adaptation": (2,)})
+    def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+        """Make the model from `ridge_scale`."""
         if not isinstance(built_on, RidgeScaleModel):
             raise InputError("ridge_adapted: the ridge_scale that it builds on is missing")
-        if arrays["adaptation"].tolist() != [_REACH, RIDGE]:
-            raise InputError(f"ridge_adapted: reach and ridge {arrays['adaptation']} are not {_REACH:g} and {RIDGE:g}")
         return cls(built_on)
 
     def predict(self, request: VariantRequest) -> Array:

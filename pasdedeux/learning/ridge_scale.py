@@ -18,6 +18,7 @@ from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
 from pasdedeux.learning.model import (
     Arrays,
+    Config,
     LogEntry,
     Trained,
     Training,
@@ -25,8 +26,9 @@ from pasdedeux.learning.model import (
     VariantModel,
     VariantRequest,
     check_arrays,
+    check_topology,
+    skeleton_of,
 )
-from pasdedeux.learning.topology import check_topology, skeleton_of
 from pasdedeux.skeletons import BODY22, Skeleton
 
 RIDGE = 3e-3
@@ -107,19 +109,22 @@ class RidgeScaleModel(VariantModel):
         ]
         return Trained(model, log)
 
+    def config(self) -> Config:
+        """Return the kind of features."""
+        return {"is_by_group": self.is_by_group}
+
     def arrays(self) -> dict[str, Array]:
-        """Return coefficients per take as `take/<take_id>`, the mix and the kind of features."""
-        arrays = {"mix": self.mix, "is_by_group": np.array([float(self.is_by_group)])}
-        return arrays | {f"take/{take}": values for take, values in self.coefficients.items()}
+        """Return the mix, and coefficients per take as `take/<take_id>`."""
+        return {"mix": self.mix} | {f"take/{take}": values for take, values in self.coefficients.items()}
 
     @classmethod
-    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+    def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Make the model from its arrays."""
         takes = {name.removeprefix("take/"): values for name, values in arrays.items() if name.startswith("take/")}
         num_points = len(arrays["mix"]) if np.ndim(arrays.get("mix", 0)) else 2 * BODY22.num_joints
-        check_arrays(cls.name, arrays, {"mix": (num_points, num_points), "is_by_group": (1,)})
+        check_arrays(cls.name, arrays, {"mix": (num_points, num_points)})
         joints = skeleton_of(cls.name, num_points // 2 if num_points % 2 == 0 else 0).num_joints
-        model = cls(is_by_group=bool(arrays["is_by_group"][0]), coefficients=takes, mix=arrays["mix"])
+        model = cls(is_by_group=config.get("is_by_group") is True, coefficients=takes, mix=arrays["mix"])
         shape = (len(model.features(np.ones((2, joints)))), 2, joints, 3)
         of_takes = {f"take/{take}": (shape[0], *values.shape[1:2], *shape[1:]) for take, values in takes.items()}
         check_arrays(cls.name, arrays, of_takes)

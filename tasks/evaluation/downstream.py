@@ -19,8 +19,7 @@ from pasdedeux.evaluation.downstream import (
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning.clip_classifier import ClipClassifier, clips_of
-from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredictor, joint_errors
+from pasdedeux.learning.clips import HISTORY, HORIZON, clips_of, joint_errors
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
@@ -78,13 +77,15 @@ def _recognise(shard: Shard, store: Store) -> TopicResult:
     """Train the classifier twice on the same takes, once with their variants, and test it on clips of other takes."""
     told = shard.options(OneTraining)
     train, test = _split(shard, store, told)
+    from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
+
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
     real, tested = _clips(variants, train, num_frames=None), _clips(variants, test, num_frames=None)
     made = _clips(variants, train, num_frames=None, is_augmented=True)
     scores = []
     for method, clips in ((WITH, _joined(real, made)), (WITHOUT, real)):
         generator = stream(shard.seed, "evaluation", "recognition", told.shares, told.seed)
-        classifier = ClipClassifier.train(clips, told.learned.classifier, generator)
+        classifier = train_classifier(clips, told.learned.classifier, generator)
         scores.append(_accuracy(method, classifier.accuracy(tested), told, tested))
     largest = max(map(len, tested.values())) / sum(map(len, tested.values()))
     scores.append(_accuracy(LARGEST, 100.0 * largest, told, tested))
@@ -107,6 +108,8 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
     """Train the predictor twice on the same takes, once with their variants, and test it on clips of other takes."""
     told = shard.options(OneTraining)
     train, test = _split(shard, store, told)
+    from pasdedeux.learning.networks.motion_predictor import train_predictor  # torch
+
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
     frames = HISTORY + HORIZON
     real, tested = _clips(variants, train, num_frames=frames), _clips(variants, test, num_frames=frames)
@@ -114,7 +117,7 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
     if not (real and tested):
         return TopicResult(notes=[f"{told.shares} seed {told.seed}: left out, no take of a side lasts 3 s."])
     guesses = {
-        method: MotionPredictor.train(
+        method: train_predictor(
             np.concatenate(list(clips.values())),
             told.learned.predictor,
             stream(shard.seed, "evaluation", "prediction", told.shares, told.seed),

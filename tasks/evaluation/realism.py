@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
@@ -15,8 +15,8 @@ from pasdedeux.evaluation.model_meter import SOLVER, generated
 from pasdedeux.evaluation.models import GENERATED
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.learning import BASELINES
-from pasdedeux.learning.clip_classifier import ClassifierSettings, ClipClassifier, clips_of
-from pasdedeux.learning.motion_predictor import PredictorSettings
+from pasdedeux.learning.clips import clips_of
+from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.augmentation import read_take
@@ -25,6 +25,9 @@ from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of, skeleton_name
 from tasks.training.run import load_stored, refuse_without_torch
+
+if TYPE_CHECKING:
+    from pasdedeux.learning.networks.clip_classifier import ClipClassifier
 
 OTHER_SKELETON = "other_skeleton"
 
@@ -66,13 +69,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             notes=[f"Left out: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
         )
     refuse_without_torch("the classifier of clips", "evaluation.num_realism_variants=0")
+    from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
+
     settings = shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
     learned = [take for take in takes if not take.facts["is_held_out"]]
     real = _real_clips(store, learned)
     if len(real) < 2:
         return TopicResult(notes=["Left out: takes that are not held out are of one interaction alone."])
-    classifier = ClipClassifier.train(real, settings.classifier, stream(shard.seed, "evaluation", "classifier"))
+    classifier = train_classifier(real, settings.classifier, stream(shard.seed, "evaluation", "classifier"))
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
     kinds = {take.facts["take_id"]: interaction_of(take) for take in takes}
     splits: dict[str, list[Manifest]] = {}

@@ -15,7 +15,7 @@ from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
 
-TRAINING = StageName("training", 10)
+TRAINING = StageName("training", 11)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:

@@ -14,10 +14,12 @@ from pasdedeux.learning import (
     BASELINES,
     Arrays,
     LogEntry,
+    ModelDescription,
     Training,
     TrainingItem,
     VariantKey,
     VariantModel,
+    describe,
     has_torch,
     load_model,
     model_arrays,
@@ -88,6 +90,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             "split": told.split,
             "model": told.name,
             "class": told.model,
+            **({"description": describe(trained.model).model_dump(mode="json")} if is_last else {}),
             "skeleton": told.skeleton,
             "segment": told.segment,
             "takes": sorted({key.take_id for key in train}),
@@ -114,8 +117,14 @@ def read_arrays(store: Store, ref: ArtifactRef, table: str = "models") -> dict[s
 
 
 def load_stored(store: Store, manifest: Manifest) -> VariantModel:
-    """Return the model that an artifact holds; InputError where it needs torch, and that is not installed."""
-    return load_model(manifest.facts["class"], read_arrays(store, manifest.ref))
+    """Return the model that an artifact holds.
+
+    Raises:
+        InputError: It needs torch, which is not installed, or it was stored by a version that did not describe models.
+    """
+    if "description" not in manifest.facts:
+        raise InputError(f"model '{manifest.facts['model']}' was stored by an older version; train it again")
+    return load_model(ModelDescription.model_validate(manifest.facts["description"]), read_arrays(store, manifest.ref))
 
 
 def refuse_without_torch(who: str, instead: str) -> None:
@@ -149,7 +158,7 @@ def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[Training
     """
     if name in BASELINES:
         return Verdict(Level.PASS)
-    models = {name: model, **{baseline: load_model(baseline, {}) for baseline in BASELINES}}
+    models = {name: model, **{baseline: load_model(ModelDescription(model=baseline), {}) for baseline in BASELINES}}
     parts: list[Items] = []
     for item in items():
         request = item.request

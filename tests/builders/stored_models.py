@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from pasdedeux.learning import VariantModel, model_arrays
+from pasdedeux.learning import VariantModel, describe, model_arrays
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
 from tasks.stage import VERDICT_FACT
@@ -37,6 +37,7 @@ def put_model(store: Store, model: VariantModel, split: str, takes: list[Manifes
         facts={
             "model": model.name,
             "class": model.name,
+            "description": describe(model).model_dump(mode="json"),
             "split": split,
             "takes": [take.facts["take_id"] for take in takes],
             "shares_takes": True,

@@ -215,7 +215,7 @@ def test_topics_that_need_torch_are_planned_everywhere_and_its_lack_is_one_sente
     topics = [topic for topic in TOPICS if topic.name in ("realism", "recognition", "prediction")]
     stage = evaluation_stage(topics)
     here = stage.plan(inputs_of(store, stage), stage.parameters(**asked))
-    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
+    monkeypatch.setattr("pasdedeux.learning.settings.find_spec", lambda name: None)
     assert stage.plan(inputs_of(store, stage), stage.parameters(**asked)) == here
     assert {shard.partition for shard in here[:-1]} == {topic.name for topic in topics}
     for shard in here[:-1]:

@@ -22,7 +22,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
-from pasdedeux.learning import load_model, read_weights
+from pasdedeux.learning import CopyModel, read_weights
 from storage_schema import (
     TABLES,
     ArtifactRef,
@@ -68,9 +68,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         facts={},
         sources=[CREDIT],
     )
-    put_model(
-        store, load_model("copy", {}), "random", [one for one in store.artifacts("ingest") if "poses" in one.tables]
-    )
+    put_model(store, CopyModel(), "random", [one for one in store.artifacts("ingest") if "poses" in one.tables])
     return store
 
 
@@ -141,7 +139,7 @@ def test_every_format_is_read_back_here() -> None:
 
 def test_a_model_has_the_figures_of_the_last_run_alone(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
-    put_model(store, load_model("copy", {}), "random", [])
+    put_model(store, CopyModel(), "random", [])
     (model,) = store.artifacts("training")
     scores = [Score("E_r", model.facts["model"], value, "m", split="test") for value in (0.1, 0.2, 0.1)]
     tables = [{"scores": columns_of("models", [score])} for score in scores]

@@ -18,6 +18,7 @@ from pasdedeux.learning import (
     TrainingItem,
     VariantModel,
     VariantRequest,
+    describe,
     load_model,
     model_arrays,
 )
@@ -102,12 +103,11 @@ def test_training_again_gives_the_same_arrays_and_the_arrays_the_same_model(
 ) -> None:
     model, again = trained(kind), train(kind, variants)
     arrays = model_arrays(model)
-    assert arrays
     assert {name: values.tobytes() for name, values in arrays.items()} == {
         name: values.tobytes() for name, values in model_arrays(again).items()
     }
     assert all(values.dtype in (np.float32, np.float64) for values in arrays.values())
-    loaded = load_model(kind.name, arrays)
+    loaded = load_model(describe(model), arrays)
     for request in requests():
         np.testing.assert_array_equal(model.predict(request), loaded.predict(request))
 
@@ -140,7 +140,7 @@ def test_what_is_trained_beats_the_copy_on_its_take_and_refuses_to_learn_from_no
     with pytest.raises(InputError):
         train(kind, [])
     with pytest.raises(InputError):
-        kind.from_arrays({})
+        kind.restore({}, {})
 
 
 def test_baselines_are_registered_and_learn_nothing() -> None:

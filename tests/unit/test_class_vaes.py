@@ -11,17 +11,16 @@ from pasdedeux.learning import (
     Training,
     TrainingItem,
     VariantRequest,
+    describe,
     load_model,
     model_arrays,
-    predictor_network,
 )
-from pasdedeux.learning.class_networks import _divergence_between
-from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
-from pasdedeux.learning.interaction_cvae import InteractionCvae
-from pasdedeux.learning.paper_cvae import PaperCvaeModel
-from pasdedeux.learning.paper_settings import PaperCvaeConfig
-from pasdedeux.learning.torch_layers import divergence
-from pasdedeux.learning.window_vae import WindowVae
+from pasdedeux.learning.networks.class_vaes import _divergence_between
+from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
+from pasdedeux.learning.networks.layers import WindowNetwork, divergence
+from pasdedeux.learning.networks.motion_predictor import MotionPredictor
+from pasdedeux.learning.settings import PaperCvaeConfig
+from pasdedeux.learning.window_vae import Action2MotionLikeModel, ActorLikeModel, PaperCvaeModel, WindowVae
 from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(48), 20.0, "sway")
@@ -31,18 +30,20 @@ ARCHITECTURES = ("st_gcn_decoders", "without_ends", "whole_motion", "scales_for_
 SMALL = PaperCvaeConfig(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
 
 
-def _weights(shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    generator = np.random.default_rng(5)
-    return {name: generator.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
+def _learned(network: WindowNetwork) -> WindowNetwork:
+    """Return the network with parameters that somebody might have learned."""
+    generator = torch.Generator().manual_seed(5)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.3, generator)
+    return network
 
 
 def _model(kind: type[WindowVae]) -> WindowVae:
     """Return a model that knows B at 0.8, 0.9 and 1.1."""
     scales = np.stack([v.bone_scale[1] for v in uniform_variations([0.8, 0.9, 1.1], ["B"])]).astype(np.float32)
     settings = kind.config_kind.model_validate({"window_s": 1.0} | SIZES[kind.name])
-    model = kind(settings, settings.length, kind.learned_scales(np.concatenate([scales, scales])), {})
-    model.weights = _weights(model.networks().shapes())
-    return model
+    known = kind.learned_scales(np.concatenate([scales, scales]))
+    return kind(settings, known, _learned(kind.build(settings, known)))
 
 
 def _ask(model: WindowVae, scale: float) -> np.ndarray:
@@ -71,11 +72,11 @@ def test_a_class_model_answers_any_length_comes_back_from_its_arrays_and_refuses
         motion = model.predict(request)
         assert motion.shape == source.positions_m.shape
         assert np.isfinite(motion).all()
-        np.testing.assert_array_equal(load_model(kind.name, model_arrays(model)).predict(request), motion)
+        np.testing.assert_array_equal(load_model(describe(model), model_arrays(model)).predict(request), motion)
     with pytest.raises(InputError, match="weights of another topology or size"):
-        load_model(kind.name, model_arrays(model) | {"known_scales": np.ones((2, 22), np.float32)})
-    with pytest.raises(InputError, match="scales that are not positive"):
-        load_model(kind.name, model_arrays(model) | {"known_scales": np.zeros((3, 22), np.float32)})
+        load_model(describe(model), model_arrays(model) | {"known_scales": np.ones((2, 22), np.float32)})
+    with pytest.raises(InputError, match="scales, or some that are not positive"):
+        load_model(describe(model), model_arrays(model) | {"known_scales": np.zeros((3, 22), np.float32)})
 
 
 @KINDS
@@ -95,11 +96,11 @@ def test_the_divergence_of_frames_from_their_prior_is_that_of_normals() -> None:
 
 
 def _displacement(architecture: str, template: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    networks = InteractionCvae(SMALL.model_copy(update={"architecture": architecture}))
+    network = InteractionCvae(SMALL.model_copy(update={"architecture": architecture}))
     condition = np.full((1, 22), scale, np.float32)
-    noise = {f"noise_{name}": np.zeros((1, *shape), np.float32) for name, shape in networks.noise_shapes(11).items()}
+    noise = {f"noise_{name}": np.zeros((1, *shape), np.float32) for name, shape in network.noise_shapes(11).items()}
     batch = {"template_m": template[None].astype(np.float32), "condition": condition, **noise}
-    return networks.displacement(_weights(networks.shapes()), batch)[0]
+    return _learned(network).displacement(batch)[0]
 
 
 def test_other_architectures_do_without_what_they_are_named_for() -> None:
@@ -130,25 +131,19 @@ def test_every_architecture_is_trained_segment_by_segment(architecture: str) -> 
         told = Training(lambda: iter(items), settings=settings, segment=segment, state=state)
         trained = PaperCvaeModel.train(told)
         state = trained.state
-    loaded = load_model("paper_cvae", model_arrays(trained.model))
+    loaded = load_model(describe(trained.model), model_arrays(trained.model))
     np.testing.assert_array_equal(loaded.predict(request), trained.model.predict(request))
 
 
-def test_networks_keep_no_part_of_them_on_another_device_than_their_weights() -> None:
-    def elsewhere(shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
-        return {name: torch.empty(shape, device="meta") for name, shape in shapes.items()}
-
+def test_networks_keep_no_part_of_them_on_another_device_than_their_parameters() -> None:
     frames = 11
-    networks = [_model(ActorLikeModel).networks(), _model(Action2MotionLikeModel).networks()]
-    told = [3, 3]
+    networks = [(_model(ActorLikeModel).network, 3), (_model(Action2MotionLikeModel).network, 3)]
     for architecture in ("published", "st_gcn_decoders"):
-        networks.append(InteractionCvae(SMALL.model_copy(update={"architecture": architecture})))
-        told.append(22)
-    for one, size in zip(networks, told, strict=True):
-        motions = dict.fromkeys(("template_m", "motion_m"), (2, frames, 2, 22, 3))
-        noise = {f"noise_{name}": (2, *shape) for name, shape in one.noise_shapes(frames).items()}
-        loss = one.loss(elsewhere(one.shapes()), elsewhere({**motions, "condition": (2, size), **noise}))
-        assert loss.device.type == "meta"
-    first = predictor_network.first_weights(132, np.random.default_rng(0))
-    weights = elsewhere({name: values.shape for name, values in first.items()})
-    assert predictor_network.loss(weights, elsewhere({"clips": (2, 30, 132)})).device.type == "meta"
+        networks.append((InteractionCvae(SMALL.model_copy(update={"architecture": architecture})), 22))
+    for one, size in networks:
+        shapes = {"template_m": (2, frames, 2, 22, 3), "motion_m": (2, frames, 2, 22, 3), "condition": (2, size)}
+        shapes |= {f"noise_{name}": (2, *shape) for name, shape in one.noise_shapes(frames).items()}
+        batch = {name: torch.empty(shape, device="meta") for name, shape in shapes.items()}
+        assert one.to("meta").loss(batch).device.type == "meta"
+    predictor = MotionPredictor(132, np.random.default_rng(0)).to("meta")
+    assert predictor.loss({"clips": torch.empty((2, 30, 132), device="meta")}).device.type == "meta"

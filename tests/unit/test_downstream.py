@@ -14,8 +14,10 @@ from pasdedeux.evaluation.downstream import (
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import rotate
-from pasdedeux.learning.clip_classifier import CLIP_FRAMES, ClassifierSettings, ClipClassifier, clips_of
-from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredictor, PredictorSettings, joint_errors
+from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, joint_errors
+from pasdedeux.learning.networks.clip_classifier import train_classifier
+from pasdedeux.learning.networks.motion_predictor import train_predictor
+from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from tests.builders.moving_pairs import swaying_pair
 
 MOTION = swaying_pair(120)
@@ -55,18 +57,18 @@ def _classes() -> dict[str, np.ndarray]:
 
 
 def test_the_classifier_learns_to_tell_two_kinds_apart_and_always_the_same() -> None:
-    settings = ClassifierSettings(num_steps=24, segment_steps=12)
+    settings = ClassifierSettings(num_steps=24)
     clips = _classes()
-    one, other = (ClipClassifier.train(clips, settings, np.random.default_rng(3)) for _ in range(2))
+    one, other = (train_classifier(clips, settings, np.random.default_rng(3)) for _ in range(2))
     assert one.accuracy(clips) == 100.0
-    assert one.accuracy({"near": clips["far"]}) == 0.0
+    assert one.accuracy({"near": clips["far"], "far": clips["far"][:0]}) == 0.0
     assert one.digest == other.digest
     features = one.features(clips["far"])
     assert features.shape == (len(clips["far"]), 32)
     np.testing.assert_array_equal(features, other.features(clips["far"]))
-    assert ClipClassifier.train(clips, settings, np.random.default_rng(4)).digest != one.digest
+    assert train_classifier(clips, settings, np.random.default_rng(4)).digest != one.digest
     with pytest.raises(InputError, match="needs two classes with clips of 2 s; found far 9"):
-        ClipClassifier.train({"far": clips["far"]}, settings, np.random.default_rng(0))
+        train_classifier({"far": clips["far"]}, settings, np.random.default_rng(0))
 
 
 def test_the_predictor_begins_with_the_last_pose_and_learns_to_do_better_on_unseen_motion() -> None:
@@ -76,15 +78,15 @@ def test_the_predictor_begins_with_the_last_pose_and_learns_to_do_better_on_unse
     train, test = clips[:-3], clips[-3:]
     known, true = test[:, :HISTORY], test[:, HISTORY:]
     still = np.repeat(known[:, -1:], HORIZON, axis=1)
-    settings = PredictorSettings(num_steps=1, segment_steps=1, learning_rate=1e-9)
-    first = MotionPredictor.train(train, settings, np.random.default_rng(0))
+    settings = PredictorSettings(num_steps=1, learning_rate=1e-9)
+    first = train_predictor(train, settings, np.random.default_rng(0))
     np.testing.assert_allclose(first.predict(known), still, atol=1e-5)
-    longer = PredictorSettings(num_steps=60, segment_steps=30)
-    one, other = (MotionPredictor.train(train, longer, np.random.default_rng(0)).predict(known) for _ in range(2))
+    longer = PredictorSettings(num_steps=60)
+    one, other = (train_predictor(train, longer, np.random.default_rng(0)).predict(known) for _ in range(2))
     np.testing.assert_array_equal(one, other)
     assert joint_errors(one, true)[0].mean() < 0.9 * joint_errors(still, true)[0].mean()
     with pytest.raises(InputError, match="no clip of 3 s"):
-        MotionPredictor.train(clips[:0], settings, np.random.default_rng(0))
+        train_predictor(clips[:0], settings, np.random.default_rng(0))
 
 
 def test_ame_is_blind_to_where_people_are_and_jme_is_not() -> None:

@@ -21,7 +21,10 @@ from pasdedeux.evaluation.models import UNITS, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning import (
     SPLIT_NAMES,
+    CopyModel,
     MeshRefineModel,
+    ModelDescription,
+    NaiveFkModel,
     RidgeAdaptedModel,
     RidgeScaleModel,
     Training,
@@ -29,6 +32,7 @@ from pasdedeux.learning import (
     VariantKey,
     VariantModel,
     VariantRequest,
+    describe,
     load_model,
     make_split,
     model_arrays,
@@ -135,9 +139,7 @@ def test_an_unseen_take_that_is_adapted_to_comes_near_the_solver_at_far_scales()
     settings = RidgeAdaptedModel.settings()
     model = RidgeAdaptedModel.train(Training(lambda: iter([]), settings=settings, start=ridge)).model
     request = _request(other, 0.8)
-    adapted, fk = (
-        model_errors(one.predict(request), truth.positions_m)["E_r"] for one in (model, load_model("naive_fk", {}))
-    )
+    adapted, fk = (model_errors(one.predict(request), truth.positions_m)["E_r"] for one in (model, NaiveFkModel()))
     assert adapted < 0.4 * fk
     seen = _request(TAKE, 0.9)
     nearest = seen.with_exact_bones(ridge.predict(seen), is_nearest=True)
@@ -145,7 +147,7 @@ def test_an_unseen_take_that_is_adapted_to_comes_near_the_solver_at_far_scales()
     (arms,) = group_variations([0.8], ["A"], ["arms"])
     of_arms = model.predict(VariantRequest(other.name, other, arms.bone_scale))
     np.testing.assert_array_equal(model.predict(VariantRequest(other.name, other, arms.bone_scale)), of_arms)
-    again = load_model("ridge_adapted", model_arrays(model))
+    again = load_model(describe(model), model_arrays(model))
     np.testing.assert_array_equal(again.predict(request), model.predict(request))
 
 
@@ -156,7 +158,7 @@ def test_the_mesh_goes_on_from_where_a_model_puts_the_pair_and_its_energy_falls(
     terms = fit_terms(problem, targets, 0)
     energies = []
     for start in ("naive_fk", "copy"):
-        first = load_model(start, {})
+        first = load_model(ModelDescription(model=start), {})
         for count in (0, 2, 6, 60):
             settings = MeshRefineModel.settings(num_iterations=count, start=start)
             model = MeshRefineModel.train(Training(lambda: iter([]), settings=settings, start=first)).model
@@ -166,7 +168,7 @@ def test_the_mesh_goes_on_from_where_a_model_puts_the_pair_and_its_energy_falls(
     assert from_copy == sorted(from_copy, reverse=True)
     assert from_fk[0] < from_copy[0]
     assert from_copy[-1] == pytest.approx(from_fk[-1], rel=0.02)
-    fk = load_model("naive_fk", {}).predict(request)
+    fk = NaiveFkModel().predict(request)
     assert energies[0] == pytest.approx(total_energy(terms, points_of(fk)))
 
 
@@ -174,10 +176,10 @@ def test_a_long_take_is_refined_in_windows(monkeypatch: pytest.MonkeyPatch) -> N
     request = _request(TAKE, 0.8)
     long = Source(swaying_pair(70), 10.0, "sway")
     asked = replace(request, source=long)
-    whole = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6).predict(asked)
+    whole = MeshRefineModel(NaiveFkModel(), num_iterations=6).predict(asked)
     monkeypatch.setattr("pasdedeux.learning.mesh_refine.LONGEST_S", 6.5)
-    short = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6).predict(asked)
-    moved = np.linalg.norm(whole - load_model("naive_fk", {}).predict(asked), axis=-1).mean()
+    short = MeshRefineModel(NaiveFkModel(), num_iterations=6).predict(asked)
+    moved = np.linalg.norm(whole - NaiveFkModel().predict(asked), axis=-1).mean()
     assert np.linalg.norm(short - whole, axis=-1).mean() < 0.1 * moved
 
 
@@ -186,8 +188,8 @@ def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
     (truth,) = Augmenter(TAKE).solve([variation])
     pairs = key_contacts(TAKE.contacts())
     request = VariantRequest("sway", TAKE, variation.bone_scale)
-    fk = model_errors(load_model("naive_fk", {}).predict(request), truth.positions_m, pairs)
-    copy = model_errors(load_model("copy", {}).predict(request), truth.positions_m, pairs)
+    fk = model_errors(NaiveFkModel().predict(request), truth.positions_m, pairs)
+    copy = model_errors(CopyModel().predict(request), truth.positions_m, pairs)
     assert fk["E_b"] < 1e-6
     assert copy["E_b"] > 10.0
     assert fk["JPD"] > 1.0
@@ -197,7 +199,7 @@ def test_a_meter_finds_the_solver_good_and_plain_kinematics_apart_from_it_in_eve
     variation = uniform_variations([0.8], ["A"])[0]
     (truth,) = Augmenter(TAKE).solve([variation])
     request = VariantRequest("sway", TAKE, variation.bone_scale)
-    fk = load_model("naive_fk", {}).predict(request)
+    fk = NaiveFkModel().predict(request)
     meter = ModelMeter(request)
     found = meter.measure(variation.bone_scale, {"naive_fk": fk, "same": truth.positions_m}, truth.positions_m)
     solver, plain, same = found["solver"], found["naive_fk"], found["same"]
@@ -354,9 +356,9 @@ def test_what_cannot_be_done_is_said() -> None:
     with pytest.raises(InputError, match="no training variant among 48 variants of 2 takes"):
         make_split("cross_interaction_swapped", _keys(["a", "b"]), np.random.default_rng(0), held_out=["a"])
     with pytest.raises(InputError, match="model 'oracle' is not known"):
-        load_model("oracle", {})
+        load_model(ModelDescription(model="oracle"), {})
     with pytest.raises(InputError, match="array 'mix' is missing"):
-        load_model("ridge_scale", {})
+        load_model(ModelDescription(model="ridge_scale"), {})
     with pytest.raises(InputError, match="no variant to train on"):
         _train_ridge([])
     with pytest.raises(InputError, match="the source's is"):

@@ -14,16 +14,18 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import (
     MODELS,
     MeshRefineModel,
+    ModelDescription,
     RidgeScaleModel,
     Training,
     TrainingItem,
     VariantRequest,
+    describe,
     load_model,
     model_arrays,
 )
-from pasdedeux.learning.interaction_cvae import InteractionCvae
-from pasdedeux.learning.paper_cvae import PaperCvaeModel
-from pasdedeux.learning.torch_layers import divergence, draw_latent
+from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
+from pasdedeux.learning.networks.layers import divergence, draw_latent
+from pasdedeux.learning.window_vae import PaperCvaeModel
 from pasdedeux.learning.windows import Spread, frames_looked_at
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
@@ -35,13 +37,10 @@ SCALED_A, SCALED_B, BOTH = (v.bone_scale for v in uniform_variations([0.8], ["A"
 
 def _model(seed: int = 5) -> PaperCvaeModel:
     """Return a model with weights that somebody might have learned."""
-    generator = np.random.default_rng(seed)
-    weights = {
-        name: generator.normal(0.0, 0.1, shape).astype(np.float32)
-        for name, shape in InteractionCvae(SMALL).shapes().items()
-    }
-    standard = np.stack([np.ones(22), np.full(22, 0.1)]).astype(np.float32)
-    return PaperCvaeModel(SMALL, SMALL.length, standard, weights)
+    network, generator = InteractionCvae(SMALL), torch.Generator().manual_seed(seed)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.1, generator)
+    return PaperCvaeModel(SMALL, np.stack([np.ones(22), np.full(22, 0.1)]).astype(np.float32), network)
 
 
 def _ask(source: Source, scale: np.ndarray) -> np.ndarray:
@@ -128,11 +127,13 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
     both = [TrainingItem("AB", VariantRequest("sway", TAKE, BOTH), TAKE.positions_m)]
     with pytest.raises(InputError, match="no variant of one scaled person"):
         PaperCvaeModel.train(Training(lambda: iter(both), settings=SMALL))
-    arrays = model_arrays(_model())
-    with pytest.raises(InputError, match=r"'st_gcn1/0/edges' has shape \(18, 18\), not \(22, 22\)"):
-        load_model("paper_cvae", {**arrays, "st_gcn1/0/edges": np.ones((18, 18), np.float32)})
-    with pytest.raises(InputError, match=r"sizes .* are out of range"):
-        load_model("paper_cvae", {**arrays, "sizes": np.array([11, 1e9, 5, 3, 2, 3, 0], np.float64)})
+    arrays, description = model_arrays(_model()), describe(_model())
+    with pytest.raises(InputError, match=r"'st_gcn1.blocks.0.mix.edges' has shape \(18, 18\), not \(22, 22\)"):
+        load_model(description, {**arrays, "st_gcn1.blocks.0.mix.edges": np.ones((18, 18), np.float32)})
+    for change in ({"width": 10**9}, {"architecture": "another"}, {"height": 3}):
+        other = ModelDescription(model="paper_cvae", config={**description.config, **change})
+        with pytest.raises(InputError, match=f"its setting '{next(iter(change))}' is out of range"):
+            load_model(other, arrays)
     with pytest.raises(ValueError, match="is even"):
         PaperCvaeModel.config_kind.model_validate({"kernel": 4})
 

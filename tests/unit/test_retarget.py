@@ -15,7 +15,7 @@ from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
-from pasdedeux.learning import RidgeScaleModel, Weights, load_model, write_weights
+from pasdedeux.learning import NaiveFkModel, RidgeScaleModel, Weights, write_weights
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store, resolve
 from tasks.augmentation import read_take
@@ -216,7 +216,7 @@ def test_a_trained_model_of_a_store_or_a_file_gives_the_motion_and_what_it_learn
     still = RidgeScaleModel(coefficients={"waltz": np.zeros((5, *source.positions_m.shape))})
     put_model(root, still, "random", [take])
     of_scales = put_model(root, still, "cross_scale", [take])
-    put_model(root, load_model("naive_fk", {}), "random", [])
+    put_model(root, NaiveFkModel(), "random", [])
     (tmp_path / "w.safetensors").write_bytes(write_weights(Weights(still, {"waltz": "another take"})))
     words = ["retarget", store[1], "--to", str(files / "long.bvh"), "--store", str(root.root)]
 

@@ -13,11 +13,13 @@ from pasdedeux.evaluation.model_meter import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import (
     MODELS,
+    CopyModel,
     Training,
     TrainingItem,
     VariantModel,
     VariantRequest,
     Weights,
+    describe,
     load_model,
     mapped_item,
     mapped_source,
@@ -86,7 +88,9 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
     assert motion.shape == (30, 2, 18, 3)
     assert np.isfinite(motion).all()
     unseen = replace(asked, take_id="another")
-    np.testing.assert_array_equal(load_model(kind.name, model_arrays(model)).predict(unseen), model.predict(unseen))
+    np.testing.assert_array_equal(
+        load_model(describe(model), model_arrays(model)).predict(unseen), model.predict(unseen)
+    )
     found = ModelMeter(asked).measure(asked.bone_scale, {kind.name: motion}, MAPPED.positions_m)[kind.name]
     assert {"E_r", "E_b", "PWD"} <= {name for name, value in found.items() if np.isfinite(value)}
     if model.skeleton is None:
@@ -99,7 +103,7 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
     # Arrays of both mixed, and a file that says it is of the other.
     key = "mix" if kind.name == "ridge_scale" else "known_scales"
     with pytest.raises(InputError, match="weights of another topology"):
-        load_model(kind.name, {**model_arrays(other), key: model_arrays(model)[key]})
+        load_model(describe(other), {**model_arrays(other), key: model_arrays(model)[key]})
     data = write_weights(Weights(model))
     assert read_weights(data, "own").model.skeleton is EXPI18
     said = b",".join(name.encode() for name in EXPI18.joint_names)
@@ -121,7 +125,7 @@ def test_a_study_says_which_models_may_be_of_18_joints_and_keys_of_body22_stay()
 def test_models_of_18_joints_are_no_distributions_and_that_is_said(tmp_path: Path) -> None:
     store = Store(tmp_path)
     takes = [put_take(store, take_id) for take_id in ("hug", "judo")]
-    model = put_model(store, load_model("copy", {}), "random", takes)
+    model = put_model(store, CopyModel(), "random", takes)
     other = replace(model, facts={**model.facts, "skeleton": "expi18"})
     settings = LearnedSettings(num_realism_variants=2)
     for models, planned in (([model, other], "all"), ([other], "other_skeleton"), ([], None)):

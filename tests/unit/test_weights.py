@@ -14,12 +14,14 @@ from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
 from pasdedeux.learning import (
     MeshRefineModel,
+    NaiveFkModel,
     RidgeAdaptedModel,
     RidgeScaleModel,
     Training,
     TrainingItem,
     VariantRequest,
     Weights,
+    describe,
     load_model,
     model_arrays,
     read_weights,
@@ -34,11 +36,12 @@ ITEMS = [TrainingItem("v", VariantRequest("sway", TAKE, scale), TAKE.positions_m
 RIDGE = RidgeScaleModel.train(Training(lambda: iter(ITEMS))).model
 MODEL = RidgeAdaptedModel.train(Training(lambda: iter(ITEMS), start=RIDGE)).model
 DATA = write_weights(Weights(MODEL, {"sway": "digest"}))
+WHAT = describe(MODEL).model_dump()
 
 
-def _forged(change: dict[str, np.ndarray], **said: str) -> bytes:
+def _forged(change: dict[str, np.ndarray], **said: object) -> bytes:
     """Return the file with other arrays or other words in it."""
-    words = {"model": "ridge_adapted", "joints": ",".join(BODY22.joint_names), "takes": "{}"} | said
+    words: dict[str, object] = {"description": WHAT, "joints": ",".join(BODY22.joint_names), "takes": {}} | said
     return bytes(save(load(DATA) | change, metadata={"pasdedeux": json.dumps(words)}))
 
 
@@ -48,11 +51,19 @@ def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes
     request = ITEMS[0].request
     np.testing.assert_array_equal(again.model.predict(request), MODEL.predict(request))
     assert write_weights(again) == DATA
-    refined = MeshRefineModel(MeshRefineModel(load_model("naive_fk", {}), 1), 2)
-    assert model_arrays(load_model("mesh_refine", model_arrays(refined))) == model_arrays(refined)
+    refined = MeshRefineModel(MeshRefineModel(NaiveFkModel(), 1), 2)
+    assert describe(load_model(describe(refined), model_arrays(refined))) == describe(refined)
     assert {name: a.tobytes() for name, a in model_arrays(again.model).items()} == {
         name: a.tobytes() for name, a in model_arrays(MODEL).items()
     }
+
+
+def _nested(depth: int) -> dict[str, object]:
+    """Return the description of models that build on each other."""
+    found: dict[str, object] = {"model": "copy"}
+    for _ in range(depth):
+        found = {"model": "mesh_refine", "config": {"num_iterations": 1}, "built_on": found}
+    return found
 
 
 @pytest.mark.parametrize(
@@ -65,18 +76,20 @@ def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes
         (bytes(save({"mix": np.eye(44)})), "no weights of a model"),
         (bytes(save({"mix": np.eye(44)}, metadata={"pasdedeux": "[" * 100_000})), "no weights of a model"),
         (_forged({}, joints="hips,head"), "another topology, 2 joints: hips,head"),
-        (_forged({}, model="oracle"), "model 'oracle' is not known"),
+        (_forged({}, description={"model": "oracle"}), "model 'oracle' is not known"),
         (
-            _forged({"on:ridge_scale/mix": np.eye(36)}),
+            _forged({"built_on/mix": np.eye(36)}),
             r"'take/sway' has shape \(5, 6, 2, 22, 3\), not \(5, 6, 2, 18, 3\): weights of another",
         ),
-        (_forged({"on:ridge_scale/take/sway": np.ones((5, 6, 2, 18, 3))}), "'take/sway' has shape"),
-        (_forged({"on:ridge_scale/mix": np.full((44, 44), np.nan)}), "'mix' has a value that is not finite"),
-        (_forged({"adaptation": np.array([1e9, 1.0])}), r"are not 0.15 and 0.003"),
-        (_forged({"adaptation": np.array([1, 1])}), "is of int64, not float32 or float64"),
-        (_forged({"on:ridge_adapted/adaptation": np.ones(2)}), "the ridge_scale that it builds on is missing"),
-        (_forged({"on:copy/" * 5_000 + "form": np.ones(1)}), "builds on too many others"),
-        (_forged({"num_iterations": np.array([1e12])}, model="mesh_refine"), "iterations are asked for"),
+        (_forged({"built_on/take/sway": np.ones((5, 6, 2, 18, 3))}), "'take/sway' has shape"),
+        (_forged({"built_on/mix": np.full((44, 44), np.nan)}), "'mix' has a value that is not finite"),
+        (_forged({"more": np.array([1, 1])}), "is of int64, not float32 or float64"),
+        (_forged({}, description={"model": "ridge_adapted"}), "the ridge_scale that it builds on is missing"),
+        (_forged({}, description=_nested(300)), "no weights of a model"),
+        (
+            _forged({}, description=_nested(1) | {"config": {"num_iterations": 10**12}}),
+            "'num_iterations' is out of range",
+        ),
     ],
 )
 def test_what_is_no_model_of_ours_ends_with_one_sentence_that_names_the_file(data: bytes, sentence: str) -> None:
@@ -97,6 +110,6 @@ def test_whatever_is_changed_in_the_head_of_a_file_it_is_read_or_refused(data: s
 
 def test_a_take_that_a_model_does_not_know_is_another_whatever_its_name() -> None:
     with pytest.raises(InputError, match="learned take sway with 6 frames, asked for 4"):
-        load_model("ridge_scale", model_arrays(RIDGE)).predict(
+        load_model(describe(RIDGE), model_arrays(RIDGE)).predict(
             VariantRequest("sway", TAKE.take_frames(slice(0, 4)), SCALES[0])
         )

@@ -1,29 +1,57 @@
-"""Settings of `paper_cvae` and of what it was compared with: what the paper's text leaves open, ours, in one place."""
+"""Settings of the networks, without torch: studies can be read where it is not installed.
+
+What the paper of `paper_cvae` and of what it was compared with leaves open, and is ours, stands here in one place.
+"""
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Literal
 
 from pydantic import Field, field_validator
 
-from pasdedeux.learning.torch_settings import SegmentSettings, TorchSettings
+from pasdedeux.errors import InputError
 from pasdedeux.learning.windows import RATE_HZ
-
-_LONGEST_S = 60.0
-
-
-class WindowVaeSettings(SegmentSettings):
-    """What all variational autoencoders of windows have."""
-
-    num_steps: int = Field(2000, ge=1, description="Steps of training")
+from pasdedeux.settings import Settings
 
 
-class WindowSizes(TorchSettings):
-    """Rate and windows of a step; no study sets them, but for the rate of `paper_cvae`."""
+class FitSettings(Settings):
+    """How long a network is trained, and how fast."""
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
-    window_s: float = Field(2.0, gt=0, le=_LONGEST_S, description="Length of a window, seconds")
+
+
+class ClassifierSettings(FitSettings):
+    """How the classifier of clips is trained."""
+
+    num_steps: int = Field(200, ge=1, description="Steps of training")
+    learning_rate: float = Field(0.003, gt=0, le=1, description="Learning rate of Adam at the start")
+
+
+class PredictorSettings(FitSettings):
+    """How the predictor of motion is trained."""
+
+    num_steps: int = Field(300, ge=1, description="Steps of training")
+    learning_rate: float = Field(0.003, gt=0, le=1, description="Learning rate of Adam at the start")
+
+
+class SegmentSettings(Settings):
+    """How long an autoencoder of windows is trained."""
+
+    num_steps: int = Field(2000, ge=1, description="Steps of training")
+    segment_steps: int = Field(200, ge=1, description="Steps of a segment, the unit that is stored and resumed")
+
+    @property
+    def num_segments(self) -> int:
+        """In how many segments it is trained."""
+        return -(-self.num_steps // self.segment_steps)
+
+
+class WindowSettings(SegmentSettings, FitSettings):
+    """Rate and windows of a step; no study sets them, but for the rate of `paper_cvae`."""
+
+    window_s: float = Field(2.0, gt=0, le=60.0, description="Length of a window, seconds")
     windows_per_step: int = Field(16, ge=1, le=1000, description="Windows of a step, drawn from all takes")
 
     @property
@@ -31,13 +59,8 @@ class WindowSizes(TorchSettings):
         """Frames of a window."""
         return round(self.window_s * RATE_HZ) + 1
 
-    @classmethod
-    def longest(cls) -> int:
-        """Return the most frames that a window may have."""
-        return round(_LONGEST_S * RATE_HZ) + 1
 
-
-class PaperCvaeSettings(WindowVaeSettings):
+class PaperCvaeSettings(SegmentSettings):
     """What Li et al. (2024) leave to a supplement that is not with the text: all of it is assumed here.
 
     Printed: equations 1 to 8, the layers of MLP1 (16-32-64-128-256) and MLP2 (256-128-64-32-bones), weights 0.75,
@@ -63,7 +86,7 @@ class PaperCvaeSettings(WindowVaeSettings):
     )
 
 
-class PaperCvaeConfig(WindowSizes, PaperCvaeSettings):
+class PaperCvaeConfig(WindowSettings, PaperCvaeSettings):
     """The settings with the sizes of the networks, which no study sets."""
 
     width: int = Field(32, ge=1, le=1024, description="Features of ST-GCN1, 2 and 3")
@@ -80,7 +103,7 @@ class PaperCvaeConfig(WindowSizes, PaperCvaeSettings):
         return kernel
 
 
-class ActorLikeConfig(WindowSizes, WindowVaeSettings):
+class ActorLikeConfig(WindowSettings):
     """ACTOR (Petrovich et al. 2021) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
 
     From ACTOR: a transformer whose first two outputs, for tokens of the class, are mean and variance of z; a decoder
@@ -88,7 +111,7 @@ class ActorLikeConfig(WindowSizes, WindowVaeSettings):
     class is the scales of one variant, to 1e-4, whatever the take, and scales never seen are those of the nearest
     class; windows as in `paper_cvae`, joints of both people, and the change from the template in place of the motion
     itself, as the take must be known from something; for that its first and last frame are a second thing that the
-    decoder looks at; sizes (2 layers of 64 for 8 of 256, no dropout), normalisation without learned parameters.
+    decoder looks at; sizes (2 layers of 64 for 8 of 256, no dropout).
     """
 
     width: int = Field(64, ge=4, le=1024, multiple_of=4, description="Size of tokens and of z; four heads share it")
@@ -96,7 +119,7 @@ class ActorLikeConfig(WindowSizes, WindowVaeSettings):
     divergence_weight: float = Field(1e-5, ge=0, le=1, description="Weight of the divergence from the prior")
 
 
-class Action2MotionLikeConfig(WindowSizes, WindowVaeSettings):
+class Action2MotionLikeConfig(WindowSettings):
     """Action2motion (Guo et al. 2020) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
 
     From Action2motion: z of every frame, whose prior is a recurrent network's of the frames so far, gated recurrent
@@ -109,3 +132,18 @@ class Action2MotionLikeConfig(WindowSizes, WindowVaeSettings):
     hidden: int = Field(128, ge=1, le=1024, description="Size of the states of its gated recurrent units")
     latent_size: int = Field(30, ge=1, le=4096, description="Size of z of a frame")
     divergence_weight: float = Field(1e-4, ge=0, le=1, description="Weight of the divergence from the prior")
+
+
+def has_torch() -> bool:
+    """Tell whether torch is installed, without loading it."""
+    return find_spec("torch") is not None
+
+
+def require_torch(name: str) -> None:
+    """Refuse to go on without torch.
+
+    Raises:
+        InputError: Names the model that needs it, and how it is installed.
+    """
+    if not has_torch():
+        raise InputError(f"{name} needs torch, which is not installed: pip install 'pasdedeux[learning]'")

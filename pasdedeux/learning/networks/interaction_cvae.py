@@ -1,0 +1,160 @@
+"""The network of `paper_cvae`: three autoencoders, equations 1 to 8 of Li et al. (2024).
+
+p(q'_A, q'_B, B_s | q_A, q_B) = p(q'_A | q'_B, q_A) p(q'_B | B_s, q_B) p(B_s): scales from z by MLP2; B's change from z,
+the scales and the template's first and last frame by G-GRU1; A's change from z, B's motion as ST-GCN3 sees it and the
+template's first and last frame by G-GRU2.  The second person is the scaled one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from pasdedeux.learning.networks.layers import (
+    NUM_SINES,
+    Batch,
+    GraphGru,
+    StGcn,
+    WindowNetwork,
+    divergence,
+    draw_latent,
+    mlp,
+    sines,
+)
+from pasdedeux.learning.settings import PaperCvaeConfig
+from pasdedeux.skeletons import BODY22, Skeleton
+
+Narrow = npt.NDArray[np.float32]
+
+_MLP1 = (16, 32, 64, 128, 256)
+_MLP2 = (256, 128, 64, 32)
+_W1, _W2, _W3 = 0.75, 0.1, 0.05
+_W4 = 1.0 - _W1 - _W2 - _W3
+
+
+class InteractionCvae(WindowNetwork):
+    """The network for sizes that the settings say; the condition is standardised scales (W, 22)."""
+
+    def __init__(self, settings: PaperCvaeConfig, skeleton: Skeleton = BODY22) -> None:
+        super().__init__()
+        self.settings, self.skeleton = settings, skeleton
+        s, joints, size = settings, skeleton.num_joints, settings.latent_size
+        self.bones = [child for _, child in skeleton.bones]
+        self.mlp1 = mlp(joints - 1, *_MLP1, 2 * _MLP2[0])
+        self.mlp2 = mlp(*_MLP2, joints - 1)
+        self.st_gcn1 = StGcn(skeleton, 4, s.width, s.num_blocks, s.kernel)
+        self.st_gcn2 = StGcn(skeleton, 3, s.width, s.num_blocks, s.kernel)
+        if s.architecture != "scales_for_a":
+            self.st_gcn3 = StGcn(skeleton, 3, s.width, s.num_blocks, s.kernel)
+        self.z_b = nn.Linear(joints * (s.width + 6), 2 * size)
+        self.z_a = nn.Linear(joints * (2 * s.width + 6), 2 * size)
+        decoder = _TimedStGcn if s.architecture == "st_gcn_decoders" else _g_gru
+        self.g_gru1 = decoder(settings, skeleton, size + 6 + 1)
+        self.g_gru2 = decoder(settings, skeleton, size + 6 + s.width)
+
+    def noise_shapes(self, num_frames: int) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of z of scales, of B and of A."""
+        size = (self.settings.latent_size,)
+        return {"s": (_MLP2[0],), "b": size, "a": size}
+
+    def loss(self, batch: Batch) -> Tensor:
+        """Return equation 4: the sum of the losses of scales, of B and of A, means over the windows."""
+        template, motion = batch["template_m"], batch["motion_m"]
+        scale = batch["condition"][:, self.bones]
+        found = self.mlp1(scale)
+        again = self.mlp2(draw_latent(found, batch["noise_s"]))
+        of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(found)
+        found_b, found_a = self._encode(batch)
+        b = self._decode_b(batch, draw_latent(found_b, batch["noise_b"]))
+        a = self._decode_a(batch, draw_latent(found_a, batch["noise_a"]), motion[:, :, 1])
+        of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * divergence(found_b)
+        of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * divergence(found_a)
+        return of_scales + of_b + of_a
+
+    def forward(self, batch: Batch, *, is_posterior: bool = False) -> Tensor:
+        """Return how far both move from the template, by z of the batch's noise or of the answer."""
+        z_b, z_a = batch["noise_b"], batch["noise_a"]
+        if is_posterior:
+            z_b, z_a = (found.chunk(2, -1)[0] for found in self._encode(batch))
+        b = self._decode_b(batch, z_b)
+        return torch.stack([self._decode_a(batch, z_a, batch["template_m"][:, :, 1] + b), b], 2)
+
+    def scales(self, z: Narrow) -> Narrow:
+        """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
+        with torch.no_grad():
+            found = np.zeros((len(z), self.skeleton.num_joints), np.float32)
+            found[:, self.bones] = self.mlp2(torch.from_numpy(z)).numpy()
+        return found
+
+    def _encode(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return means and logarithms of variances of z of B and of A: equations 2 and 3, the first lines."""
+        template, motion = batch["template_m"], batch["motion_m"]
+        change = motion if self.settings.architecture == "whole_motion" else motion - template
+        scale = batch["condition"][:, None, :, None].expand(-1, change.shape[1], -1, -1)
+        b = self.st_gcn1(torch.cat([change[:, :, 1], scale], -1))
+        a, partner = self.st_gcn2(change[:, :, 0]), self._seen_by_a(batch, motion[:, :, 1])
+        ends = self._ends(template).flatten(2)
+        return (
+            self.z_b(torch.cat([b.flatten(1), ends[:, 1]], -1)),
+            self.z_a(torch.cat([a.flatten(1), ends[:, 0], partner.flatten(1)], -1)),
+        )
+
+    def _seen_by_a(self, batch: Batch, b_m: Tensor) -> Tensor:
+        """Return what A knows of B (W, 22, width): its motion as ST-GCN3 sees it."""
+        if self.settings.architecture == "scales_for_a":
+            return batch["condition"][..., None].expand(-1, -1, self.settings.width)
+        return self.st_gcn3(b_m)
+
+    def _decode_b(self, batch: Batch, z: Tensor) -> Tensor:
+        return self._decode(self.g_gru1, batch, 1, z, batch["condition"][..., None])
+
+    def _decode_a(self, batch: Batch, z: Tensor, b_m: Tensor) -> Tensor:
+        return self._decode(self.g_gru2, batch, 0, z, self._seen_by_a(batch, b_m))
+
+    def _decode(self, decoder: nn.Module, batch: Batch, person: int, z: Tensor, seen: Tensor) -> Tensor:
+        """Return the change of one person (W, T, 22, 3): equations 2 and 3, the second lines."""
+        template = batch["template_m"]
+        latent = z[:, None].expand(-1, self.skeleton.num_joints, -1)
+        found = decoder(torch.cat([latent, self._ends(template)[:, person], seen], -1), template.shape[1])
+        return found - template[:, :, person] if self.settings.architecture == "whole_motion" else found
+
+    def _ends(self, template: Tensor) -> Tensor:
+        """Return the first and the last frame of each person's template (W, 2, 22, 6)."""
+        ends = torch.cat([template[:, 0], template[:, -1]], -1)
+        return torch.zeros_like(ends) if self.settings.architecture == "without_ends" else ends
+
+    def _motion_loss(self, found_m: Tensor, motion_m: Tensor) -> Tensor:
+        """Return equations 6 and 8 without z: norms summed as printed, or the mean over frames, joints and axes."""
+        terms = (
+            (_W1, (found_m - motion_m).abs()),
+            (_W2, (found_m.diff(dim=1) - motion_m.diff(dim=1)).abs()),
+            (_W3, (self._lengths(found_m) - self._lengths(motion_m)) ** 2),
+        )
+        if self.settings.norm == "averaged":
+            return torch.stack([share * values.mean() for share, values in terms if values.numel()]).sum()
+        return torch.stack([share * values.flatten(1).sum(1).mean() for share, values in terms]).sum()
+
+    def _lengths(self, motion_m: Tensor) -> Tensor:
+        parents, children = (list(ends) for ends in zip(*self.skeleton.bones, strict=True))
+        return (motion_m[..., children, :] - motion_m[..., parents, :]).norm(dim=-1)
+
+
+def _g_gru(settings: PaperCvaeConfig, skeleton: Skeleton, inputs: int) -> GraphGru:
+    return GraphGru(skeleton, inputs, settings.hidden, 3)
+
+
+class _TimedStGcn(nn.Module):
+    """An ST-GCN that knows the time, in place of a G-GRU."""
+
+    def __init__(self, settings: PaperCvaeConfig, skeleton: Skeleton, inputs: int) -> None:
+        super().__init__()
+        s = settings
+        self.st_gcn = StGcn(skeleton, inputs + NUM_SINES, s.hidden, s.num_blocks, s.kernel, is_pooled=False)
+        self.out = mlp(s.hidden, s.hidden, 3)
+
+    def forward(self, known: Tensor, num_frames: int) -> Tensor:
+        times = sines(num_frames).to(known.device)[:, None].expand(len(known), -1, known.shape[1], -1)
+        every = known[:, None].expand(-1, num_frames, -1, -1)
+        return self.out(self.st_gcn(torch.cat([every, times], -1)))

@@ -24,7 +24,7 @@ from pasdedeux.reconstruction.reconstruct import (
     Searcher,
 )
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
-from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
+from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
@@ -133,7 +133,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     )
 
 
-def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[PersonTrack]:
+def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[Track]:
     """Return the tracks of the sequence, by person; the facts say why there are none."""
     sequence_id = parameters.sequence_id
     columns = ["sequence_id", "frame", "person_id", "partner_id", "time_s", "op14_px", "op14_confidence"]
@@ -168,7 +168,7 @@ def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, fact
 def _reconstruct(
     store: Store,
     database_refs: Sequence[ArtifactRef],
-    people: Sequence[PersonTrack],
+    people: Sequence[Track],
     parameters: SequenceShard,
     facts: dict[str, Any],
     seed: int,
@@ -182,12 +182,12 @@ def _reconstruct(
     views = read_views([store.manifest(ref) for ref in database_refs])
     level, take_ids, frames = read_database(store, database_refs)
     databases = [replace(level, camera=camera) for camera in views.cameras]
-    pitch = choose_camera(databases, [person.track for person in people], options)
+    pitch = choose_camera(databases, people, options)
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
     chosen = Searcher.of(suited)
     is_paired = parameters.has_pairs and len(people) > 1
     found = reconstruct_people(
-        [chosen],
+        chosen,
         people,
         parameters.methods,
         options,
@@ -196,9 +196,9 @@ def _reconstruct(
         pitch=pitch,
     )
     pitch = found.pitch
-    if found.world is not None:
-        facts["camera_height_m"] = found.world.camera_height_m
-        facts["lens_factor"] = found.world.lens_factor
+    if found.scene is not None:
+        facts["camera_height_m"] = found.scene.camera_height_m
+        facts["lens_factor"] = found.scene.lens_factor
     facts["camera"] = views.camera
     pitches = [camera.pitch_rad for camera in views.cameras]
     facts["pitch_deg"] = float(np.rad2deg(pitch.pitch_rad))
@@ -207,16 +207,16 @@ def _reconstruct(
     facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
     upright = np.asarray(replace(suited.camera, pitch_rad=pitch.pitch_rad).camera_from_upright_rotmat)
     rows = [
-        _rows_of(sequence_id, person, made.name, one, made.origin_m, body.turned(upright), take_ids, frames)
+        _rows_of(sequence_id, made.name, one, made.origin_m, body.turned(upright), take_ids, frames)
         for made in found.methods
-        for (person, one), body in zip(made.people, made.bodies, strict=True)
+        for one, body in zip(made.people, made.bodies, strict=True)
     ]
     rng = stream(seed, "reconstruction", "left_out", sequence_id)
     left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids, rng)
     doubts = camera_doubt(pitches, pitch)
     judged = {
-        f"person {person.person_id}": judge_person(one, left_out_m, doubts=doubts).verdict
-        for person, one in (found.methods[-1].people if found.methods else ())
+        f"person {one.track.person_id}": judge_person(one, left_out_m, doubts=doubts).verdict
+        for one in (found.methods[-1].people if found.methods else ())
     }
     judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in found.skipped.items()}
     attachments = {
@@ -254,7 +254,6 @@ def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, 
 
 def _rows_of(
     sequence_id: str,
-    person: PersonTrack,
     method: str,
     found: Reconstruction,
     origin: np.ndarray,
@@ -262,18 +261,18 @@ def _rows_of(
     take_ids: np.ndarray,
     frames: np.ndarray,
 ) -> dict[str, Any]:
-    count = len(found.positions_m)
+    count, track = len(found.positions_m), found.track
     is_known = found.row >= 0
     row = np.maximum(found.row, 0)
     return {
         "sequence_id": [sequence_id] * count,
-        "person_id": np.full(count, person.person_id),
-        "frame": person.frames,
-        "time_s": person.times_s,
+        "person_id": np.full(count, track.person_id),
+        "frame": track.frames,
+        "time_s": track.times_s,
         "method": [method] * count,
         "op14_m": found.positions_m - origin,
         "op14_unitquat": found.bone_unitquat,
-        "body22_m": body.motion(person.track.rate_hz).world()[0],
+        "body22_m": body.motion(track.rate_hz).world()[0],
         "body22_unitquat": body.unitquat,
         "root_translation_m": found.root_m - origin,
         "metres_per_pixel": found.metres_per_pixel,

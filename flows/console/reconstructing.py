@@ -24,9 +24,10 @@ from pasdedeux.people.settle import SequencePeople, SettledPeople
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import reconstruct_people
+from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
-from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
+from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.parameters import AnnotationOptions
@@ -156,33 +157,39 @@ def _reconstruct_sequence(
     tracks = _tracks(settled, sequence.sequence_id, whole.person_ids)
     if not tracks:
         raise InputError("no frame shows enough joints of a person")
+    pitch, searcher = None, searchers[0]
+    if len(searchers) > 1:
+        pitch = choose_pitch(searchers, tracks)
+        searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
     found = reconstruct_people(
-        searchers,
+        searcher,
         tracks,
         [Method.FIT],
         has_clean_up=whole.has_clean_up,
         pairs_m=pairs_m,
         camera_height_m=whole.camera_height_m,
         statures_m=_statures(whole.statures, [one.person_id for one in tracks]),
+        pitch=pitch,
     )
     if not found.methods:
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)
     names = FileNames(target)
-    left_out_m = left_out_misfit_m(found.searcher.database, found.searcher.index, take_ids, np.random.default_rng(0))
+    left_out_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
     doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
     rows = []
-    for tracked, made in found.methods[-1].people:
-        path = names.path(sequence.sequence_id, tracked.person_id, suffix=".bvh")
-        motion = found.motions[tracked.person_id]
+    for made in found.methods[-1].people:
+        track = made.track
+        path = names.path(sequence.sequence_id, track.person_id, suffix=".bvh")
+        motion = found.motions[track.person_id]
         path.write_text(motion.bvh(whole.units), encoding="utf-8")
         path.with_suffix(".npz").write_bytes(write_npz(motion))
         judged = judge_person(made, left_out_m, doubts=doubts)
         rows.append(
             (
                 str(path),
-                f"{tracked.first_frame}-{int(tracked.frames[-1])}",
+                f"{track.first_frame}-{int(track.frames[-1])}",
                 f"{100 * judged.expected_error_m:.0f} cm",
                 f"{100 * judged.misfit_m:.1f} cm",
                 f"{100 * left_out_m:.1f} cm" if math.isfinite(left_out_m) else "",
@@ -201,7 +208,7 @@ def _reconstruct_sequence(
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
-def _tracks(settled: SettledPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[PersonTrack]:
+def _tracks(settled: SettledPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[Track]:
     """Return the tracks of the people of a sequence that are wanted, of everybody where nobody is named."""
     frames = settled.frames
     is_own = np.array([name == sequence_id for name in frames.sequence_id])

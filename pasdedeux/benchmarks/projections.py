@@ -26,6 +26,7 @@ from pasdedeux.projections.search import Neighbours, build_index, prepare_query
 from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
+from pasdedeux.reconstruction.live.person import NUM_CANDIDATES
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
@@ -171,7 +172,7 @@ def _live() -> BenchmarkResult:
         )
     parts = {
         "identities": _best_waits_ms(lambda: _follow(confidence), px) / 2.0,
-        "search": _waits_ms(partial(searcher.index.search, num_neighbours=20), _queries()),
+        "search": _waits_ms(partial(searcher.index.search, num_neighbours=NUM_CANDIDATES), _queries()),
         "clean-up": _best_waits_ms(lambda: LiveCleanUp(24.0).step, motions[0]),
     }
     track = Track(px[:, 0], np.ones(px.shape[::2]), 24.0, Lens.assumed(1920, 1080, px))

@@ -27,7 +27,6 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson
-from pasdedeux.reconstruction.live.window_fit import WindowFitOptions
 from pasdedeux.reconstruction.pitch import floor_offset
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
@@ -140,7 +139,7 @@ def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array
     Candidates are on the reference body.  Frames without candidates have NaN.
     """
     neighbours = found.neighbours
-    poses = searcher.database.turned(np.maximum(neighbours.row, 0), found.yaws)
+    poses = searcher.database.turned(np.maximum(neighbours.row, 0), found.yaw_steps)
     poses = np.einsum("ij,...nj->...ni", searcher.database.camera.camera_from_upright_rotmat, poses)
     centred = truth_m - mid_hip(truth_m)[:, None]
     error = np.linalg.norm(poses - centred[:, None], axis=-1).mean(axis=-1)
@@ -164,7 +163,7 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
     if not has_clean_up:
         return motions
     for name, one in made.items():
-        (cleaned,) = clean_reconstructions([(0, one)], floor_offset([one], camera), camera, rate_hz=track.rate_hz)
+        (cleaned,) = clean_reconstructions([one], floor_offset([one], camera), camera)
         motions[name + CLEAN] = cleaned.positions_m
     motions[LIVE] = _live_motion(searcher, track, has_clean_up=False)
     motions[LIVE + CLEAN] = _live_motion(searcher, track, has_clean_up=True)
@@ -177,7 +176,7 @@ def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Arr
         metres_per_pixel=_KNOWN_BODY.metres_per_pixel,
         has_own_proportions=False,
         has_clean_up=has_clean_up,
-        fit=WindowFitOptions(min_noise_m=_KNOWN_BODY.fit.min_noise_m),
+        min_noise_m=_KNOWN_BODY.fit.min_noise_m,
     )
     person = LivePerson(0, searcher, rate_hz=track.rate_hz, lens=track.lens, options=live)
     poses = []

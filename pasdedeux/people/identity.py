@@ -9,16 +9,13 @@ where the place does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity_kernels import clean_detections, match_costs, predict_joints, update_joints
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 Integers = npt.NDArray[np.int64]
@@ -31,36 +28,23 @@ _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
 """Who is not seen goes on: the speed of the whole body fades slowly, that of limbs against it fast."""
 
 
-class IdentityOptions(Settings):
-    """How people are followed.  Lengths are shares of the size of the body in the image (about its height)."""
-
-    gate: float = Field(
-        0.25, gt=0, description="Mean joint distance from the prediction beyond which a detection is somebody else"
-    )
-    gate_growth_per_s: float = Field(0.5, ge=0, description="Growth of the gate while a person is not seen")
-    max_gate: float = Field(0.6, gt=0, description="The gate never grows beyond this")
-    max_absent_s: float = Field(1.5, gt=0, description="After this time unseen a person who comes back is a new one")
-    size_cost: float = Field(0.2, ge=0, description="Cost of a size that is e times the one before")
-    duplicate: float = Field(
-        0.06, ge=0, description="Two detections of a frame nearer than this are one person seen twice"
-    )
-    ghost_s: float = Field(
-        0.25, ge=0, description="Tracks seen for less than this are dropped, when the sequence is four times as long"
-    )
-    min_joints: int = Field(3, ge=1, description="Detections with fewer joints are dropped")
-    given_cost: float = Field(
-        0.05,
-        ge=0,
-        description="Cost of a detection that the source numbers otherwise than the person's one before; it grows with "
-        "the time between as the gate does, for motion then says less",
-    )
-
-    @model_validator(mode="after")
-    def _check_gate(self) -> Self:
-        """Refuse a gate beyond its largest."""
-        if self.gate > self.max_gate:
-            raise ValueError(f"gate is {self.gate:g}; it must not be above max_gate, {self.max_gate:g}")
-        return self
+# Lengths are shares of the size of the body in the image (about its height).
+_GATE, _GATE_GROWTH_PER_S, _MAX_GATE = 0.25, 0.5, 0.6
+"""Mean joint distance from the prediction beyond which a detection is somebody else; its growth while a person is not
+seen, and what it never grows beyond."""
+MAX_ABSENT_S = 1.5
+"""After this time unseen a person who comes back is a new one."""
+_SIZE_COST = 0.2
+"""Cost of a size that is e times the one before."""
+_DUPLICATE = 0.06
+"""Two detections of a frame nearer than this are one person seen twice."""
+_GHOST_S = 0.25
+"""Tracks seen for less than this are dropped, when the sequence is four times as long."""
+MIN_JOINTS = 3
+"""Detections with fewer joints are dropped."""
+_GIVEN_COST = 0.05
+"""Cost of a detection that the source numbers otherwise than the person's one before; it grows with the time between as
+the gate does, for motion then says less."""
 
 
 @dataclass(frozen=True)
@@ -120,14 +104,9 @@ def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
 
 
 class Follower:
-    """Follows people frame by frame, as frames arrive; the state is theirs alone.
+    """Follows people frame by frame, as frames arrive; the state is theirs alone."""
 
-    Args:
-        options: How.
-    """
-
-    def __init__(self, options: IdentityOptions | None = None) -> None:
-        self.options = options or IdentityOptions()
+    def __init__(self) -> None:
         self._people: list[_Person] = []
         self._num_tracks = 0
 
@@ -140,29 +119,31 @@ class Follower:
             time_s: Time of the frame, later than the one before.
             keypoints_px: Detections (detection, 14, 2), NaN where not seen.
             confidence: (detection, 14), 0 where not seen.
-            given_id: Person of each detection (detection,) as the source numbers them, where it does over time.
+            given_id: Person of each detection (detection,) as the source numbers them, where it does over time; then
+                every detection with a joint is a person of its own.
         """
         points, seen, trust, size = clean_detections(
             np.asarray(keypoints_px, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
         )
         is_seen = trust > 0
-        is_usable = (is_seen.sum(axis=1) >= self.options.min_joints) & np.isfinite(size)
+        min_joints = MIN_JOINTS if given_id is None else 1
+        is_usable = (is_seen.sum(axis=1) >= min_joints) & np.isfinite(size)
         track_id = np.full(len(points), -1, dtype=np.int64)
         usable = np.flatnonzero(is_usable)
-        self._people = [p for p in self._people if time_s - p.last_time_s <= self.options.max_absent_s]
+        self._people = [p for p in self._people if time_s - p.last_time_s <= MAX_ABSENT_S]
         matched: dict[int, _Person] = {}
         if len(usable) and self._people:
             cost, limit = self._costs(time_s, points[usable], trust[usable], size[usable])
             if given_id is not None:
                 passed = time_s - np.array([person.last_time_s for person in self._people])
-                claim = self.options.given_cost + self.options.gate_growth_per_s * passed
+                claim = _GIVEN_COST + _GATE_GROWTH_PER_S * passed
                 own = np.array([person.given_id for person in self._people])
                 cost += claim[:, None] * (own[:, None] != given_id[usable])
                 limit += claim[:, None]
             from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
 
             # Leaving both unmatched costs 0; who was away has a wider gate but no better claim.
-            gated = np.where(cost <= limit, cost - 2.0 * self.options.max_gate, 0.0)
+            gated = np.where(cost <= limit, cost - 2.0 * _MAX_GATE, 0.0)
             for row, column in zip(*linear_sum_assignment(gated), strict=True):
                 if cost[row, column] <= limit[row, column]:
                     matched[int(usable[column])] = self._people[row]
@@ -170,7 +151,7 @@ class Follower:
         for index in usable.tolist():
             if index in matched:
                 continue
-            twin = _twin(index, matched, points, is_seen, size, self.options.duplicate)
+            twin = _twin(index, matched, points, is_seen, size) if given_id is None else None
             if twin is None:
                 self._num_tracks += 1
                 matched[index] = _Person(
@@ -200,18 +181,9 @@ class Follower:
         cost = np.empty((len(self._people), len(points)))
         limit = np.zeros(cost.shape)
         for row, person in enumerate(self._people):
-            cost[row] = match_costs(
-                person.predict(time_s),
-                person.is_known,
-                person.size_px,
-                points,
-                trust,
-                size,
-                3.0 * self.options.gate,
-                self.options.size_cost,
-            )
-            passed = time_s - person.last_time_s
-            limit[row] = min(self.options.gate + self.options.gate_growth_per_s * passed, self.options.max_gate)
+            expected = (person.predict(time_s), person.is_known, person.size_px)
+            cost[row] = match_costs(*expected, points, trust, size, 3.0 * _GATE, _SIZE_COST)
+            limit[row] = min(_GATE + _GATE_GROWTH_PER_S * (time_s - person.last_time_s), _MAX_GATE)
         return cost, limit
 
 
@@ -222,11 +194,11 @@ def follow_people(
     *,
     rate_hz: float,
     given_id: Integers | None = None,
-    options: IdentityOptions | None = None,
 ) -> FollowedRows:
     """Return the person of every detection of a sequence, whatever the order of people within its frames.
 
-    Where the source numbers people, a change of number is evidence against a match, and no more than that.
+    Where the source numbers people, a change of number is evidence against a match, and no more than that; then nobody
+    is dropped or merged.
 
     Args:
         frame: Frame number of each row (row,), in any order; numbers may have gaps.
@@ -234,7 +206,6 @@ def follow_people(
         confidence: (row, 14), 0 where not seen.
         rate_hz: Frames per second.
         given_id: Person of each row (row,) as the source numbers them over time.
-        options: How.
 
     Returns:
         The rows in the order given; without rows nothing.
@@ -242,7 +213,6 @@ def follow_people(
     Raises:
         InputError: Shapes do not fit, or the rate is not positive.
     """
-    options = options or IdentityOptions()
     if keypoints_px.shape != (len(frame), OP14.num_joints, 2) or confidence.shape != keypoints_px.shape[:2]:
         raise InputError(
             f"identities: {len(frame)} frames, keypoints {keypoints_px.shape}, confidences {confidence.shape}; "
@@ -252,7 +222,7 @@ def follow_people(
         raise InputError(f"identities: the frame rate is {rate_hz}, it must be positive")
     points, seen = np.array(keypoints_px, dtype=np.float64), np.array(confidence, dtype=np.float64)
     track_id, twin = np.full((2, len(frame)), -1, dtype=np.int64)
-    follower = Follower(options)
+    follower = Follower()
     for number in np.unique(frame):
         rows = np.flatnonzero(frame == number)
         found = follower.step(
@@ -260,7 +230,8 @@ def follow_people(
         )
         track_id[rows], points[rows], seen[rows] = found.track_id, found.keypoints_px, found.confidence
         twin[rows] = np.where(found.twin >= 0, rows[found.twin], -1)
-    track_id[_ghosts(frame, track_id, rate_hz, options)] = -1
+    if given_id is None:
+        track_id[_ghosts(frame, track_id, rate_hz)] = -1
     kept = [int(one) for one in dict.fromkeys(track_id[np.argsort(frame, kind="stable")].tolist()) if one >= 0]
     renamed = {old: new for new, old in enumerate(kept)} | {-1: -1}
     final = np.array([renamed[int(one)] for one in track_id], dtype=np.int64)
@@ -290,12 +261,7 @@ def _faded(passed_s: float, fade_s: float) -> float:
 
 
 def _twin(
-    index: int,
-    matched: dict[int, _Person],
-    points: Array,
-    is_seen: npt.NDArray[np.bool_],
-    size: Array,
-    duplicate: float,
+    index: int, matched: dict[int, _Person], points: Array, is_seen: npt.NDArray[np.bool_], size: Array
 ) -> int | None:
     """Return the matched detection that this one is a double of, None where it is somebody of its own."""
     for other in matched:
@@ -303,7 +269,7 @@ def _twin(
         if both.sum() < min(4, is_seen[index].sum()):
             continue
         apart = np.linalg.norm(points[index, both] - points[other, both], axis=-1)
-        if float(np.median(apart)) < duplicate * float(size[other]):
+        if float(np.median(apart)) < _DUPLICATE * float(size[other]):
             return other
     return None
 
@@ -327,11 +293,9 @@ def _update(person: _Person, time_s: float, points: Array, trust: Array, size_px
     person.last_time_s = time_s
 
 
-def _ghosts(frame: Integers, track_id: Integers, rate_hz: float, options: IdentityOptions) -> npt.NDArray[np.bool_]:
+def _ghosts(frame: Integers, track_id: Integers, rate_hz: float) -> npt.NDArray[np.bool_]:
     """Tell the rows of tracks that were seen too shortly to be people."""
-    if len(frame) == 0:
-        return np.zeros(0, dtype=bool)
-    length = int(frame.max() - frame.min()) + 1
-    least = min(round(options.ghost_s * rate_hz), length // 4)
+    length = int(np.ptp(frame)) + 1 if len(frame) else 0
+    min_count = min(round(_GHOST_S * rate_hz), length // 4)
     ids, counts = np.unique(track_id, return_counts=True)
-    return np.isin(track_id, ids[(counts < least) & (ids >= 0)])
+    return np.isin(track_id, ids[(counts < min_count) & (ids >= 0)])

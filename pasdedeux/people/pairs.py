@@ -6,28 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.people.identity import body_size_px
-from pasdedeux.settings import Settings
 
 Integers = npt.NDArray[np.int64]
 
 
-class PairSettings(Settings):
-    """When two people are a pair."""
-
-    near: float = Field(
-        2.0, gt=0, description="Two people are near in a frame whose middles are less than so many body heights apart"
-    )
-    min_share: float = Field(
-        0.3,
-        ge=0,
-        le=1,
-        description="A pair is near in at least this share of the frames of the one of both who is seen longer: a "
-        "passer-by is nobody's partner",
-    )
+_NEAR = 2.0
+"""Two people are near in a frame whose middles are less than so many body heights apart."""
+_MIN_SHARE = 0.3
+"""A pair is near in at least this share of the frames of the one of both who is seen longer: a passer-by is nobody's
+partner."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +29,7 @@ class Paired:
     num_near: int
 
 
-def choose_pairs(
-    frame: Integers, person_id: Integers, keypoints_px: Array, confidence: Array, settings: PairSettings | None = None
-) -> list[Paired]:
+def choose_pairs(frame: Integers, person_id: Integers, keypoints_px: Array, confidence: Array) -> list[Paired]:
     """Return the pairs of a sequence, those near each other for longest first; a person is in one at most.
 
     In a frame two people count the more the nearer their middles (median over the joints seen) are: 1 / (1 + d^2), d in
@@ -52,9 +40,7 @@ def choose_pairs(
         person_id: Person of each row (row,), once a frame.
         keypoints_px: (row, joint, 2), NaN where not seen.
         confidence: (row, joint), 0 where not seen.
-        settings: When two people are a pair.
     """
-    settings = settings or PairSettings()
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
     rows = np.flatnonzero(is_seen.sum(axis=1) >= 2)
     size = body_size_px(keypoints_px[rows], confidence[rows])
@@ -67,8 +53,8 @@ def choose_pairs(
             _, at, there = np.intersect1d(frame[rows][own[first]], frame[rows][own[second]], return_indices=True)
             one, other = own[first][at], own[second][there]
             apart = np.linalg.norm(middle[one] - middle[other], axis=-1) / (0.5 * (size[one] + size[other]))
-            num_near = int(np.count_nonzero(apart < settings.near))
-            if num_near and num_near >= settings.min_share * max(len(own[first]), len(own[second])):
+            num_near = int(np.count_nonzero(apart < _NEAR))
+            if num_near and num_near >= _MIN_SHARE * max(len(own[first]), len(own[second])):
                 found.append((-float(np.sum(1.0 / (1.0 + apart**2))), Paired(first, second, num_near)))
     pairs: list[Paired] = []
     for _, pair in sorted(found, key=lambda one: (one[0], one[1].first, one[1].second)):

@@ -14,7 +14,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import Decision, decide, spans_of
-from pasdedeux.people.identity import IdentityOptions, follow_people, mean_of_two
+from pasdedeux.people.identity import follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
 from pasdedeux.people.repair import repair_rows
 from pasdedeux.people.video import MAX_REPAIR_GAP_S, typical_gap_s, why_no_video, why_not_followed
@@ -286,9 +286,8 @@ def _checked(rows: SequenceRows, layout: KeypointLayout, rate_hz: float) -> Inte
     number is given to several only where they are not there together: so a person who comes back keeps the number.
     """
     op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
-    options = IdentityOptions(duplicate=0.0, ghost_s=0.0, min_joints=1)
     track_id = follow_people(
-        rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id, options=options
+        rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id
     ).track_id
     is_followed = track_id >= 0
     votes, counts = np.unique(np.stack([track_id, rows.person_id])[:, is_followed], axis=1, return_counts=True)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.people.identity import IdentityOptions, body_size_px
+from pasdedeux.people.identity import MAX_ABSENT_S, MIN_JOINTS, body_size_px
 from pasdedeux.spread import evenly_spread
 
 Integers = npt.NDArray[np.int64]
@@ -51,15 +51,14 @@ def why_not_followed(frame: Integers, keypoints_px: Array, confidence: Array, *,
         confidence: (row, 14), 0 where not seen.
         rate_hz: Frames per second.
     """
-    options = IdentityOptions()
     is_seen = (confidence > 0) & np.isfinite(keypoints_px).all(axis=-1)
     size = body_size_px(keypoints_px, confidence)
-    is_person = (is_seen.sum(axis=1) >= options.min_joints) & (size > 0)
+    is_person = (is_seen.sum(axis=1) >= MIN_JOINTS) & (size > 0)
     gap_s = typical_gap_s(frame[is_person], rate_hz)
-    if gap_s > options.max_absent_s:
+    if gap_s > MAX_ABSENT_S:
         return (
             f"the frames are typically {gap_s:.1f} s apart and nobody is followed for more than "
-            f"{options.max_absent_s:g} s: they are single images, not a video"
+            f"{MAX_ABSENT_S:g} s: they are single images, not a video"
         )
     people = np.flatnonzero(is_person)
     people = people[np.argsort(frame[people], kind="stable")]
@@ -72,8 +71,8 @@ def why_not_followed(frame: Integers, keypoints_px: Array, confidence: Array, *,
         count = both.sum(axis=-1)
         share = np.sort(np.where(both, apart, np.inf), axis=-1) / np.maximum(size[one], size[other])[..., None]
         middle = np.take_along_axis(share, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
-        if (count >= options.min_joints).any():
-            steps.append(float(middle[count >= options.min_joints].min()))
+        if (count >= MIN_JOINTS).any():
+            steps.append(float(middle[count >= MIN_JOINTS].min()))
     if not steps or (typical := float(np.median(steps))) <= _MAX_STEP:
         return ""
     return (

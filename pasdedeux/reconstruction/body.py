@@ -18,7 +18,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
 from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, unitquat_from_rotmat
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, REFERENCE_STATURE_M, mid_hip
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, REFERENCE_STATURE_M
 from pasdedeux.reconstruction.body_kernels import held_hips, pose_bodies
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.reconstruct import Reconstruction
@@ -137,7 +137,7 @@ def hold_hips(found: Reconstruction) -> Reconstruction:
     """Return a reconstruction whose hips keep their distance, its median; see `held_hips`."""
     positions = np.array(found.positions_m, dtype=np.float64, order="C")
     positions = held_hips(positions, np.median(bone_lengths(OP14, positions), axis=0), _hip_width(positions))
-    return replace(found, positions_m=positions, bone_unitquat=bone_rotations(positions), root_m=mid_hip(positions))
+    return found.posed(positions)
 
 
 def _hip_width(positions_m: Array) -> float:

@@ -8,12 +8,11 @@ is left is taken up by the legs: hips and feet are given, and the knee keeps the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
@@ -24,8 +23,7 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.retarget import mid_hip, retarget_proportions
-from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.projections.retarget import retarget_proportions
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.skeletons import OP14
 
@@ -40,26 +38,22 @@ _STRAIGHT = 1.0 - 1e-6
 _MIN_BEND_M = 1e-4
 
 
-class FootOptions(StandingSettings):
-    """What counts as a planted foot, and how far the legs may move it."""
-
-    blend_s: float = Field(0.12, gt=0, description="A foot comes into its lock and out of it over this time")
-    max_bend_m: float = Field(0.04, ge=0, description="The legs move a foot by at most this")
-
-
-class CleanUpOptions(FootOptions):
-    """The same of a whole motion."""
-
-    min_contact_s: float = Field(0.1, ge=0, description="Shorter contacts are none")
-    shift_stiffness: float = Field(
-        1.0,
-        gt=0,
-        description="Cost of a second difference of the correction of the path, against 1 for a planted foot's step",
-    )
-    shift_hold: float = Field(1e-4, gt=0, description="Cost of the correction itself")
-    floor_pull: float = Field(0.1, gt=0, description="Cost of the height of a planted foot over the floor")
-    touch_m: float = Field(0.05, gt=0, description="People whose bodies are nearer than this touch each other")
-    touch_hold: float = Field(1.0, ge=0, description="Cost of moving one of two people who touch but not the other")
+BLEND_S = 0.12
+"""A foot comes into its lock and out of it over this time."""
+MAX_BEND_M = 0.04
+"""The legs move a foot by at most this."""
+_MIN_CONTACT_S = 0.1
+"""Shorter contacts are none."""
+_SHIFT_STIFFNESS = 1.0
+"""Cost of a second difference of the correction of the path, against 1 for a planted foot's step."""
+_SHIFT_HOLD = 1e-4
+"""Cost of the correction itself."""
+_FLOOR_PULL = 0.1
+"""Cost of the height of a planted foot over the floor."""
+_TOUCH_M = 0.05
+"""People whose bodies are nearer than this touch each other."""
+_TOUCH_HOLD = 1.0
+"""Cost of moving one of two people who touch but not the other."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +73,7 @@ class CleanedMotion:
     floor_m: float
 
 
-def clean_up(
-    positions_m: Array,
-    *,
-    rate_hz: float,
-    options: CleanUpOptions | None = None,
-    is_present: Booleans | None = None,
-) -> CleanedMotion:
+def clean_up(positions_m: Array, *, rate_hz: float, is_present: Booleans | None = None) -> CleanedMotion:
     """Clean the motion of a person, or of all people of a video, up.
 
     All stand on one floor; who stands on nothing, see `interaction.floor`, is not put on it.  People who touch each
@@ -96,13 +84,11 @@ def clean_up(
         positions_m: op14 positions (frame, *person, 14, 3), upright axes (y up, z towards the camera), metres; of
             people who are not there anything finite.
         rate_hz: Frames per second.
-        options: How.
         is_present: Who is there (frame, *person); everybody where not given.
 
     Raises:
         InputError: Positions that are not finite or of another shape, or a rate that is not positive.
     """
-    options = options or CleanUpOptions()
     if positions_m.ndim not in (3, 4) or positions_m.shape[-2:] != (14, 3) or len(positions_m) == 0:
         raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, *people, 14, 3)")
     if not (np.isfinite(rate_hz) and rate_hz > 0):
@@ -113,15 +99,15 @@ def clean_up(
         [retarget_proportions(one, np.median(bone_lengths(OP14, one), axis=0)) for one in people.swapaxes(0, 1)], axis=1
     )
     feet = positions[:, :, _ANKLES]
-    is_planted = find_standing(feet, rate_hz=rate_hz, settings=options, is_present=present)
-    _drop_short(is_planted, max(2, round(options.min_contact_s * rate_hz)))
+    is_planted = find_standing(feet, rate_hz=rate_hz, settings=StandingSettings(), is_present=present)
+    _drop_short(is_planted, max(2, round(_MIN_CONTACT_S * rate_hz)))
     floor = floor_under(feet, is_planted, present)
-    shift = _correct_paths(feet, is_planted, _touching(positions, present, options.touch_m), floor, options)
+    shift = _correct_paths(feet, is_planted, _touching(positions, present), floor)
     positions = positions + shift[:, :, None]
     for person in range(positions.shape[1]):
         one = positions[:, person]
         for side, (hip, knee, ankle) in enumerate(_LEGS):
-            target = _targets(one[:, ankle], is_planted[:, person, side], floor, rate_hz, options)
+            target = _targets(one[:, ankle], is_planted[:, person, side], floor, rate_hz)
             one[:, knee], one[:, ankle] = bend_leg(
                 one[:, hip], one[:, knee], one[:, ankle], target, fallback=_forward(one)
             )
@@ -139,13 +125,13 @@ def _drop_short(is_planted: Booleans, num_frames: int) -> None:
                 is_planted[first:last, person, side] = False
 
 
-def _touching(positions: Array, present: Booleans, touch_m: float) -> list[tuple[int, int, Booleans]]:
+def _touching(positions: Array, present: Booleans) -> list[tuple[int, int, Booleans]]:
     """Return who touches whom in which frames (frame,)."""
     radii = capsule_model(OP14).radii_of(positions)
     touching = []
     for first, second in combinations(range(positions.shape[1]), 2):
         both = [first, second]
-        near = surface_gaps(positions[:, both], radii[both], OP14).closest_m < touch_m
+        near = surface_gaps(positions[:, both], radii[both], OP14).closest_m < _TOUCH_M
         touching.append((first, second, near & present[:, both].all(axis=1)))
     return touching
 
@@ -191,11 +177,7 @@ def _forward(positions: Array) -> Array:
 
 
 def _correct_paths(
-    feet: Array,
-    is_planted: Booleans,
-    touching: Sequence[tuple[int, int, Booleans]],
-    floor: float,
-    options: CleanUpOptions,
+    feet: Array, is_planted: Booleans, touching: Sequence[tuple[int, int, Booleans]], floor: float
 ) -> Array:
     """Return the corrections of the paths (frame, person, 3): squared steps of planted feet + stiffness + hold, least.
 
@@ -214,8 +196,8 @@ def _correct_paths(
     for person in range(people):
         stays = (is_planted[1:, person] & is_planted[:-1, person]).astype(np.float64)  # (frame - 1, foot)
         own.append(
-            options.shift_hold * eye_array(frames)
-            + options.shift_stiffness * bend.T @ bend
+            _SHIFT_HOLD * eye_array(frames)
+            + _SHIFT_STIFFNESS * bend.T @ bend
             + step.T @ diags_array(stays.sum(axis=1)) @ step
         )
         pull[:, person] = -step.T @ (stays[..., None] * np.diff(feet[:, person], axis=0)).sum(axis=1)
@@ -229,20 +211,20 @@ def _correct_paths(
                 for sign in ((person == first) - (person == second) for person in range(people))
             ]
         )
-        normal = normal + options.touch_hold * apart.T @ apart
+        normal = normal + _TOUCH_HOLD * apart.T @ apart
     planted = is_planted.astype(np.float64)
-    drawn = diags_array(options.floor_pull * planted.sum(axis=2).T.ravel())
-    pull[..., _UP] += options.floor_pull * (planted * (floor - feet[..., _UP])).sum(axis=2)
+    drawn = diags_array(_FLOOR_PULL * planted.sum(axis=2).T.ravel())
+    pull[..., _UP] += _FLOOR_PULL * (planted * (floor - feet[..., _UP])).sum(axis=2)
     for axes, matrix in (([0, 2], normal), ([_UP], normal + drawn)):
         solved = splu(matrix.tocsc()).solve(pull[..., axes].swapaxes(0, 1).reshape(-1, len(axes)))
         shift[..., axes] = solved.reshape(people, frames, len(axes)).swapaxes(0, 1)
     return shift
 
 
-def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float, options: CleanUpOptions) -> Array:
+def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float) -> Array:
     """Return where a foot goes (frame, 3): still while planted, blended in and out, never below the floor."""
     frames = len(ankle)
-    blend = max(1, round(options.blend_s * rate_hz))
+    blend = max(1, round(BLEND_S * rate_hz))
     move, weight = np.zeros(ankle.shape), np.zeros((frames, 1))
     for first, last in _runs(is_planted):
         place = ankle[first:last].mean(axis=0)
@@ -262,7 +244,7 @@ def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float, o
         weight += share[:, None]
     move = move / np.maximum(weight, 1.0)
     length = np.linalg.norm(move, axis=-1, keepdims=True)
-    move *= np.minimum(1.0, options.max_bend_m / np.maximum(length, 1e-12))
+    move *= np.minimum(1.0, MAX_BEND_M / np.maximum(length, 1e-12))
     target = ankle + move
     target[:, _UP] = np.maximum(target[:, _UP], floor)
     return np.asarray(target)
@@ -275,32 +257,21 @@ def _runs(values: Booleans) -> list[tuple[int, int]]:
 
 
 def clean_reconstructions(
-    people: Sequence[tuple[int, Reconstruction]],
-    origin_m: Array,
-    camera: DatabaseCamera,
-    *,
-    rate_hz: float,
-    options: CleanUpOptions | None = None,
+    people: Sequence[Reconstruction], origin_m: Array, camera: DatabaseCamera
 ) -> list[Reconstruction]:
     """Return the reconstructions of a sequence's people after clean-up, standing ankles at the height of the floor.
 
     Args:
-        people: First frame and reconstruction of each, camera axes; at least one.
+        people: At least one; camera axes.
         origin_m: Origin of the sequence's frame, see `floor_offset`; its height is the floor (3,), camera axes.
         camera: The database's camera, whose pitch says where up is.
-        rate_hz: Frames per second.
-        options: How.
     """
     upright = np.asarray(camera.camera_from_upright_rotmat)
-    start = min(first for first, _ in people)
-    frames = np.arange(start, max(first + len(one.positions_m) for first, one in people))
-    at = np.stack([np.clip(frames - first, 0, len(one.positions_m) - 1) for first, one in people], axis=1)
-    present = np.stack([at[:, number] == frames - first for number, (first, _) in enumerate(people)], axis=1)
-    seen = np.stack([(one.positions_m[at[:, n]] - origin_m) @ upright for n, (_, one) in enumerate(people)], axis=1)
-    cleaned = clean_up(seen, rate_hz=rate_hz, options=options, is_present=present)
+    tracks = [one.track for one in people]
+    frames = np.arange(min(one.first_frame for one in tracks), 1 + max(one.frames[-1] for one in tracks))
+    at = np.stack([np.clip(frames, one.frames[0], one.frames[-1]) - one.first_frame for one in tracks], axis=1)
+    present = np.stack([np.isin(frames, one.frames) for one in tracks], axis=1)
+    seen = np.stack([(one.positions_m[at[:, n]] - origin_m) @ upright for n, one in enumerate(people)], axis=1)
+    cleaned = clean_up(seen, rate_hz=tracks[0].rate_hz, is_present=present)
     positions = (cleaned.positions_m - np.array([0.0, cleaned.floor_m, 0.0])) @ upright.T + origin_m
-    made = []
-    for number, (_, one) in enumerate(people):
-        own = positions[present[:, number], number]
-        made.append(replace(one, positions_m=own, bone_unitquat=bone_rotations(own), root_m=mid_hip(own)))
-    return made
+    return [one.posed(positions[present[:, number], number]) for number, one in enumerate(people)]

@@ -7,11 +7,11 @@ depth people stand who are seen so, whatever the lens.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.kinematics.rotations import rotate, swing_between
@@ -22,68 +22,20 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import Matches, Reconstruction
-from pasdedeux.reconstruction.tracks import PersonTrack
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 Integers = npt.NDArray[np.int64]
-Couple = tuple[tuple[PersonTrack, Matches, Reconstruction], tuple[PersonTrack, Matches, Reconstruction]]
 
-
-@dataclass(frozen=True)
-class PairSearcher:
-    """Pairs made ready for search under one pitch, parallel rays."""
-
-    database: Database
-    index: ProjectionIndex
-
-    @classmethod
-    def of(cls, pairs_m: npt.NDArray[np.floating], *, num_yaws: int, pitch_rad: float) -> PairSearcher:
-        """Build the index of pairs (row, person, 14, 3) as `pairs.centre_pairs` gives them."""
-        database = pair_database(pairs_m, num_yaws=num_yaws, camera=DatabaseCamera(pitch_rad))
-        return cls(database, build_index(database))
-
-    def depths(self, query_m: Array, weights: Array, options: PlacingOptions) -> tuple[Array, Array]:
-        """Return how much nearer person 1 is than person 0 by the pairs that look alike, and the deviation of that.
-
-        Args:
-            query_m: Images of both (frame, person, 14, 2), metres about the middle of both mid-hips.
-            weights: (frame, person, 14).
-            options: How.
-
-        Returns:
-            Depth and standard deviation (frame,), metres; the latter is inf where nothing was found.
-        """
-        found = search_pairs(self.index, query_m, weights, num_neighbours=options.num_candidates)
-        row, distance = found.neighbours.row, found.neighbours.distance_m
-        turned = self.database.turned(np.maximum(row, 0), found.neighbours.yaw_index)
-        hips = (
-            mid_hip(turned.reshape(*row.shape, 2, OP14.num_joints, 3))
-            @ self.database.camera.camera_from_upright_rotmat.T
-        )
-        depth = np.where(found.is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
-        is_found = np.isfinite(distance[:, 0])
-        distance = np.where(is_found[:, None], distance, 0.0)
-        share = np.where(row >= 0, np.exp(-(distance - distance[:, :1]) / options.misfit_m), 0.0)
-        share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
-        mean = np.sum(share * depth, axis=1)
-        spread = np.sqrt(np.sum(share * (depth - mean[:, None]) ** 2, axis=1))
-        deviation = np.hypot(spread, options.deviation_per_misfit * distance[:, 0])
-        return mean, np.where(is_found, np.maximum(deviation, options.min_deviation_m), np.inf)
-
-
-class PlacingOptions(Settings):
-    """What is believed of the depth between two people."""
-
-    num_candidates: int = Field(20, ge=1, description="Pairs that are looked at per frame")
-    misfit_m: float = Field(0.02, gt=0, description="Pairs whose image is this much worse than the best count 1/e")
-    deviation_per_misfit: float = Field(
-        2.0, gt=0, description="A pair's depth is trusted to this many times the misfit of its image"
-    )
-    min_deviation_m: float = Field(0.03, gt=0, description="A pair is never trusted better than this")
-    max_apart_m: float = Field(
-        1.5, gt=0, description="Frames in which the two are further apart in the image are left to their own sizes"
-    )
+_NUM_CANDIDATES = 20
+"""Pairs that are compared per frame."""
+_MISFIT_M = 0.02
+"""Pairs whose image is this much worse than the best count 1/e."""
+_DEVIATION_PER_MISFIT = 2.0
+"""A pair's depth is trusted to this many times the misfit of its image."""
+_MIN_DEVIATION_M = 0.03
+"""A pair is never trusted better than this."""
+_MAX_APART_M = 1.5
+"""Frames in which the two are further apart in the image are left to their own sizes."""
 
 
 @dataclass(frozen=True)
@@ -104,43 +56,78 @@ class PairDepth:
 
 
 def pair_depths(
-    searcher: PairSearcher, couple: Couple, people: tuple[int, int], options: PlacingOptions | None = None
-) -> PairDepth | None:
-    """Return what pairs say of two people's depth; None where no frame shows both near each other.
+    pairs_m: npt.NDArray[np.floating], database: Database, people: Sequence[tuple[Matches, Reconstruction]]
+) -> list[PairDepth]:
+    """Return what pairs that look like both say of the partners among people, where a frame shows both near each other.
 
     Args:
-        searcher: Pairs that have not seen the sequence, at the pitch of its camera.
-        couple: Track, matches and reconstruction of both.
-        people: Numbers of the two.
-        options: What is believed.
+        pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
+        database: What people were matched to, at the pitch of the camera.
+        people: Matches and reconstruction of each.
     """
-    options = options or PlacingOptions()
-    (first, first_matches, first_found), (second, second_matches, second_found) = couple
-    frames, at = _common(first, second)
-    if not len(frames):
-        return None
-    roots = np.stack([first_found.root_m[at[0]], second_found.root_m[at[1]]], axis=1)
+    number = {found.track.person_id: at for at, (_, found) in enumerate(people)}
+    partners = [number.get(-1 if (one := found.track.partner_id) is None else one, -1) for _, found in people]
+    couples = [(first, second) for first, second in enumerate(partners) if first < second]
+    if not couples or not len(pairs_m):
+        return []
+    pairs = pair_database(pairs_m, num_yaws=database.num_yaws, camera=DatabaseCamera(database.camera.pitch_rad))
+    index = build_index(pairs)
+    depths = [_depth(pairs, index, (people[one], people[other]), (one, other)) for one, other in couples]
+    return [one for one in depths if one is not None]
+
+
+def _depth(
+    pairs: Database,
+    index: ProjectionIndex,
+    couple: Sequence[tuple[Matches, Reconstruction]],
+    numbers: tuple[int, int],
+) -> PairDepth | None:
+    tracks = [found.track for _, found in couple]
+    frames = np.intersect1d(tracks[0].frames, tracks[1].frames)
+    at = [frames - one.first_frame for one in tracks]
+    roots = np.stack([found.root_m[own] for (_, found), own in zip(couple, at, strict=True)], axis=1)
     middle = roots.mean(axis=1)
     distance = np.linalg.norm(middle, axis=-1)
     back = swing_between(-middle / distance[:, None], np.broadcast_to(np.array([0.0, 0.0, 1.0]), middle.shape))
     offset = rotate(np.broadcast_to(back[:, None], (*roots.shape[:2], 4)), roots - middle[:, None])
-    is_near = np.hypot(*np.diff(offset[..., :2], axis=1)[:, 0].T) < options.max_apart_m
-    is_near &= ~(first_found.is_bridged[at[0]] | second_found.is_bridged[at[1]])
+    is_near = np.hypot(*np.diff(offset[..., :2], axis=1)[:, 0].T) < _MAX_APART_M
+    is_near &= ~np.any([found.is_bridged[own] for (_, found), own in zip(couple, at, strict=True)], axis=0)
     if not is_near.any():
         return None
     images, weights = [], []
-    for number, matches in enumerate((first_matches, second_matches)):
-        image = retarget_image(matches.query_m[at[number]], matches.proportions)
-        images.append(image + offset[:, number, None, :2])
-        weights.append(matches.weights[at[number]])
-    pair_depth, deviation = np.zeros(len(frames)), np.full(len(frames), np.inf)
-    pair_depth[is_near], deviation[is_near] = searcher.depths(
-        np.stack(images, axis=1)[is_near], np.stack(weights, axis=1)[is_near], options
+    for person, (matches, _) in enumerate(couple):
+        image = retarget_image(matches.query_m[at[person]], matches.proportions)
+        images.append(image + offset[:, person, None, :2])
+        weights.append(matches.weights[at[person]])
+    depth, deviation = np.zeros(len(frames)), np.full(len(frames), np.inf)
+    depth[is_near], deviation[is_near] = _depths_of_images(
+        pairs, index, np.stack(images, axis=1)[is_near], np.stack(weights, axis=1)[is_near]
     )
-    return PairDepth(people, frames, pair_depth, deviation)
+    return PairDepth(numbers, frames, depth, deviation)
 
 
-def _common(first: PersonTrack, second: PersonTrack) -> tuple[Integers, list[Integers]]:
-    """Return the frames that both tracks span, and where they lie in each."""
-    frames = np.intersect1d(first.frames, second.frames)
-    return frames, [frames - first.first_frame, frames - second.first_frame]
+def _depths_of_images(pairs: Database, index: ProjectionIndex, query_m: Array, weights: Array) -> tuple[Array, Array]:
+    """Return how much nearer person 1 is than person 0 by the pairs that look alike, and the deviation of that.
+
+    Args:
+        pairs: The pairs, parallel rays.
+        index: Their index.
+        query_m: Images of both (frame, person, 14, 2), metres about the middle of both mid-hips.
+        weights: (frame, person, 14).
+
+    Returns:
+        Depth and standard deviation (frame,), metres; the latter is inf where nothing was found.
+    """
+    found = search_pairs(index, query_m, weights, num_neighbours=_NUM_CANDIDATES)
+    row, distance = found.neighbours.row, found.neighbours.distance_m
+    turned = pairs.turned(np.maximum(row, 0), found.neighbours.yaw_index)
+    hips = mid_hip(turned.reshape(*row.shape, 2, OP14.num_joints, 3)) @ pairs.camera.camera_from_upright_rotmat.T
+    depth = np.where(found.is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
+    is_found = np.isfinite(distance[:, 0])
+    distance = np.where(is_found[:, None], distance, 0.0)
+    share = np.where(row >= 0, np.exp(-(distance - distance[:, :1]) / _MISFIT_M), 0.0)
+    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+    mean = np.sum(share * depth, axis=1)
+    spread = np.sqrt(np.sum(share * (depth - mean[:, None]) ** 2, axis=1))
+    deviation = np.hypot(spread, _DEVIATION_PER_MISFIT * distance[:, 0])
+    return mean, np.where(is_found, np.maximum(deviation, _MIN_DEVIATION_M), np.inf)

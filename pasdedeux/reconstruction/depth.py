@@ -14,11 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 Integers = npt.NDArray[np.int64]
@@ -42,32 +40,14 @@ _NUM_SIGN_STATES = int(_FIRST_STATE[-1])
 """Choices of signs of all groups of bones together, one group after the other."""
 
 _MIN_WEIGHT = 1e-12
-
-
-class DepthSettings(Settings):
-    """How candidates vote on depth."""
-
-    misfit_m: float = Field(0.02, gt=0, description="Candidates whose image is this much worse than the best count 1/e")
-    kernel_m: float = Field(
-        0.03, gt=0, description="Width of the kernel over depths; chosen on clips of a database left out in turn"
-    )
-    speed_m_s: float = Field(0.7, gt=0, description="Standard deviation of the speed of a bone's end in depth")
-    floor: float = Field(
-        1e-4, gt=0, lt=1, description="Share of the votes that is spread over all signs, so that none is impossible"
-    )
-
-
-@dataclass(frozen=True)
-class BoneDepths:
-    """What is known of each bone of a track.
-
-    Args:
-        depth_m: Depth of the bone that ends in each joint (frame, 14), towards the camera positive; 0 for the root.
-        vector_m: Vector of each bone as the candidates of the same sign have it (frame, 14, 3).
-    """
-
-    depth_m: Array
-    vector_m: Array
+_MISFIT_M = 0.02
+"""Candidates whose image is this much worse than the best count 1/e."""
+_KERNEL_M = 0.03
+"""Width of the kernel over depths; chosen on clips of a database, each excluded in turn."""
+_SPEED_M_S = 0.7
+"""Standard deviation of the speed of a bone's end in depth."""
+_FLOOR = 1e-4
+"""Share of the votes that is spread over all signs, so that none is impossible."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +55,16 @@ class SignStep:
     """A frame of the choice of signs over time.
 
     Args:
+        vectors_m: Bones of the candidates (k, 14, 3).
+        log_weight: Log of the weight of each (k,).
         size_m: Size of each bone's depth by the image (14,).
         deviation_m: Its standard deviation (14,), infinite where an end is not seen.
         cost: Least cost of coming to each choice of signs (state,), all groups one after the other.
         back: The choice before that this is best come to from (state,).
     """
 
+    vectors_m: Array
+    log_weight: Array
     size_m: Array
     deviation_m: Array
     cost: Array
@@ -106,12 +90,11 @@ def vote_on_signs(
     before: SignStep | None,
     image_m: Array,
     lengths_m: Array,
-    vectors_m: Array,
-    log_weight: Array,
+    candidates_m: Array,
+    misfit_m: Array,
     *,
     noise_m: float,
     passed_s: float,
-    settings: DepthSettings,
 ) -> SignStep:
     """Let the candidates of one frame vote.
 
@@ -119,28 +102,19 @@ def vote_on_signs(
         before: The frame before; None for the first.
         image_m: Joints (14, 2), metres, in the proportions of the candidates; NaN where not seen.
         lengths_m: Bone lengths (14,), metres.
-        vectors_m: Bones of the candidates (k, 14, 3).
-        log_weight: Log of the weight of each (k,).
+        candidates_m: Candidate poses (k, 14, 3), camera axes, metres.
+        misfit_m: How much worse than the best each matches (k,), metres; inf where there is none.
         noise_m: Standard deviation of the joints.
         passed_s: Time since the frame before.
-        settings: How candidates vote.
     """
-    size, deviation, score = _vote_signs(
-        image_m, lengths_m, vectors_m, log_weight, noise_m, settings.kernel_m, settings.floor
-    )
+    vectors, log_weight = bone_vectors(candidates_m), -misfit_m / _MISFIT_M
+    size, deviation, score = _vote_signs(image_m, lengths_m, vectors, log_weight, noise_m)
     if before is None:
-        return SignStep(size, deviation, -score, np.zeros(_NUM_SIGN_STATES, dtype=np.int64))
-    cost, back = _extend_signs(
-        before.cost,
-        before.size_m,
-        before.deviation_m,
-        size,
-        deviation,
-        score,
-        lengths_m,
-        settings.speed_m_s * passed_s,
-    )
-    return SignStep(size, deviation, cost, back)
+        cost, back = -score, np.zeros(_NUM_SIGN_STATES, dtype=np.int64)
+    else:
+        old, moved = (before.cost, before.size_m, before.deviation_m), _SPEED_M_S * passed_s
+        cost, back = _extend_signs(*old, size, deviation, score, lengths_m, moved)
+    return SignStep(vectors, log_weight, size, deviation, cost, back)
 
 
 def trace_signs(steps: Sequence[SignStep]) -> Array:
@@ -148,11 +122,9 @@ def trace_signs(steps: Sequence[SignStep]) -> Array:
     return _trace_signs(steps[-1].cost, np.stack([step.back for step in steps]))
 
 
-def bones_by_votes(
-    step: SignStep, sign: Array, vectors_m: Array, log_weight: Array, lengths_m: Array, settings: DepthSettings
-) -> tuple[Array, Array]:
+def bones_by_votes(step: SignStep, sign: Array, lengths_m: Array) -> tuple[Array, Array]:
     """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
-    return _prior_of_frame(step.size_m, step.deviation_m, sign, vectors_m, log_weight, settings.kernel_m, lengths_m)
+    return _prior_of_frame(step.size_m, step.deviation_m, sign, step.vectors_m, step.log_weight, lengths_m)
 
 
 def decode_depths(
@@ -164,9 +136,8 @@ def decode_depths(
     *,
     noise_m: float,
     rate_hz: float,
-    settings: DepthSettings | None = None,
-) -> BoneDepths:
-    """Return the depth of every bone of a track.
+) -> tuple[Array, Array]:
+    """Return the bones of a track as candidates and image say.
 
     Args:
         observed_m: Joints in the image (frame, 14, 2), metres, in the proportions of the candidates.
@@ -176,37 +147,25 @@ def decode_depths(
         lengths_m: Bone lengths (14,), metres.
         noise_m: Standard deviation of the observed joints.
         rate_hz: Frames per second.
-        settings: How candidates vote.
+
+    Returns:
+        Vector of each bone as the candidates of the same sign have it (frame, 14, 3), and depth of the bone that ends
+        in each joint (frame, 14), towards the camera positive; 0 for the root.
     """
-    settings = settings or DepthSettings()
     image = np.where(is_seen[..., None], observed_m, np.nan)
-    vectors, log_weight = bone_vectors(candidates_m), -misfit_m / settings.misfit_m
     steps: list[SignStep] = []
-    for at in range(len(image)):
+    for seen, candidates, misfit in zip(image, candidates_m, misfit_m, strict=True):
         before = steps[-1] if steps else None
         steps.append(
-            vote_on_signs(
-                before,
-                image[at],
-                lengths_m,
-                vectors[at],
-                log_weight[at],
-                noise_m=noise_m,
-                passed_s=1.0 / rate_hz,
-                settings=settings,
-            )
+            vote_on_signs(before, seen, lengths_m, candidates, misfit, noise_m=noise_m, passed_s=1.0 / rate_hz)
         )
-    signs = trace_signs(steps)
-    found = [
-        bones_by_votes(step, signs[at], vectors[at], log_weight[at], lengths_m, settings)
-        for at, step in enumerate(steps)
-    ]
-    return BoneDepths(np.stack([depth for _, depth in found]), np.stack([mean for mean, _ in found]))
+    found = [bones_by_votes(step, sign, lengths_m) for step, sign in zip(steps, trace_signs(steps), strict=True)]
+    return np.stack([vector for vector, _ in found]), np.stack([depth for _, depth in found])
 
 
 @compiled(error_model="numpy")
 def _vote_signs(
-    image: Array, lengths: Array, vectors: Array, log_weight: Array, noise: float, kernel: float, floor: float
+    image: Array, lengths: Array, vectors: Array, log_weight: Array, noise: float
 ) -> tuple[Array, Array, Array]:
     """Return how deep each bone is by the image, and the log likelihood of each choice of signs by the candidates.
 
@@ -216,8 +175,6 @@ def _vote_signs(
         vectors: Bones of the candidates (k, 14, 3).
         log_weight: Log of the weight of each candidate (k,).
         noise: Standard deviation of the image.
-        kernel: Width of the kernel over depths.
-        floor: Share of the votes that all signs get.
 
     Returns:
         Size of each bone's depth (14,), its standard deviation, infinite where an end is not seen, and the log
@@ -248,10 +205,10 @@ def _vote_signs(
                     signed = size[joint] if (state >> bone) & 1 else -size[joint]
                     own = deviation[joint] if np.isfinite(deviation[joint]) else lengths[joint]
                     away = vectors[candidate, joint, 2] - signed
-                    exponent += away * away / (kernel * kernel + own * own)
+                    exponent += away * away / (_KERNEL_M * _KERNEL_M + own * own)
                 score[_FIRST_STATE[group] + state] += weight * np.exp(-0.5 * exponent)
     for state in range(_NUM_SIGN_STATES):
-        score[state] = np.log(score[state] + floor * total) if total > 0 else 0.0
+        score[state] = np.log(score[state] + _FLOOR * total) if total > 0 else 0.0
     return size, deviation, score
 
 
@@ -313,7 +270,7 @@ def _trace_signs(cost: Array, back: Integers) -> Array:
 
 @compiled(error_model="numpy")
 def _prior_of_frame(
-    size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array, kernel: float, lengths: Array
+    size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array, lengths: Array
 ) -> tuple[Array, Array]:
     """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
     mean, depth = np.zeros((_JOINTS, 3)), np.zeros(_JOINTS)
@@ -322,7 +279,7 @@ def _prior_of_frame(
         is_seen = np.isfinite(deviation[joint])
         own = deviation[joint] if is_seen else lengths[joint]
         signed = sign[joint] * size[joint]
-        width = kernel * kernel + own * own
+        width = _KERNEL_M * _KERNEL_M + own * own
         most = -np.inf
         for at in range(vectors.shape[0]):
             share[at] = log_weight[at] - 0.5 * (vectors[at, joint, 2] - signed) ** 2 / width
@@ -337,7 +294,7 @@ def _prior_of_frame(
             mean[joint, axis] /= total
         if is_seen:
             # The image says how deep where it is sharp, the candidates where the bone lies in the image.
-            by_image, by_votes = 1.0 / max(2.0 * own, 1e-4) ** 2, 1.0 / (kernel * kernel)
+            by_image, by_votes = 1.0 / max(2.0 * own, 1e-4) ** 2, 1.0 / (_KERNEL_M * _KERNEL_M)
             depth[joint] = (signed * by_image + mean[joint, 2] * by_votes) / (by_image + by_votes)
         else:
             depth[joint] = mean[joint, 2]

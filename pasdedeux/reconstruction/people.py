@@ -17,10 +17,10 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
-from pasdedeux.reconstruction.couples import PairDepth, PairSearcher, pair_depths
-from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch, floor_offset, sized_by_height
+from pasdedeux.reconstruction.couples import pair_depths
+from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
-    Matches,
+    SMOOTHING_S,
     Method,
     Reconstruction,
     ReconstructionOptions,
@@ -29,11 +29,9 @@ from pasdedeux.reconstruction.reconstruct import (
     odd_window,
     reconstruct_track,
 )
-from pasdedeux.reconstruction.tracks import PersonTrack
-from pasdedeux.reconstruction.world import Seen, World, estimate_world
+from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
+from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -42,15 +40,15 @@ class MethodMotions:
 
     Args:
         name: The method; `<method>_clean` after the clean-up.
-        people: Their tracks and reconstructions, camera axes.
+        people: Their reconstructions, camera axes.
         origin_m: What to subtract (3,) to have all of them in the sequence's own frame, see `floor_offset`.
         bodies: The whole body of each, upright axes in that frame.
     """
 
     name: str
-    people: tuple[tuple[PersonTrack, Reconstruction], ...]
+    people: tuple[Reconstruction, ...]
     origin_m: Array
-    bodies: tuple[EmbodiedMotion, ...] = ()
+    bodies: tuple[EmbodiedMotion, ...]
 
 
 @dataclass(frozen=True)
@@ -61,22 +59,20 @@ class ReconstructedTracks:
         methods: In the order asked for; the clean-up of the last one comes last.  None when nobody could be searched.
         motions: Motions of the last by person id, upright, floor at 0: all have the same frames.
         skipped: Why the others could not be reconstructed, by person id.
-        searcher: The database as the camera was thought to see it, when people were matched.
         pitch: The pitch of the camera, which says where up is.
-        world: Camera, sizes and places; None when only the baseline was asked for.
+        scene: Camera, sizes and root paths; None when only the baseline was asked for.
     """
 
     methods: tuple[MethodMotions, ...]
     motions: dict[int, HumanoidMotion]
     skipped: dict[int, str]
-    searcher: Searcher
     pitch: PitchEstimate
-    world: World | None = None
+    scene: SceneEstimate | None
 
 
 def reconstruct_people(
-    searchers: Sequence[Searcher],
-    people: Sequence[PersonTrack],
+    searcher: Searcher,
+    tracks: Sequence[Track],
     methods: Sequence[Method],
     options: ReconstructionOptions | None = None,
     *,
@@ -88,106 +84,89 @@ def reconstruct_people(
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
-    Camera, sizes and places of all are one estimate, see `world`, from what the last method but the baseline made of
+    Camera, sizes and places of all are one estimate, see `scene`, from what the last method but the baseline made of
     the poses; `nearest`, the baseline, leaves everybody where their own size puts them.
 
     Args:
-        searchers: Databases made ready, one per camera; from several the pitch that suits best is found.
-        people: Tracks of people whose identities are settled.
+        searcher: Database made ready.
+        tracks: Tracks of people whose identities are resolved.
         methods: Methods; the last one is cleaned up and gives the motions.
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
         camera_height_m: Height of the camera over the floor where it is known, which gives people their size.
         statures_m: Stature of people, by person id, where it is known; gives them their size, and the others with them.
-        pitch: What is known of the camera's pitch, of one searcher; with several they are tried.
+        pitch: Estimate of the camera's pitch; that of the searcher counts as stated.
     """
-    statures_m = statures_m or {}
-    options = options or ReconstructionOptions()
-    searcher = searchers[0]
-    if len(searchers) > 1:
-        pitch = choose_pitch(searchers, [one.track for one in people], options)
-        searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
-    pitch = pitch or PitchEstimate(0, searcher.database.camera.pitch_rad)
+    statures_m, options = statures_m or {}, options or ReconstructionOptions()
     camera = searcher.database.camera
+    pitch = pitch or PitchEstimate(0, camera.pitch_rad)
     skipped: dict[int, str] = {}
     matched = []
-    for person in people:
+    for track in tracks:
         try:
-            matched.append((person, match_track(searcher, person.track, options)))
+            matched.append((track, match_track(searcher, track, options)))
         except InputError as error:
-            skipped[person.person_id] = str(error)
+            skipped[track.person_id] = str(error)
     tried = {
-        method: [
-            hold_hips(reconstruct_track(searcher, person.track, method, options, matches=matches))
-            for person, matches in matched
-        ]
+        method: tuple(
+            hold_hips(reconstruct_track(searcher, track, method, options, matches=matches))
+            for track, matches in matched
+        )
         for method in (methods if matched else ())
     }
-    persons = [person for person, _ in matched]
-    world = None
+    scene = None
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:
-        first_thought = tried[fitted[-1]]
-        known = dict(statures_m)
+        people, known = tried[fitted[-1]], dict(statures_m)
         if camera_height_m is not None:
-            for person, one in zip(persons, first_thought, strict=True):
-                known.setdefault(person.person_id, _stature_m(sized_by_height(one, camera, camera_height_m)))
-        world = estimate_world(
-            [
-                Seen(person.first_frame, one, person.track.rate_hz, known.get(person.person_id))
-                for person, one in zip(persons, first_thought, strict=True)
-            ],
+            for one in people:
+                known.setdefault(one.track.person_id, _stature_m(sized_by_height(one, camera, camera_height_m)))
+        couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
+        scene = estimate_scene(
+            people,
             pitch,
-            pairs=_pair_depths(searcher, [matches for _, matches in matched], persons, first_thought, pairs_m),
+            pairs=[] if pairs_m is None else pair_depths(pairs_m, searcher.database, couples),
+            statures_m=known,
             camera_height_m=camera_height_m,
-            is_lens_known=all(person.track.lens.is_known for person in persons),
+            is_lens_known=all(one.track.lens.is_known for one in people),
         )
         if not pitch.is_given:
-            pitch = PitchEstimate(pitch.index, world.pitch_rad, world.pitch_deviation_rad)
-            camera = replace(camera, pitch_rad=world.pitch_rad)
+            pitch = PitchEstimate(pitch.index, scene.pitch_rad, scene.pitch_deviation_rad)
+            camera = replace(camera, pitch_rad=scene.pitch_rad)
     made = []
-    for method, ones in tried.items():
-        found = tuple(zip(persons, ones, strict=True))
-        if world is not None and method is not Method.NEAREST:
-            found = tuple((person, world.moved(number, one)) for number, (person, one) in enumerate(found))
+    for method, found in tried.items():
+        if scene is not None and method is not Method.NEAREST:
+            found = tuple(scene.placed(number, one) for number, one in enumerate(found))
         elif camera_height_m is not None:
-            found = tuple((person, sized_by_height(one, camera, camera_height_m)) for person, one in found)
+            found = tuple(sized_by_height(one, camera, camera_height_m) for one in found)
         found = sized_by_stature(found, statures_m, has_one_size=method is not Method.NEAREST)
-        made.append(MethodMotions(method.value, found, floor_offset([one for _, one in found], camera)))
-    if made and has_clean_up:
-        last = made[-1]
-        seen = [(person.first_frame, one) for person, one in last.people]
-        cleaned = clean_reconstructions(seen, last.origin_m, camera, rate_hz=last.people[0][0].track.rate_hz)
-        people_clean = tuple((person, one) for (person, _), one in zip(last.people, cleaned, strict=True))
-        made.append(MethodMotions(f"{last.name}_clean", people_clean, last.origin_m))
-    made = [_embodied(one, searcher.database, camera, options) for one in made]
-    motions = _motions(made[-1]) if made else {}
-    return ReconstructedTracks(tuple(made), motions, skipped, searcher, pitch, world)
+        origin = floor_offset(found, camera)
+        made.append(_embodied(method.value, found, origin, searcher.database, camera))
+        if has_clean_up and method is list(tried)[-1]:
+            cleaned = tuple(clean_reconstructions(found, origin, camera))
+            made.append(_embodied(f"{method.value}_clean", cleaned, origin, searcher.database, camera))
+    return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, pitch, scene)
 
 
 def _embodied(
-    made: MethodMotions, database: Database, camera: DatabaseCamera, options: ReconstructionOptions
+    name: str, people: tuple[Reconstruction, ...], origin_m: Array, database: Database, camera: DatabaseCamera
 ) -> MethodMotions:
     """Give the people of a method their whole bodies."""
     upright = np.asarray(camera.camera_from_upright_rotmat)
     bodies = []
-    for person, one in made.people:
-        window = 1 if made.name == Method.NEAREST else odd_window(options.smoothing_s, person.track.rate_hz)
-        bodies.append(embody(database, one, (one.positions_m - made.origin_m) @ upright, window=window))
-    return replace(made, bodies=tuple(bodies))
+    for one in people:
+        window = 1 if name == Method.NEAREST else odd_window(SMOOTHING_S, one.track.rate_hz)
+        bodies.append(embody(database, one, (one.positions_m - origin_m) @ upright, window=window))
+    return MethodMotions(name, people, origin_m, tuple(bodies))
 
 
 def _motions(made: MethodMotions) -> dict[int, HumanoidMotion]:
     """Return the motions of a method by person id."""
-    found = motions_together(
-        [
-            (person.first_frame, body, found.is_bridged)
-            for (person, found), body in zip(made.people, made.bodies, strict=True)
-        ],
-        rate_hz=made.people[0][0].track.rate_hz,
-    )
-    return {person.person_id: one for (person, _), one in zip(made.people, found, strict=True)}
+    tracks = [one.track for one in made.people]
+    people = [(one.track.first_frame, body, one.is_bridged) for one, body in zip(made.people, made.bodies, strict=True)]
+    found = motions_together(people, rate_hz=tracks[0].rate_hz)
+    return {track.person_id: one for track, one in zip(tracks, found, strict=True)}
 
 
 def motions_together(
@@ -212,55 +191,24 @@ def motions_together(
 
 
 def sized_by_stature(
-    people: Sequence[tuple[PersonTrack, Reconstruction]],
-    statures_m: Mapping[int, float],
-    *,
-    has_one_size: bool = False,
-) -> tuple[tuple[PersonTrack, Reconstruction], ...]:
+    people: Sequence[Reconstruction], statures_m: Mapping[int, float], *, has_one_size: bool = False
+) -> tuple[Reconstruction, ...]:
     """Return reconstructions at the size that gives people their stature, as their legs tell it.
 
     Body and path grow together about the camera, which sees no difference.
 
     Args:
-        people: Tracks and reconstructions, camera axes, camera at the origin.
+        people: Camera axes, camera at the origin.
         statures_m: Stature by person id; the others grow as these do in the mean.
         has_one_size: Everybody grows alike, so that all keep their places to each other.
     """
-    own = {person.person_id: _stature_m(one) for person, one in people}
+    own = {one.track.person_id: _stature_m(one) for one in people}
     growth = {name: stature / own[name] for name, stature in statures_m.items() if own.get(name, 0.0) > 0}
     if not growth:
         return tuple(people)
     mean = float(np.exp(np.mean(np.log(list(growth.values())))))
-    sizes = {name: mean if has_one_size else growth.get(name, mean) for name in own}
-    return tuple((person, one.scaled(sizes[person.person_id])) for person, one in people)
+    return tuple(one.scaled(mean if has_one_size else growth.get(one.track.person_id, mean)) for one in people)
 
 
 def _stature_m(found: Reconstruction) -> float:
     return float(np.median(body_height_m(OP14, bone_lengths(OP14, found.positions_m))))
-
-
-def _pair_depths(
-    searcher: Searcher,
-    matches: Sequence[Matches],
-    persons: Sequence[PersonTrack],
-    found: Sequence[Reconstruction],
-    pairs_m: npt.NDArray[np.floating] | None,
-) -> list[PairDepth]:
-    """Return what pairs that look like both say of the couples of a sequence."""
-    couples = _couples(persons) if pairs_m is not None and len(pairs_m) else []
-    if pairs_m is None or not couples:
-        return []
-    database = searcher.database
-    pairs = PairSearcher.of(pairs_m, num_yaws=database.num_yaws, pitch_rad=database.camera.pitch_rad)
-    depths = []
-    for first, second in couples:
-        one, other = ((persons[place], matches[place], found[place]) for place in (first, second))
-        depths.append(pair_depths(pairs, (one, other), (first, second)))
-    return [one for one in depths if one is not None]
-
-
-def _couples(people: Sequence[PersonTrack]) -> list[tuple[int, int]]:
-    """Return the places in `people` of those who are partners and both there."""
-    place = {one.person_id: number for number, one in enumerate(people)}
-    partners = [-1 if one.partner_id is None else place.get(one.partner_id, -1) for one in people]
-    return [(first, second) for first, second in enumerate(partners) if first < second]

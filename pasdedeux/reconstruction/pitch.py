@@ -33,7 +33,7 @@ _LENS_FACTORS = (0.8, 1.0, 1.25, 1.56)
 
 _NUM_OF_PARABOLA = 3
 _NUM_PARTS = 8
-"""Parts of a video that are left out in turn."""
+"""Parts of a video that are excluded in turn."""
 _OWN_DEVIATION_RAD = float(np.deg2rad(2.0))
 """What is left over where all parts agree: people of the database hold themselves otherwise than those of the video (16
 views of four takes of salsa, 5 px of noise, a camera 10 degrees below the level among them: 2.5 degrees in all)."""
@@ -104,7 +104,7 @@ def choose_pitch(
     the matches alone decide.  An ankle that is not seen has no say, nor has the other where it is the higher one.
 
     The pitch is where a parabola through the squares of the best of the searchers and of its neighbours has its least;
-    its deviation is what leaving out each eighth of the video in turn does to it (jackknife), and what poses of a
+    its deviation is what excluding each eighth of the video in turn does to it (jackknife), and what poses of a
     database differ by.  Ties go to the first.
     """
     options = options or ReconstructionOptions()
@@ -215,7 +215,7 @@ class _Judged:
         return min((float(np.median(np.abs(height - np.median(height)))) for height in own), default=0.0)
 
     def without(self, part: int) -> _Judged:
-        """Return the rest when one of the parts of the video is left out."""
+        """Return the rest without one of the parts of the video."""
         count = len(self.distance_m)
         rest = np.arange(count) * _NUM_PARTS // count != part
         return _Judged(self.distance_m[rest], self.height_m[:, rest])

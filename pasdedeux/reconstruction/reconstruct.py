@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -18,16 +19,25 @@ from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
 from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
-from pasdedeux.reconstruction.depth import DepthSettings, bone_vectors, decode_depths, place_depths
+from pasdedeux.reconstruction.depth import bone_vectors, decode_depths, place_depths
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
 from pasdedeux.reconstruction.rays import camera_turns, straighten_rays
 from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
-from pasdedeux.reconstruction.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
+from pasdedeux.reconstruction.temporal import choose_nearest, choose_viterbi, choose_window
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.reconstruction.yaw import refine_yaws
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
+MIN_JOINTS = 4
+"""Frames with fewer joints seen are bridged."""
+SMOOTHING_S = 0.375
+"""Window of the Savitzky-Golay smoothing."""
 _SMOOTHING_ORDER = 2
+_NUM_PLACEMENTS = 4
+"""Rounds of search that scale and place are refined in."""
+_SCALE_WINDOW_S = 1.5
+"""Length of the window that a track's scale is the median of."""
 _SMOOTHED_NOISE = 0.6
 """Noise left by a Savitzky-Golay window of 7 frames and order 2, as part of the noise before."""
 
@@ -60,20 +70,14 @@ class Method(StrEnum):
     FIT = "fit"
 
 
-class ReconstructionOptions(TemporalWeights):
+class ReconstructionOptions(Settings):
     """How a track is reconstructed."""
 
     num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
-    min_joints: int = Field(4, ge=3, le=14, description="Frames with fewer joints seen are bridged")
-    smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
-
-    num_placements: int = Field(4, ge=1, description="Rounds of search that scale and place are refined in")
-    scale_window_s: float = Field(1.5, gt=0, description="Length of the window that a track's scale is the median of")
     metres_per_pixel: float | None = Field(
         None, gt=0, description="Scale of the image at the person where it is known (a measured camera)"
     )
-    depth: DepthSettings = Field(DepthSettings(), description="How candidates vote on depth (method `fit`)")
     fit: ObservedFitSettings = Field(
         ObservedFitSettings(min_noise_m=_MODEL_ERROR_M), description="What the fit believes of image and time"
     )
@@ -112,7 +116,7 @@ class Matches:
         placement: Scale and place searched with; pixels with y up about the principal point, rays straightened.
         towards_camera: Unit direction (frame, 3) from the mid-hip to the camera, camera axes.
         proportions: Length of each bone (14,) as a multiple of the reference body's.
-        yaw_steps: Yaw of each candidate (frame, k) in steps of the database; the steps themselves when not given.
+        yaw_steps: Yaw of each candidate (frame, k) in steps of the database.
     """
 
     neighbours: Neighbours
@@ -121,12 +125,7 @@ class Matches:
     placement: Placement
     towards_camera: Array
     proportions: Array
-    yaw_steps: Array | None = None
-
-    @property
-    def yaws(self) -> Array:
-        """Yaw of each candidate (frame, k), in steps of the database."""
-        return self.neighbours.yaw_index.astype(np.float64) if self.yaw_steps is None else self.yaw_steps
+    yaw_steps: Array
 
 
 @dataclass(frozen=True)
@@ -134,13 +133,12 @@ class Reconstruction:
     """A reconstructed track, camera axes (x right, y up, z towards the camera), camera at the origin, metres.
 
     Args:
+        track: What it was made from.
         positions_m: op14 positions (frame, 14, 3).
-        bone_unitquat: Rotations of the bones (frame, 14, 4), see `bones.bone_rotations`.
         root_m: Mid-hip (frame, 3).
         yaw_rad: Yaw of the matched projection (frame,); NaN where bridged.
         score_m: Mean distance per seen joint to it (frame,); NaN where bridged.
         row: Database row matched (frame,); -1 where bridged.
-        num_joints_seen: (frame,).
         is_bridged: Too little was seen in the frame; the pose is interpolated (frame,).
         metres_per_pixel: (frame,).
         correction_m: Mean distance that the fit moved a joint from where the followed poses had it (frame,), mid-hips
@@ -148,17 +146,30 @@ class Reconstruction:
         noise_m: Standard deviation of the image's noise.
     """
 
+    track: Track
     positions_m: Array
-    bone_unitquat: Array
     root_m: Array
     yaw_rad: Array
     score_m: Array
     row: npt.NDArray[np.int64]
-    num_joints_seen: npt.NDArray[np.int64]
     is_bridged: npt.NDArray[np.bool_]
     metres_per_pixel: Array
     correction_m: Array
     noise_m: float
+
+    @cached_property
+    def bone_unitquat(self) -> Array:
+        """Rotations of the bones (frame, 14, 4), see `bones.bone_rotations`."""
+        return bone_rotations(self.positions_m)
+
+    @property
+    def num_joints_seen(self) -> npt.NDArray[np.int64]:
+        """Joints seen in each frame (frame,)."""
+        return np.asarray((self.track.confidence > 0).sum(axis=1))
+
+    def posed(self, positions_m: Array) -> Reconstruction:
+        """Return it with other positions (frame, 14, 3)."""
+        return replace(self, positions_m=positions_m, root_m=mid_hip(positions_m))
 
     def scaled(self, size: float) -> Reconstruction:
         """Return body and path grown about the camera, which sees no difference."""
@@ -177,25 +188,23 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
     database's camera looks straight at the body.
 
     Raises:
-        InputError: No frame shows `min_joints` joints, or the size cannot be told.
+        InputError: No frame shows `MIN_JOINTS` joints, or the size cannot be told.
     """
     options = options or ReconstructionOptions()
     centred = (track.keypoints_px - np.array(track.lens.principal_point_px)) * np.array([1.0, -1.0])
-    is_seen = (track.confidence > 0).sum(axis=1) >= options.min_joints
+    is_seen = (track.confidence > 0).sum(axis=1) >= MIN_JOINTS
     weights = np.where(is_seen[:, None], track.confidence, 0.0)
     if not is_seen.any():
-        raise InputError(
-            f"no frame of the track shows {options.min_joints} joints of the person; nothing to search for"
-        )
-    window = max(3, round(options.scale_window_s * track.rate_hz)) | 1
+        raise InputError(f"no frame of the track shows {MIN_JOINTS} joints of the person; nothing to search for")
+    window = odd_window(_SCALE_WINDOW_S, track.rate_hz)
     scale = options.metres_per_pixel
     first = place_track(centred, weights, searcher.reference, window=window, metres_per_pixel=scale)
     straight, towards = straighten_rays(centred, first.mid_hip_px, track.lens.focal_px)
     placement = place_track(straight, weights, searcher.reference, window=window, metres_per_pixel=scale)
     proportions = np.ones(OP14.num_joints)
-    for round_number in range(options.num_placements):
+    for round_number in range(_NUM_PLACEMENTS):
         own = placement.to_metres(straight)
-        is_last = round_number == options.num_placements - 1
+        is_last = round_number == _NUM_PLACEMENTS - 1
         neighbours = searcher.index.search(
             retarget_image(own, proportions), weights, num_neighbours=options.num_candidates if is_last else 1
         )
@@ -209,14 +218,7 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
                 straight, weights, matched, window=window, previous=placement, metres_per_pixel=scale
             )
     # The steps of the database are coarse: each candidate is turned to the image, and the order is by what is left.
-    refined = refine_yaws(searcher.database, neighbours, retarget_image(own, proportions), weights)
-    order = np.argsort(refined.distance_m, axis=-1, kind="stable")
-    neighbours = replace(
-        neighbours,
-        projection=np.take_along_axis(neighbours.projection, order, axis=-1),
-        distance_m=np.take_along_axis(refined.distance_m, order, axis=-1),
-    )
-    yaw_steps = np.take_along_axis(refined.yaw_steps, order, axis=-1)
+    neighbours, yaw_steps = refine_yaws(searcher.database, neighbours, retarget_image(own, proportions), weights)
     query = np.where(weights[..., None] > 0, own, np.nan)
     return Matches(neighbours, query, weights, placement, towards, proportions, yaw_steps)
 
@@ -251,33 +253,31 @@ def reconstruct_track(
     elif method is Method.WINDOW:
         ranks = choose_window(database, neighbours, yaw_steps=found.yaw_steps)
     else:
-        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, weights=options, yaw_steps=found.yaw_steps)
+        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, yaw_steps=found.yaw_steps)
     is_known = ranks >= 0
     frames = np.arange(len(ranks))
     rank = np.maximum(ranks, 0)
     row = np.where(is_known, neighbours.row[frames, rank], -1)
-    yaw_steps = found.yaws[frames, rank]
+    yaw_steps = found.yaw_steps[frames, rank]
     unitquat = bridge_gaps(bone_rotations(_before_camera(database, np.maximum(row, 0), yaw_steps)), is_known)
     if method is not Method.NEAREST:
-        unitquat = smooth_savitzky_golay(unitquat, num_frames=odd_window(options.smoothing_s, track.rate_hz))
+        unitquat = smooth_savitzky_golay(unitquat, num_frames=odd_window(SMOOTHING_S, track.rate_hz))
     lengths = REFERENCE_LENGTHS_M * found.proportions
     relative = place_bone_rotations(unitquat, lengths, np.zeros((len(ranks), 3)))
-    placement = found.placement
-    retrieved = relative
+    placement, retrieved = found.placement, relative
     if method is Method.FIT:
         relative = _fit(searcher, found, relative, is_known, track, options)
     root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
     if method is not Method.NEAREST:
-        root = _smooth_path(root, odd_window(options.smoothing_s, track.rate_hz))
+        root = _smooth_path(root, odd_window(SMOOTHING_S, track.rate_hz))
     positions = rotate(camera_turns(towards)[:, None], relative) + root[:, None]
     return Reconstruction(
+        track=track,
         positions_m=positions,
-        bone_unitquat=bone_rotations(positions),
         root_m=mid_hip(positions),
         yaw_rad=np.where(is_known, yaw_steps * database.yaw_step_rad, np.nan),
         score_m=np.where(is_known, neighbours.distance_m[frames, rank], np.nan),
         row=row,
-        num_joints_seen=(track.confidence > 0).sum(axis=1),
         is_bridged=~is_known,
         metres_per_pixel=placement.metres_per_pixel,
         correction_m=_mean_distance_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),
@@ -313,9 +313,9 @@ def _fit(
     noise = image_noise(found.query_m, is_seen)
     match = np.where(is_known, neighbours.distance_m[:, 0], np.hypot(_BRIDGED_MISFIT_M, MEAN_OF_RAYLEIGH * noise))
     trust = bone_deviation_m(match, noise, options.trust_per_misfit)[:, None] * np.ones(OP14.num_joints)
-    window = odd_window(0.5 * options.smoothing_s, track.rate_hz)
+    window = odd_window(0.5 * SMOOTHING_S, track.rate_hz)
     positions = retrieved
-    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaws)
+    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaw_steps)
     candidates[~is_known] = reference[~is_known, None]
     misfit = np.where(is_known[:, None], neighbours.distance_m, 0.0)
     misfit = misfit - misfit[:, :1]
@@ -327,7 +327,7 @@ def _fit(
         if np.abs(flat - before)[is_seen].max() < _SAME_IMAGE_M:
             break
         observed = retarget_image(_smooth_seen(flat, is_seen, window), found.proportions)
-        depths = decode_depths(
+        vectors, depths = decode_depths(
             observed,
             is_seen,
             candidates,
@@ -335,9 +335,8 @@ def _fit(
             REFERENCE_LENGTHS_M,
             noise_m=max(_SMOOTHED_NOISE * noise, options.fit.min_noise_m),
             rate_hz=track.rate_hz,
-            settings=options.depth,
         )
-        start = place_depths(np.where(is_seen[..., None], flat, retrieved[..., :2]), depths.depth_m * found.proportions)
+        start = place_depths(np.where(is_seen[..., None], flat, retrieved[..., :2]), depths * found.proportions)
         start[..., 2] -= mid_hip(start)[:, None, 2]
         positions = fit_observed(
             OP14,
@@ -345,7 +344,7 @@ def _fit(
             start,
             found.query_m,
             found.weights,
-            share * followed + (1.0 - share) * depths.vector_m * found.proportions[:, None],
+            share * followed + (1.0 - share) * vectors * found.proportions[:, None],
             trust,
             rate_hz=track.rate_hz,
             distance_m=distance,

@@ -29,13 +29,13 @@ class Term:
     Args:
         value: In deviations (n,).
         stencil: The unknowns each depends on (n, k at most 3), beside the common ones.
-        is_robust: Whether outliers count less (n,).
+        is_robust: Whether outliers count less (n,), or of all.
         weight: How much each counts.
     """
 
     value: Array
     stencil: Integers
-    is_robust: npt.NDArray[np.bool_]
+    is_robust: npt.NDArray[np.bool_] | bool = False
     weight: float = 1.0
 
 
@@ -118,7 +118,7 @@ def _joined(terms: Sequence[Term]) -> _Joined:
     stencils = [np.pad(one.stencil, ((0, 0), (0, 3 - one.stencil.shape[1])), constant_values=-1) for one in terms]
     return _Joined(
         np.concatenate([one.value for one in terms]),
-        np.concatenate([one.is_robust for one in terms]),
+        np.concatenate([np.broadcast_to(one.is_robust, one.value.shape) for one in terms]),
         np.concatenate([np.full(len(one.value), one.weight) for one in terms]),
         np.concatenate(stencils),
     )

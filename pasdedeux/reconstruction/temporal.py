@@ -5,12 +5,12 @@ Viterbi decides each frame a fixed number of frames later, once; with the whole 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
@@ -18,37 +18,21 @@ from pasdedeux.kinematics.rotations import angle_between, multiply
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours
 from pasdedeux.reconstruction.bones import bone_rotations
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 Integers = npt.NDArray[np.int64]
 Floats32 = npt.NDArray[np.float32]
 
 
-class TemporalWeights(Settings):
-    """How much a change between frames costs against a misfit in the image."""
-
-    pose_weight: float = Field(
-        0.5,
-        ge=0,
-        allow_inf_nan=False,
-        description="Cost per metre of mean joint distance between where a candidate's motion goes next and the next "
-        "candidate, both turned by their yaw; against 1 per metre of misfit in the image",
-    )
-
-
-@dataclass(frozen=True)
-class Decision:
-    """What a frame was decided to be: candidate `rank` of frame `frame`."""
-
-    frame: int
-    rank: int
+POSE_WEIGHT = 0.5
+"""Cost per metre of mean joint distance between where a candidate's motion goes next and the next candidate, both
+turned by their yaw; against 1 per metre of misfit in the image."""
 
 
 class FixedLagViterbi:
     """Viterbi through candidates as frames arrive: each frame is decided `lag` frames later, once.
 
-    Emission: the 2D distance.  Transition: `TemporalWeights.pose_weight` times the mean joint distance between the
+    Emission: the 2D distance.  Transition: `POSE_WEIGHT` times the mean joint distance between the
     turned pose of the next candidate and the *continued* pose of the one before, that is its own pose moved on along
     its motion by the time between the frames, for at most one frame.  A pose without a successor (draws have no past
     and no future) continues as itself.  The cost of a change falls with the length of the gap between two frames,
@@ -58,15 +42,13 @@ class FixedLagViterbi:
         database: Database searched.
         rate_hz: Frames per second of the sequence.
         lag: Frames of the sequence between a frame and its decision.
-        weights: Costs.
     """
 
-    def __init__(self, database: Database, *, rate_hz: float, lag: int, weights: TemporalWeights | None = None) -> None:
+    def __init__(self, database: Database, *, rate_hz: float, lag: int) -> None:
         self._database = database
         self._successors = database.successors()
         self._rate_hz = rate_hz
         self._lag = lag
-        self._weights = weights or TemporalWeights()
         self._frames: deque[int] = deque()
         self._back: deque[Integers] = deque()
         self._cost: Array = np.zeros(0)
@@ -75,8 +57,8 @@ class FixedLagViterbi:
         self.path: Integers = np.zeros(0, dtype=np.int64)
         """Candidates, by the best path to the newest frame, from the first frame that was just decided on."""
 
-    def push(self, frames: Integers, row: Integers, yaw_steps: Array, distance_m: Array) -> list[Decision]:
-        """Add the candidates of frames (n, k), each with one of finite distance; return what is old enough to decide.
+    def push(self, frames: Integers, row: Integers, yaw_steps: Array, distance_m: Array) -> list[int]:
+        """Add the candidates of frames (n, k), each with one of finite distance; return the ranks that are due.
 
         Args:
             frames: Their numbers (n,), after those of the frames before.
@@ -93,7 +75,7 @@ class FixedLagViterbi:
             following,
             distance_m,
             np.minimum(self._database.rate_hz / self._rate_hz * gap, 1.0),
-            self._weights.pose_weight / np.sqrt(gap),
+            POSE_WEIGHT / np.sqrt(gap),
             self._cost,
             self._motion,
         )
@@ -101,18 +83,16 @@ class FixedLagViterbi:
         self._back.extend(back)
         return self.decide_until(self._frames[-1] - self._lag)
 
-    def decide_until(self, frame: int) -> list[Decision]:
-        """Decide every frame up to this one, by the best path to the newest frame."""
+    def decide_until(self, frame: int) -> list[int]:
+        """Decide every frame up to this one, by the best path to the newest; return their ranks in order of frames."""
         if len(self._frames) <= self._num_decided or self._frames[self._num_decided] > frame:
             return []
-        rank = int(np.argmin(self._cost))
-        ranks = [rank]
+        ranks = [int(np.argmin(self._cost))]
         for back in list(self._back)[:0:-1]:
-            rank = int(back[rank])
-            ranks.append(rank)
+            ranks.append(int(back[ranks[-1]]))
         self.path = np.array(ranks[::-1][self._num_decided :], dtype=np.int64)
         waiting = list(self._frames)[self._num_decided :]
-        decided = [Decision(one, int(rank)) for one, rank in zip(waiting, self.path, strict=True) if one <= frame]
+        decided = self.path[: bisect_right(waiting, frame)].tolist()
         # The newest decided frame stays: it is where the paths of later frames start from.
         for _ in range(self._num_decided + len(decided) - 1):
             self._frames.popleft()
@@ -131,7 +111,6 @@ def choose_viterbi(
     neighbours: Neighbours,
     *,
     rate_hz: float,
-    weights: TemporalWeights | None = None,
     yaw_steps: Array | None = None,
 ) -> Integers:
     """Return the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
@@ -142,7 +121,6 @@ def choose_viterbi(
         database: Database searched.
         neighbours: Candidates (frame, k).
         rate_hz: Frames per second of the sequence.
-        weights: Weights of the costs.
         yaw_steps: Yaw of each candidate (frame, k) in steps, where it lies between the steps of the database.
     """
     ranks = np.full(len(neighbours.projection), -1, dtype=np.int64)
@@ -150,10 +128,9 @@ def choose_viterbi(
     if len(frames) == 0:
         return ranks
     yaw = (neighbours.yaw_index if yaw_steps is None else yaw_steps)[frames].astype(np.float64)
-    viterbi = FixedLagViterbi(database, rate_hz=rate_hz, lag=len(ranks), weights=weights)
+    viterbi = FixedLagViterbi(database, rate_hz=rate_hz, lag=len(ranks))
     viterbi.push(frames, np.maximum(neighbours.row[frames], 0), yaw, neighbours.distance_m[frames])
-    for one in viterbi.decide_until(int(frames[-1])):
-        ranks[one.frame] = one.rank
+    ranks[frames] = viterbi.decide_until(int(frames[-1]))
     return ranks
 
 

@@ -41,28 +41,30 @@ class Lens:
 
         An unknown size is told from where keypoints lie.
         """
-        if width_px is None or height_px is None:
+        if width_px is not None and height_px is not None:
+            longer, middle = float(max(width_px, height_px)), (width_px / 2.0, height_px / 2.0)
+        else:
             is_seen = np.isfinite(keypoints_px).all(axis=-1)
             seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
             # People are filmed about the middle, and an image is about 16:9.
-            middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-            width = 2.0 * max(float(middle[0]), 16.0 / 9.0 * float(middle[1]), 1.0)
-            return cls(
-                focal_px or _FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])), focal_px is not None
-            )
-        focal = focal_px or _FOCAL_OVER_WIDTH * max(width_px, height_px)
-        return cls(focal, (width_px / 2.0, height_px / 2.0), focal_px is not None)
+            x, y = (float(value) for value in 0.5 * (seen.min(axis=0) + seen.max(axis=0)))
+            longer, middle = 2.0 * max(x, 16.0 / 9.0 * y, 1.0), (x, y)
+        return cls(focal_px or _FOCAL_OVER_WIDTH * longer, middle, focal_px is not None)
 
 
 @dataclass(frozen=True)
 class Track:
-    """One person's keypoints over the frames of a sequence.
+    """One person's keypoints over the frames of a sequence, and where they lie in it.
 
     Args:
         keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
         confidence: (frame, 14), 0 where not seen.
         rate_hz: Frames per second.
         lens: The camera as far as it is known.
+        person_id: Person in the sequence.
+        first_frame: Frame of the sequence that the track begins with.
+        first_time_s: Time of that frame.
+        partner_id: Person of the sequence that this one is paired with; None for nobody.
 
     Raises:
         InputError: Shapes do not fit, no frame, negative confidences, a rate that is not positive.
@@ -72,6 +74,10 @@ class Track:
     confidence: Array
     rate_hz: float
     lens: Lens
+    person_id: int = 0
+    first_frame: int = 0
+    first_time_s: float = 0.0
+    partner_id: int | None = None
 
     def __post_init__(self) -> None:
         """Check shapes; a joint without position gets confidence 0."""
@@ -89,34 +95,15 @@ class Track:
             raise InputError("track: a confidence is negative; 0 means not seen")
         object.__setattr__(self, "confidence", confidence)
 
-
-@dataclass(frozen=True)
-class PersonTrack:
-    """A person's track and where it lies in its sequence.
-
-    Args:
-        person_id: Person in the sequence.
-        first_frame: Frame of the sequence that the track begins with.
-        first_time_s: Time of that frame.
-        track: The keypoints.
-        partner_id: Person of the sequence that this one is paired with; None for nobody.
-    """
-
-    person_id: int
-    first_frame: int
-    first_time_s: float
-    track: Track
-    partner_id: int | None = None
-
     @property
     def frames(self) -> Integers:
         """Frames of the sequence (frame,)."""
-        return self.first_frame + np.arange(len(self.track.keypoints_px))
+        return self.first_frame + np.arange(len(self.keypoints_px))
 
     @property
     def times_s(self) -> Array:
         """Times (frame,)."""
-        return np.asarray(self.first_time_s + np.arange(len(self.track.keypoints_px)) / self.track.rate_hz)
+        return np.asarray(self.first_time_s + np.arange(len(self.keypoints_px)) / self.rate_hz)
 
 
 def tracks_from_rows(
@@ -130,7 +117,7 @@ def tracks_from_rows(
     width_px: int | None,
     height_px: int | None,
     focal_px: float | None = None,
-) -> list[PersonTrack]:
+) -> list[Track]:
     """Return the tracks of one sequence, by person id.
 
     Args:
@@ -165,6 +152,7 @@ def tracks_from_rows(
         seen[at - first] = confidence[rows]
         start = float(time_s[rows[np.argmin(at)]])
         partner = -1 if partner_id is None else int(partner_id[rows[0]])
-        track = Track(points, seen, rate_hz, lens)
-        tracks.append(PersonTrack(int(person), first, start, track, None if partner < 0 else partner))
+        tracks.append(
+            Track(points, seen, rate_hz, lens, int(person), first, start, partner_id=None if partner < 0 else partner)
+        )
     return tracks

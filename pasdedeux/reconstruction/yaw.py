@@ -8,7 +8,7 @@ never grows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,22 +25,9 @@ _NUM_SECTIONS = 14
 """Golden sections: 0.618^14 of a quarter step is 0.06 mrad."""
 
 
-@dataclass(frozen=True)
-class RefinedYaws:
-    """Candidates at yaws between the steps.
-
-    Args:
-        yaw_steps: Yaw (*batch, k) in steps of the database, what `Database.turned` takes; not reduced to one turn.
-        distance_m: Weighted mean distance per seen joint there (*batch, k); inf where there is no candidate.
-    """
-
-    yaw_steps: Array
-    distance_m: Array
-
-
 def refine_yaws(
     database: Database, neighbours: Neighbours, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None
-) -> RefinedYaws:
+) -> tuple[Neighbours, Array]:
     """Turn each neighbour (*batch, k) of queries (*batch, 14, 2) to the yaw of least distance within one step.
 
     Args:
@@ -48,17 +35,20 @@ def refine_yaws(
         neighbours: What was found.
         query_m: The queries it was found for.
         weights: Their weights (*batch, 14).
+
+    Returns:
+        The neighbours with their distances there, nearest first, and their yaws (*batch, k) in steps of the database,
+        what `Database.turned` takes; not reduced to one turn.
     """
     query, weight = prepare_query(query_m, weights)
-    joints = OP14.num_joints
-    count = neighbours.projection.shape[-1]
-    row = np.ascontiguousarray(neighbours.row.reshape(-1, count))
-    yaw = neighbours.yaw_index.reshape(-1, count).astype(np.float64)
+    shape = neighbours.projection.shape
+    row = np.ascontiguousarray(neighbours.row.reshape(-1, shape[-1]))
+    yaw = neighbours.yaw_index.reshape(row.shape).astype(np.float64)
     distance = np.full(row.shape, np.inf)
     camera = database.camera
     _refine(
-        query.reshape(-1, joints, 2).astype(np.float64),
-        weight.reshape(-1, joints).astype(np.float64),
+        query.reshape(-1, OP14.num_joints, 2).astype(np.float64),
+        weight.reshape(-1, OP14.num_joints).astype(np.float64),
         database.poses_m,
         row,
         database.yaw_step_rad,
@@ -66,7 +56,11 @@ def refine_yaws(
         yaw,
         distance,
     )
-    return RefinedYaws(yaw.reshape(neighbours.projection.shape), distance.reshape(neighbours.projection.shape))
+    order = np.argsort(distance, axis=-1, kind="stable").reshape(shape)
+    projection, distance, yaw = (
+        np.take_along_axis(one.reshape(shape), order, axis=-1) for one in (neighbours.projection, distance, yaw)
+    )
+    return replace(neighbours, projection=projection, distance_m=distance), yaw
 
 
 @compiled(error_model="numpy")

@@ -7,8 +7,9 @@ import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
-from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
+from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
 __all__ = ["random_poses", "reconstruction", "walk"]
@@ -50,18 +51,21 @@ def random_poses(rng: np.random.Generator, count: int, *, spread: float = 0.5) -
     return place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, np.zeros((count, 3)))
 
 
-def reconstruction(positions: np.ndarray, *, num_bridged: int = 0) -> Reconstruction:
+def reconstruction(
+    positions: np.ndarray, *, num_bridged: int = 0, rate_hz: float = 30.0, person_id: int = 0, first_frame: int = 0
+) -> Reconstruction:
     """A reconstruction of these poses (frame, 14, 3), matched to the rows of the same number."""
     frames = len(positions)
+    lens = Lens(1.0, (0.0, 0.0))
+    seen = np.ones((frames, 14))
     is_bridged = np.arange(frames) < num_bridged
     return Reconstruction(
+        track=Track(np.zeros((frames, 14, 2)), seen, rate_hz, lens, person_id, first_frame),
         positions_m=positions,
-        bone_unitquat=bone_rotations(positions),
         root_m=mid_hip(positions),
         yaw_rad=np.zeros(frames),
         score_m=np.zeros(frames),
         row=np.where(is_bridged, -1, np.arange(frames)),
-        num_joints_seen=np.full(frames, 14),
         is_bridged=is_bridged,
         metres_per_pixel=np.ones(frames),
         correction_m=np.zeros(frames),

@@ -15,7 +15,7 @@ from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
-from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
+from pasdedeux.reconstruction.tracks import Lens, Track
 from tests.builders.walkers import walk
 
 FRAMES = 96
@@ -44,7 +44,7 @@ def database() -> tuple[Searcher, np.ndarray]:
 
 
 @cache
-def filmed() -> tuple[list[PersonTrack], np.ndarray]:
+def filmed() -> tuple[list[Track], np.ndarray]:
     """Return tracks of two people of other sizes, by a lens that is not one assumed and the truth in camera axes."""
     world = couple(FRAMES, start_s=1.03) * np.array(SIZES)[:, None, None]
     hips = mid_hip(world)
@@ -53,20 +53,19 @@ def filmed() -> tuple[list[PersonTrack], np.ndarray]:
     px = camera.project(world).px
     lens = Lens(ASSUMED_FOCAL_PX, (960.0, 540.0))
     tracks = [
-        PersonTrack(number, 0, 0.0, Track(px[:, number], np.ones((FRAMES, 14)), 24.0, lens), 1 - number)
-        for number in (0, 1)
+        Track(px[:, number], np.ones((FRAMES, 14)), 24.0, lens, number, partner_id=1 - number) for number in (0, 1)
     ]
     return tracks, (world - camera.position_m) @ camera.camera_from_world_rotmat.T
 
 
 def depth_error(found: ReconstructedTracks, truth: np.ndarray) -> float:
-    first, second = (one.root_m[:, 2] for _, one in found.methods[-1].people)
+    first, second = (one.root_m[:, 2] for one in found.methods[-1].people)
     true = mid_hip(truth[:, 1])[:, 2] - mid_hip(truth[:, 0])[:, 2]
     return float(np.abs(second - first - true).mean())
 
 
-def reconstructed(tracks: list[PersonTrack], pairs: np.ndarray | None, method: Method) -> ReconstructedTracks:
-    return reconstruct_people([database()[0]], tracks, [method], has_clean_up=False, pairs_m=pairs)
+def reconstructed(tracks: list[Track], pairs: np.ndarray | None, method: Method) -> ReconstructedTracks:
+    return reconstruct_people(database()[0], tracks, [method], has_clean_up=False, pairs_m=pairs)
 
 
 def test_pairs_find_the_depth_between_two_people() -> None:
@@ -75,29 +74,29 @@ def test_pairs_find_the_depth_between_two_people() -> None:
     placed = reconstructed(tracks, database()[1], Method.VITERBI)
     assert depth_error(placed, truth) < depth_error(alone, truth)
     assert depth_error(placed, truth) < 0.2
-    world = placed.world
-    assert world is not None
+    scene = placed.scene
+    assert scene is not None
     # Nobody knows how large people are but one of another; the lens is told from the depths of pairs.
-    assert world.sizes[0] / world.sizes[1] == pytest.approx(SIZES[0] / SIZES[1], rel=0.1)
-    assert world.lens_factor == pytest.approx(FOCAL_PX / ASSUMED_FOCAL_PX, rel=0.25)
+    assert scene.sizes[0] / scene.sizes[1] == pytest.approx(SIZES[0] / SIZES[1], rel=0.1)
+    assert scene.lens_factor == pytest.approx(FOCAL_PX / ASSUMED_FOCAL_PX, rel=0.25)
     assert abs(placed.pitch.pitch_rad) < np.deg2rad(4.0)
 
 
 def test_a_stated_focal_length_is_kept() -> None:
     tracks, truth = filmed()
     known = Lens(FOCAL_PX, (960.0, 540.0), is_known=True)
-    stated = [replace(one, track=replace(one.track, lens=known)) for one in tracks]
+    stated = [replace(one, lens=known) for one in tracks]
     placed = reconstructed(stated, database()[1], Method.VITERBI)
-    assert placed.world is not None
-    assert placed.world.lens_factor == pytest.approx(1.0, abs=0.05)
+    assert placed.scene is not None
+    assert placed.scene.lens_factor == pytest.approx(1.0, abs=0.05)
     assert depth_error(placed, truth) < 0.2
 
 
 def test_the_baseline_is_left_where_everybodys_own_size_puts_them() -> None:
     tracks, _ = filmed()
     with_pairs, without = (reconstructed(tracks, pairs, Method.NEAREST) for pairs in (None, database()[1]))
-    assert with_pairs.world is None
-    for (_, one), (_, other) in zip(with_pairs.methods[-1].people, without.methods[-1].people, strict=True):
+    assert with_pairs.scene is None
+    for one, other in zip(with_pairs.methods[-1].people, without.methods[-1].people, strict=True):
         np.testing.assert_array_equal(one.positions_m, other.positions_m)
 
 
@@ -114,10 +113,10 @@ def test_pairs_that_look_like_nobody_move_people_little() -> None:
 def test_gaps_and_tracks_that_only_overlap_are_placed_where_both_are_seen() -> None:
     tracks, _ = filmed()
     first, second = tracks
-    seen = second.track.confidence.copy()
+    seen = second.confidence.copy()
     seen[20:30] = 0.0
-    late = Track(second.track.keypoints_px[8:], seen[8:], 24.0, second.track.lens)
-    placed = reconstructed([first, PersonTrack(1, 8, 8 / 24.0, late, 0)], database()[1], Method.VITERBI)
-    for (_, one), frames in zip(placed.methods[-1].people, (FRAMES, FRAMES - 8), strict=True):
+    late = Track(second.keypoints_px[8:], seen[8:], 24.0, second.lens, 1, 8, 8 / 24.0, 0)
+    placed = reconstructed([first, late], database()[1], Method.VITERBI)
+    for one, frames in zip(placed.methods[-1].people, (FRAMES, FRAMES - 8), strict=True):
         assert one.positions_m.shape == (frames, 14, 3)
         assert np.isfinite(one.positions_m).all()

@@ -20,7 +20,6 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.people import sized_by_stature
 from pasdedeux.reconstruction.reconstruct import Reconstruction
-from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store
@@ -331,16 +330,10 @@ def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video
 
 
 def test_people_of_known_stature_come_out_that_tall() -> None:
-    positions = walk(30, seed=1)
-    tracks = [
-        PersonTrack(name, 0, 0.0, Track(np.zeros((30, 14, 2)), np.ones((30, 14)), 30.0, Lens(1.0, (0.0, 0.0))))
-        for name in (0, 1)
-    ]
-    made = reconstruction(positions)
-    people = [(track, made) for track in tracks]
+    people = [reconstruction(walk(30, seed=1), person_id=name) for name in (0, 1)]
 
-    def heights(found: Sequence[tuple[PersonTrack, Reconstruction]]) -> list[float]:
-        lengths = [bone_lengths(OP14, one.positions_m) for _, one in found]
+    def heights(found: Sequence[Reconstruction]) -> list[float]:
+        lengths = [bone_lengths(OP14, one.positions_m) for one in found]
         return [float(np.median(body_height_m(OP14, one))) for one in lengths]
 
     assert heights(sized_by_stature(people, {0: 1.9, 1: 1.5})) == pytest.approx([1.9, 1.5])

@@ -7,18 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
-from pasdedeux.people.identity import FollowedRows, IdentityOptions, body_size_px, follow_people, identity_switches
+from pasdedeux.people.identity import FollowedRows, body_size_px, follow_people, identity_switches
 from pasdedeux.people.identity_kernels import match_costs, predict_joints, update_joints
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
 from tests.builders.filmed_people import Detections, film
 from tests.builders.walkers import walk
 
 
-def follow(seen: Detections, options: IdentityOptions | None = None) -> FollowedRows:
-    return follow_people(seen.frame, seen.keypoints_px, seen.confidence, rate_hz=seen.rate_hz, options=options)
+def follow(seen: Detections) -> FollowedRows:
+    return follow_people(seen.frame, seen.keypoints_px, seen.confidence, rate_hz=seen.rate_hz)
 
 
 def switches(seen: Detections, found: FollowedRows) -> int:
@@ -96,8 +95,6 @@ def test_a_person_who_is_back_after_too_long_is_a_new_one() -> None:
     seen = film(np.random.default_rng(9), crossing(150), yaw_rad=0.0)
     alone = seen.rows((seen.true_id == 0) & ((seen.frame < 40) | (seen.frame > 100)))
     assert sorted(set(follow(alone).track_id.tolist())) == [0, 1]
-    patient = IdentityOptions(max_absent_s=10.0)
-    assert len(set(follow(alone, patient).track_id.tolist())) <= 2
 
 
 def test_a_doubled_person_is_merged_into_one() -> None:
@@ -163,8 +160,6 @@ def test_nothing_seen_gives_nothing_and_bad_input_is_named() -> None:
         follow_people(np.arange(3), np.zeros((3, 17, 2)), np.ones((3, 17)), rate_hz=30.0)
     with pytest.raises(InputError, match="rate is 0"):
         follow_people(np.arange(3), np.zeros((3, 14, 2)), np.ones((3, 14)), rate_hz=0.0)
-    with pytest.raises(ValidationError, match="gate"):
-        IdentityOptions(gate=0.0)
     assert np.isnan(body_size_px(np.zeros((14, 2)), np.zeros(14)))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.people.pairs import PairSettings, choose_pairs
+from pasdedeux.people.pairs import choose_pairs
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -224,8 +224,8 @@ def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -
     seen = np.isfinite(px).all(axis=-1).astype(float)
     (pair,) = choose_pairs(frame, ids, px, seen)
     assert (pair.first, pair.second, pair.num_near) == (0, 2, 10)
-    far = ids != 2
-    assert choose_pairs(frame[far], ids[far], px[far], seen[far], PairSettings(near=1.0)) == []
+    far, px[ids == 1] = ids != 2, px[ids == 1] + [150.0, 0.0]
+    assert choose_pairs(frame[far], ids[far], px[far], seen[far]) == []
 
 
 def test_without_a_rate_or_anybody_the_reason_is_named() -> None:

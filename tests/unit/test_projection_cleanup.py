@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.reconstruction.cleanup import CleanUpOptions, bend_leg, clean_up
+from pasdedeux.reconstruction.cleanup import bend_leg, clean_up
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple
 
@@ -141,5 +140,3 @@ def test_short_motions_and_bad_input_have_defined_answers(dancer: np.ndarray) ->
         clean_up(dancer, rate_hz=float("nan"))
     with pytest.raises(InputError, match="finite"):
         clean_up(np.full((4, 14, 3), np.nan), rate_hz=30.0)
-    with pytest.raises(ValidationError, match="shift_hold"):
-        CleanUpOptions(shift_hold=0.0)

@@ -71,9 +71,7 @@ def test_the_less_a_retrieval_is_trusted_the_nearer_is_the_fit_to_a_clear_image(
     image = (truth - mid_hip(truth)[:, None])[..., :2]
     off = []
     for trust in (0.2, 4.0):
-        options = ReconstructionOptions(
-            has_own_proportions=False, metres_per_pixel=1.0 / 300.0, num_placements=1, trust_per_misfit=trust
-        )
+        options = ReconstructionOptions(has_own_proportions=False, metres_per_pixel=1.0 / 300.0, trust_per_misfit=trust)
         fitted = reconstruct_track(searcher, track, Method.FIT, options).positions_m
         off.append(np.linalg.norm((fitted - mid_hip(fitted)[:, None])[..., :2] - image, axis=-1).mean())
     assert off[1] < off[0]
@@ -114,11 +112,11 @@ def test_signs_of_depth_are_those_of_the_candidates() -> None:
     rng = np.random.default_rng(0)
     candidates = truth[:, None] + rng.normal(0, 0.03, (40, 10, 14, 3))
     seen = np.ones((40, 14), dtype=bool)
-    depths = decode_depths(
+    _, depths = decode_depths(
         truth[..., :2], seen, candidates, np.zeros((40, 10)), REFERENCE_LENGTHS_M, noise_m=1e-4, rate_hz=24.0
     )
-    np.testing.assert_allclose(depths.depth_m, bone_vectors(truth)[..., 2], atol=0.03)
-    assert errors(place_depths(truth[..., :2], depths.depth_m), truth) < 0.005
+    np.testing.assert_allclose(depths, bone_vectors(truth)[..., 2], atol=0.03)
+    assert errors(place_depths(truth[..., :2], depths), truth) < 0.005
 
 
 def test_bones_that_are_not_seen_take_the_depth_of_the_candidates() -> None:
@@ -127,7 +125,7 @@ def test_bones_that_are_not_seen_take_the_depth_of_the_candidates() -> None:
     seen[:, OP14.index("left_elbow")] = False
     images = np.repeat(pose[..., :2], 6, axis=0)
     images[:, OP14.index("left_elbow")] = np.nan
-    depths = decode_depths(
+    vectors, depths = decode_depths(
         images,
         seen,
         np.repeat(pose[:, None], 6, axis=0),
@@ -137,8 +135,8 @@ def test_bones_that_are_not_seen_take_the_depth_of_the_candidates() -> None:
         rate_hz=24.0,
     )
     expected = bone_vectors(pose)[0, OP14.index("left_elbow")]
-    np.testing.assert_allclose(depths.vector_m[:, OP14.index("left_elbow")], np.tile(expected, (6, 1)), atol=1e-9)
-    assert np.isfinite(depths.depth_m).all()
+    np.testing.assert_allclose(vectors[:, OP14.index("left_elbow")], np.tile(expected, (6, 1)), atol=1e-9)
+    assert np.isfinite(depths).all()
 
 
 def test_proportions_are_found_up_to_size_and_images_move_back_and_forth() -> None:

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
+from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths, forward_kinematics
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
@@ -62,11 +62,11 @@ def test_a_long_lag_is_the_viterbi_of_the_whole_sequence_and_a_short_one_is_near
         decided = []
         for frame in range(40):
             new = live.push(np.array([frame]), found.row[[frame]], found.yaw_index[[frame]], found.distance_m[[frame]])
-            assert [one.frame for one in new] == ([frame - lag] if frame >= lag else [])
+            assert len(new) == (frame >= lag)
             decided += new
         decided += live.decide_until(39)
-        assert [one.frame for one in decided] == list(range(40))
-        assert np.mean([one.rank == whole[one.frame] for one in decided]) >= min_same
+        assert len(decided) == 40
+        assert np.mean(np.array(decided) == whole) >= min_same
     assert live.decide_until(39) == []
 
 
@@ -83,20 +83,6 @@ def test_two_people_in_any_order_come_out_near_the_truth_with_bounded_delay(sear
         np.testing.assert_allclose(mid_hip(found), np.stack([pose.root_m for pose in own]), atol=1e-9)
         for pose in own[::10]:
             np.testing.assert_allclose(np.abs(np.sum(pose.bone_unitquat * bone_rotations(pose.positions_m), -1)), 1.0)
-
-
-def test_fitted_poses_are_steadier_than_retrieved_ones_and_as_near_to_the_truth(searcher: Searcher) -> None:
-    px, truth = video(60)
-    error, shake = {}, {}
-    for is_fitted in (True, False):
-        options = LiveOptions(is_fitted=is_fitted)
-        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
-        poses = [pose for pose in run(people, px[:, :1]) if pose.person_id == 0]
-        found = np.stack([pose.positions_m for pose in poses])
-        error[is_fitted] = root_centred_error_m(found, truth[:, 0]).mean()
-        shake[is_fitted] = jitter_m(found - mid_hip(found)[:, None])
-    assert error[True] < error[False] + 0.005
-    assert shake[True] < 0.9 * shake[False]
 
 
 def test_clean_up_can_be_switched_off_and_keeps_bones_and_rotations_together(searcher: Searcher) -> None:
@@ -119,18 +105,18 @@ def test_clean_up_can_be_switched_off_and_keeps_bones_and_rotations_together(sea
 def test_no_bone_ever_changes_and_the_first_poses_wait_for_the_persons_own(
     searcher: Searcher, has_clean_up: bool
 ) -> None:
-    px, _ = video(60)
-    px[40:] = px[39:40] + 1.3 * (px[40:] - px[39:40])  # later frames that say otherwise of the person
-    options = LiveOptions(lag=4, settling_s=1.0, has_clean_up=has_clean_up)
+    px, _ = video(90)
+    px[60:] = px[59:60] + 1.3 * (px[60:] - px[59:60])  # later frames that say otherwise of the person
+    options = LiveOptions(lag=4, has_clean_up=has_clean_up)
     people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
     poses: list[LivePose] = []
-    for frame in range(60):
+    for frame in range(90):
         new = people.push(frame, px[frame, :1], np.ones((1, 14)))
-        due = [] if frame < 29 else list(range(26)) if frame == 29 else [frame - 4]
+        due = [] if frame < 59 else list(range(56)) if frame == 59 else [frame - 4]
         assert [pose.frame for pose in new] == due
         poses += new
     poses += people.finish()
-    assert [pose.frame for pose in poses] == list(range(60))
+    assert [pose.frame for pose in poses] == list(range(90))
     op14 = np.stack([pose.positions_m for pose in poses])
     body22 = np.stack(
         [forward_kinematics(BODY22, pose.body.offsets_m, pose.pelvis_m, pose.body22_unitquat)[0] for pose in poses]
@@ -213,5 +199,5 @@ def test_bad_input_is_named(searcher: Searcher) -> None:
         LivePeople(searcher, rate_hz=0.0)
     with pytest.raises(ValidationError, match="lag"):
         LiveOptions(lag=-1)
-    with pytest.raises(ValidationError, match="window_s"):
-        LiveOptions(window_s=0.0)
+    with pytest.raises(ValidationError, match="metres_per_pixel"):
+        LiveOptions(metres_per_pixel=0.0)

@@ -202,10 +202,10 @@ def test_tracks_keep_gaps_and_people_apart() -> None:
     tracks = tracks_from_rows(frame, person, frame / 25.0, points, np.ones((4, 14)), width_px=640, height_px=480)
     assert [one.person_id for one in tracks] == [0, 5]
     assert tracks[0].frames.tolist() == [3, 4, 5, 6, 7]
-    assert tracks[0].track.rate_hz == pytest.approx(25.0)
+    assert tracks[0].rate_hz == pytest.approx(25.0)
     np.testing.assert_allclose(tracks[0].times_s, np.arange(3, 8) / 25.0)
-    assert (tracks[0].track.confidence[[2, 3]] == 0).all()
-    np.testing.assert_array_equal(tracks[0].track.keypoints_px[4], points[3])
+    assert (tracks[0].confidence[[2, 3]] == 0).all()
+    np.testing.assert_array_equal(tracks[0].keypoints_px[4], points[3])
     assert (
         tracks_from_rows(frame[:0], person[:0], frame[:0] / 1.0, points[:0], np.ones((0, 14)), width_px=1, height_px=1)
         == []

@@ -13,11 +13,12 @@ from pasdedeux.kinematics.rotations import angle_between, normalise, slerp, unit
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.projections.search import Neighbours, build_index
+from pasdedeux.reconstruction import temporal
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.smoothing import OneEuro, OneEuroFilter, bridge_gaps, smooth_savitzky_golay
 from pasdedeux.reconstruction.temporal import (
+    POSE_WEIGHT,
     FixedLagViterbi,
-    TemporalWeights,
     choose_nearest,
     choose_viterbi,
     choose_window,
@@ -46,14 +47,14 @@ def test_viterbi_finds_the_cheapest_of_all_paths() -> None:
             gap, before = frames[at + 1] - frames[at], (at, path[at])
             share = min(gap * database.rate_hz / rate_hz, 1.0)
             step = pose[at + 1, path[at + 1]] - pose[before] - share * (following[before] - pose[before])
-            total += 0.6 / np.sqrt(gap) * np.linalg.norm(step, axis=-1).mean()
+            total += POSE_WEIGHT / np.sqrt(gap) * np.linalg.norm(step, axis=-1).mean()
         return float(total)
 
     best = min(itertools.product(range(count), repeat=5), key=cost)
-    viterbi = FixedLagViterbi(database, rate_hz=rate_hz, lag=100, weights=TemporalWeights(pose_weight=0.6))
+    viterbi = FixedLagViterbi(database, rate_hz=rate_hz, lag=100)
     for at in range(5):  # one after the other, as live
         assert viterbi.push(frames[[at]], row[[at]], yaw[[at]], emission[[at]]) == []
-    assert [one.rank for one in viterbi.decide_until(5)] == list(best)
+    assert viterbi.decide_until(5) == list(best)
 
 
 def smooth_live(unitquat: np.ndarray) -> np.ndarray:
@@ -118,13 +119,17 @@ def test_choices_follow_a_motion_of_the_database() -> None:
     assert (np.diff(neighbours.row[frames, viterbi]) == 1).mean() > 0.8
 
 
-def test_viterbi_without_weight_is_nearest_and_frames_without_candidates_stay_empty() -> None:
+def test_viterbi_without_weight_is_nearest_and_frames_without_candidates_stay_empty(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     database, neighbours = toy_search()
     projection, distance = neighbours.projection.copy(), neighbours.distance_m.copy()
     projection[[0, 7, 8]] = -1
     distance[[0, 7, 8]] = np.inf
     holes = Neighbours(projection, distance, neighbours.num_yaws)
-    free = choose_viterbi(database, holes, rate_hz=24.0, weights=TemporalWeights(pose_weight=0.0))
+    with monkeypatch.context() as changed:
+        changed.setattr(temporal, "POSE_WEIGHT", 0.0)
+        free = choose_viterbi(database, holes, rate_hz=24.0)
     np.testing.assert_array_equal(free, choose_nearest(holes))
     for ranks in (free, choose_window(database, holes), choose_viterbi(database, holes, rate_hz=60.0)):
         assert np.flatnonzero(ranks < 0).tolist() == [0, 7, 8]

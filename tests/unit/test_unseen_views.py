@@ -89,7 +89,7 @@ def test_the_best_candidate_is_no_farther_than_any_other(searcher: Searcher) -> 
     found = match_track(searcher, seen.track)
     best = root_centred_error_m(best_candidates(searcher, found, seen.truth_m), seen.truth_m)
     for rank in range(0, 50, 7):
-        other = searcher.database.turned(found.neighbours.row[:, rank], found.yaws[:, rank])
+        other = searcher.database.turned(found.neighbours.row[:, rank], found.yaw_steps[:, rank])
         assert (best <= root_centred_error_m(other, seen.truth_m) + 1e-9).all()
 
 

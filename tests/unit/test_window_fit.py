@@ -6,15 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.optimize import least_squares
 
+from pasdedeux.fitting.levenberg import FitSettings
 from pasdedeux.fitting.observed_pose import image_noise
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.depth import bone_vectors
-from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
+from pasdedeux.reconstruction.live import window_fit
+from pasdedeux.reconstruction.live.window_fit import TRUST_PER_MISFIT, LiveFrame, WindowFit
 from pasdedeux.reconstruction.reconstruct import bone_deviation_m
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import walk
@@ -46,6 +47,14 @@ def seen_walk(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.nda
         np.take_along_axis(candidates, order[..., None, None], axis=1),
         np.take_along_axis(match, order, axis=1),
     )
+
+
+def seen(
+    frame: int, image: np.ndarray, weights: np.ndarray, candidates: np.ndarray, match: np.ndarray, distance: float
+) -> LiveFrame:
+    """A frame of a person this far from the camera."""
+    row = np.arange(len(match))
+    return LiveFrame(frame, row, row * 1.0, match, candidates, np.array([0.0, 0.0, -distance]), image, weights)
 
 
 def posed(unknowns: np.ndarray) -> np.ndarray:
@@ -82,22 +91,25 @@ def plain_fit(
     return posed(found.x.reshape(bones.shape)), lambda poses: float((residuals(poses) ** 2).sum())
 
 
-def test_windows_have_the_least_energy_of_a_plain_fit_behind_poses_that_stay(rng: np.random.Generator) -> None:
+def test_windows_have_the_least_energy_of_a_plain_fit_behind_poses_that_stay(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     truth, candidates, _ = seen_walk(rng, 7)
     frames = np.array([0, 1, 2, 3, 4, 6])
     truth, candidates = truth[frames], candidates[frames, :1]
     image = truth[..., :2] + rng.normal(0, 0.03, (6, 14, 2))
     confidence = rng.uniform(0.2, 1.0, (6, 14)) * (rng.uniform(size=(6, 14)) > 0.1)
-    options = WindowFitOptions(min_noise_m=1e-3, max_steps=100, max_steps_missing=100, tolerance=0.0)
-    live = WindowFit(RATE_HZ, options)
+    for name in ("STOP", "STOP_MISSING"):
+        monkeypatch.setattr(window_fit, name, FitSettings(max_iterations=100, tolerance=0.0))
+    live = WindowFit(RATE_HZ, min_noise_m=1e-3)
     far_off = np.array([1.0])
     for at, frame in enumerate(frames):
-        live.see(int(frame), image[at], confidence[at], candidates[at], far_off, 1e9, ONES)
+        live.see(seen(int(frame), image[at], confidence[at], candidates[at], far_off, 1e9), ONES)
     track = np.full((7, 14, 2), np.nan)
     track[frames] = np.where(confidence[..., None] > 0, image, np.nan)
     noise = image_noise(track, np.isfinite(track[..., 0]))
     assert 0.015 < noise < 0.06
-    trust = float(bone_deviation_m(1.0, noise, options.trust_per_misfit))
+    trust = float(bone_deviation_m(1.0, noise, TRUST_PER_MISFIT))
     bones, robust, given = bone_vectors(candidates[:, 0]), np.ones((6, 14)), np.zeros((0, 14, 3))
     for due in range(3):
         held = given[-2:]
@@ -125,7 +137,7 @@ def test_fitted_poses_are_nearer_than_the_matches_and_keep_their_lengths(rng: np
     for frame in range(40 + lag):
         if frame < 40:
             weights = np.where(hidden[frame], 0.0, 1.0)
-            fit.see(frame, image[frame], weights, candidates[frame], match[frame], distance, ONES)
+            fit.see(seen(frame, image[frame], weights, candidates[frame], match[frame], distance), ONES)
         if frame >= lag:
             found.append(fit.fit(np.zeros(lag + 1, dtype=np.int64), ONES))
     poses = np.stack(found)
@@ -135,17 +147,18 @@ def test_fitted_poses_are_nearer_than_the_matches_and_keep_their_lengths(rng: np
     assert error[0] < 0.55 * error[1]
 
 
-def test_with_joints_missing_more_steps_come_nearer(rng: np.random.Generator) -> None:
+def test_with_joints_missing_more_steps_come_nearer(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     truth, candidates, match = seen_walk(rng, 60)
     image = truth[..., :2] + rng.normal(0, 0.003, (60, 14, 2))
     image[rng.uniform(size=(60, 14)) < 0.3] = np.nan
     errors = {}
     for steps in (1, 4):
-        live = WindowFit(RATE_HZ, WindowFitOptions(max_steps_missing=steps))
+        monkeypatch.setattr(window_fit, "STOP_MISSING", FitSettings(max_iterations=steps, tolerance=3e-3))
+        live = WindowFit(RATE_HZ)
         found = []
         for frame in range(60):
             weights = np.isfinite(image[frame, :, 0]).astype(float)
-            live.see(frame, image[frame], weights, candidates[frame], match[frame], 1e9, ONES)
+            live.see(seen(frame, image[frame], weights, candidates[frame], match[frame], 1e9), ONES)
             if frame >= 6:
                 found.append(live.fit(np.zeros(7, dtype=np.int64), ONES))
         errors[steps] = np.linalg.norm(np.array(found) - truth[: len(found)], axis=-1).mean()
@@ -156,12 +169,5 @@ def test_with_joints_missing_more_steps_come_nearer(rng: np.random.Generator) ->
 def test_a_frame_without_any_joint_in_common_keeps_the_match() -> None:
     pose = centre_and_face(walk(1)).poses_m
     fit = WindowFit(RATE_HZ)
-    fit.see(0, np.full((14, 2), np.nan), np.zeros(14), pose, np.array([0.05]), 4.0, ONES)
+    fit.see(seen(0, np.full((14, 2), np.nan), np.zeros(14), pose, np.array([0.05]), 4.0), ONES)
     np.testing.assert_allclose(fit.fit(np.zeros(1, dtype=np.int64), ONES), pose[0], atol=1e-6)
-
-
-def test_beliefs_without_meaning_are_named() -> None:
-    with pytest.raises(ValidationError, match="max_ahead"):
-        WindowFitOptions(max_ahead=-1)
-    with pytest.raises(ValidationError, match="min_noise_m"):
-        WindowFitOptions(min_noise_m=0.0)

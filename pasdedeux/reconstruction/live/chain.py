@@ -1,6 +1,6 @@
 """Reconstruction as frames arrive: each pose leaves a fixed number of frames after its image, and is never changed.
 
-The poses of a person's first two seconds leave together, as soon as the bones are known (`LiveOptions.settling_s`).
+The poses of a person's first two seconds leave together, as soon as the bones are known (`SETTLING_S`).
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.people.identity import Follower
+from pasdedeux.people.identity import MAX_ABSENT_S, Follower
 from pasdedeux.reconstruction.live.cleanup import LiveFloor
-from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson, LivePose
+from pasdedeux.reconstruction.live.person import PROPORTIONS_EVERY, LiveOptions, LivePerson, LivePose
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Lens
 
@@ -41,11 +41,11 @@ class LivePeople:
         self._rate_hz = rate_hz
         self._size = image_size_px
         self._lens: Lens | None = None
-        self._follower = Follower(self._options.identities)
+        self._follower = Follower()
         self._people: dict[int, LivePerson] = {}
         self._last_seen: dict[int, int] = {}
         self._last_frame: int | None = None
-        self._floor = LiveFloor(rate_hz, self._options.clean_up)
+        self._floor = LiveFloor(rate_hz)
 
     @property
     def camera_from_upright_rotmat(self) -> Array:
@@ -83,7 +83,7 @@ class LivePeople:
                 poses += self._people[person].push(frame, found.keypoints_px[at[person]], found.confidence[at[person]])
             else:
                 poses += self._people[person].advance(frame)
-        forgotten = frame - self._options.identities.max_absent_s * self._rate_hz - self._options.lag
+        forgotten = frame - MAX_ABSENT_S * self._rate_hz - self._options.lag
         for person in [one for one, last in self._last_seen.items() if last < forgotten]:
             poses += self._people.pop(person).finish()
             del self._last_seen[person]
@@ -102,6 +102,6 @@ def warm_up(searcher: Searcher, options: LiveOptions | None = None) -> None:
     people = LivePeople(searcher, rate_hz=30.0, image_size_px=(1920, 1080), options=options)
     pose = searcher.database.turned(np.zeros(1, dtype=np.int64), np.zeros(1))
     px = searcher.database.camera.project(pose) * np.array([300.0, -300.0]) + np.array([960.0, 540.0])
-    for frame in range(options.proportions_every + options.lag):
+    for frame in range(PROPORTIONS_EVERY + options.lag):
         people.push(frame, px, np.ones(px.shape[:-1]))
     people.finish()

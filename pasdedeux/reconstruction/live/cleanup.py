@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
-from pasdedeux.reconstruction.cleanup import FootOptions, bend_one_leg
+from pasdedeux.interaction.floor import StandingSettings
+from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg
 from pasdedeux.skeletons import OP14
 
 _LEGS = np.array(OP14.legs)
@@ -24,21 +24,20 @@ _LEAVING = 1.5
 """A planted foot is let go of at this many times the speed and the height that it was planted at."""
 
 
-class LiveCleanUpOptions(FootOptions):
-    """What counts as a planted foot, and how far a motion may be changed."""
-
-    contact_speed_m_s: float = Field(0.45, gt=0, description="Feet slower than this may be planted")
-    away_share: float = Field(
-        0.25, ge=0, description="Part of the speed along z, away from the camera, that counts: one camera sees it badly"
-    )
-    shift_s: float = Field(0.2, gt=0, description="The body follows its planted feet within this time")
-    hold_s: float = Field(
-        2.0, gt=0, description="A correction of the path fades over this time while no foot is planted"
-    )
-    max_drift_m: float = Field(0.12, ge=0, description="A planted foot that is seen further away than this has left")
-    carrying_m: float = Field(
-        0.8, ge=0, description="People whose hips are nearer than this on the ground may carry each other: one floor"
-    )
+_STANDING = StandingSettings(contact_speed_m_s=0.45, away_share=0.25)
+_CONTACT_SPEED_M_S, _AWAY_SHARE, _CONTACT_HEIGHT_M = (
+    _STANDING.contact_speed_m_s,
+    _STANDING.away_share,
+    _STANDING.contact_height_m,
+)
+_SHIFT_S = 0.2
+"""The body follows its planted feet within this time."""
+_HOLD_S = 2.0
+"""A correction of the path fades over this time while no foot is planted."""
+_MAX_DRIFT_M = 0.12
+"""A planted foot that is seen further away than this has left."""
+_CARRYING_M = 0.8
+"""People whose hips are nearer than this on the ground may carry each other: one floor."""
 
 
 class LiveFloor:
@@ -49,12 +48,10 @@ class LiveFloor:
 
     Args:
         rate_hz: Frames per second.
-        options: How.
     """
 
-    def __init__(self, rate_hz: float, options: LiveCleanUpOptions) -> None:
-        self._carrying_m = options.carrying_m
-        self._num_frames = max(2, round(options.floor_s * rate_hz))
+    def __init__(self, rate_hz: float) -> None:
+        self._num_frames = max(2, round(_STANDING.floor_s * rate_hz))
         self._heights: dict[int, Array] = {}
         self._last: dict[int, tuple[int, Array]] = {}
 
@@ -66,13 +63,13 @@ class LiveFloor:
         self._last[person] = frame, place
         floor = _low_quantile(heights, _FLOOR_QUANTILE)
         for other, (seen, there) in self._last.items():
-            is_near = np.hypot(*(there - place)[[0, 2]]) < self._carrying_m
+            is_near = np.hypot(*(there - place)[[0, 2]]) < _CARRYING_M
             if other != person and is_near and abs(frame - seen) < self._num_frames:
                 floor = min(floor, _low_quantile(self._heights[other], _FLOOR_QUANTILE))
         return float(floor)
 
     def forget(self, person: int) -> None:
-        """Leave out who is gone."""
+        """Forget who is gone."""
         self._heights.pop(person, None)
         self._last.pop(person, None)
 
@@ -82,7 +79,6 @@ class LiveCleanUp:
 
     Args:
         rate_hz: Frames per second.
-        options: How.
         floor: The floor shared with other people; one's own where not given.
         person: Number of the person there.
 
@@ -90,17 +86,9 @@ class LiveCleanUp:
         floor_m: Height of ankles that stand, as the last step had it.
     """
 
-    def __init__(
-        self,
-        rate_hz: float,
-        options: LiveCleanUpOptions | None = None,
-        *,
-        floor: LiveFloor | None = None,
-        person: int = 0,
-    ) -> None:
-        self._options = options or LiveCleanUpOptions()
+    def __init__(self, rate_hz: float, *, floor: LiveFloor | None = None, person: int = 0) -> None:
         self._rate_hz = rate_hz
-        self._floor = floor or LiveFloor(rate_hz, self._options)
+        self._floor = floor or LiveFloor(rate_hz)
         self._person = person
         self._frame: int | None = None
         self.floor_m = 0.0
@@ -125,27 +113,8 @@ class LiveCleanUp:
         passed_s = 0.0 if self._frame is None else (frame - self._frame) / self._rate_hz
         self._frame = frame
         self.floor_m = self._floor.under(self._person, frame, positions_m)
-        one = self._options
-        return _clean_pose(
-            positions_m,
-            passed_s,
-            self.floor_m,
-            self._is_planted,
-            self._raw_m,
-            self._anchor_m,
-            self._offset_m,
-            self._shift_m,
-            (
-                one.contact_speed_m_s,
-                one.away_share,
-                one.contact_height_m,
-                one.shift_s,
-                one.hold_s,
-                one.blend_s,
-                one.max_bend_m,
-                one.max_drift_m,
-            ),
-        )
+        feet = (self._is_planted, self._raw_m, self._anchor_m, self._offset_m, self._shift_m)
+        return _clean_pose(positions_m, passed_s, self.floor_m, *feet)
 
 
 @compiled(error_model="numpy")
@@ -165,10 +134,8 @@ def _clean_pose(
     anchor: Array,
     offset: Array,
     shift: Array,
-    options: tuple[float, float, float, float, float, float, float, float],
 ) -> Array:
     """Return the cleaned pose (14, 3) and bring the state of both feet and of the path up to it."""
-    speed_limit, away_share, height_limit, shift_s, hold_s, blend_s, max_bend, max_drift = options
     legs, up = _LEGS, _UP
     lower = min(positions[legs[0, 2], up], positions[legs[1, 2], up])
     wanted = np.zeros(3)
@@ -182,16 +149,17 @@ def _clean_pose(
             for axis in range(3):
                 part = (positions[ankle, axis] - raw[foot, axis]) / passed
                 if axis == _AWAY:
-                    part *= away_share
+                    part *= _AWAY_SHARE
                 squared += part * part
-            is_slow = squared < (slack * speed_limit) ** 2
+            is_slow = squared < (slack * _CONTACT_SPEED_M_S) ** 2
         height = positions[ankle, up]
-        stays = is_slow and height < lower + slack * height_limit and height < floor + 2.0 * slack * height_limit
+        reach = slack * _CONTACT_HEIGHT_M
+        stays = is_slow and height < lower + reach and height < floor + 2.0 * reach
         if stays and is_planted[foot]:
             drift = 0.0
             for axis in range(3):
                 drift += (anchor[foot, axis] - positions[ankle, axis] - shift[axis]) ** 2
-            stays = drift < max_drift**2
+            stays = drift < _MAX_DRIFT_M**2
         if stays and not is_planted[foot]:
             for axis in range(3):
                 anchor[foot, axis] = positions[ankle, axis] + shift[axis] + offset[foot, axis]
@@ -204,9 +172,9 @@ def _clean_pose(
         count += stays
     for axis in range(3):
         if count > 0:
-            shift[axis] += (1.0 - np.exp(-passed / shift_s)) * (wanted[axis] / count - shift[axis])
+            shift[axis] += (1.0 - np.exp(-passed / _SHIFT_S)) * (wanted[axis] / count - shift[axis])
         else:
-            shift[axis] *= np.exp(-passed / hold_s)
+            shift[axis] *= np.exp(-passed / _HOLD_S)
     cleaned = positions + shift
     facing = _facing(cleaned)
     for foot in range(2):
@@ -216,10 +184,10 @@ def _clean_pose(
             for axis in range(3):
                 offset[foot, axis] = anchor[foot, axis] - cleaned[ankle, axis]
                 squared += offset[foot, axis] ** 2
-            if squared > max_bend**2:
-                offset[foot] *= max_bend / np.sqrt(squared)
+            if squared > MAX_BEND_M**2:
+                offset[foot] *= MAX_BEND_M / np.sqrt(squared)
         else:
-            offset[foot] *= np.exp(-passed / blend_s)
+            offset[foot] *= np.exp(-passed / BLEND_S)
         target = cleaned[ankle] + offset[foot]
         target[up] = max(target[up], floor)
         cleaned[knee], cleaned[ankle] = bend_one_leg(

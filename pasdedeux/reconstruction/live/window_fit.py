@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.fitting.bones import BoneForest
@@ -22,18 +21,9 @@ from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm, flatten_image, image_noise, image_term
 from pasdedeux.fitting.terms import DifferenceTerm
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
-from pasdedeux.reconstruction.depth import (
-    DepthSettings,
-    SignStep,
-    bone_vectors,
-    bones_by_votes,
-    place_depths,
-    trace_signs,
-    vote_on_signs,
-)
+from pasdedeux.reconstruction.depth import SignStep, bones_by_votes, place_depths, trace_signs, vote_on_signs
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, bone_deviation_m, share_of_followed
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 Integers = npt.NDArray[np.int64]
@@ -48,30 +38,49 @@ _NOISE_GAIN = 0.05
 """How fast the noise of a joint follows its residuals."""
 
 
-class WindowFitOptions(Settings):
-    """What the live fit believes."""
-
-    max_ahead: int = Field(6, ge=0, description="Frames after the one that is due which are fitted with it, at most")
-    min_noise_m: float = Field(0.02, gt=0, description="The image is never believed better than this")
-    acceleration_m_s2: float = Field(8.0, gt=0, description="Standard deviation of a joint's acceleration")
-    trust_per_misfit: float = Field(2.0, gt=0, description="A bone is trusted to this many times the match's misfit")
-    depth: DepthSettings = Field(DepthSettings(), description="How candidates vote on depth")
-    max_steps: int = Field(1, ge=1, description="Steps of a fit, at most")
-    max_steps_missing: int = Field(
-        4, ge=1, description="The same where a joint of the window is not seen: only the other terms move it"
-    )
-    tolerance: float = Field(3e-3, ge=0, description="A fit ends when a step lowers its energy by less than this share")
+MIN_NOISE_M = 0.02
+"""The image is never believed better than this."""
+MAX_AHEAD = 6
+"""Frames after the one that is due which are fitted with it, at most."""
+ACCELERATION_M_S2 = 8.0
+"""Standard deviation of a joint's acceleration."""
+TRUST_PER_MISFIT = 2.0
+"""A bone is trusted to this many times the match's misfit."""
+STOP = FitSettings(max_iterations=1, tolerance=3e-3)
+STOP_MISSING = FitSettings(max_iterations=4, tolerance=3e-3)
+"""Steps of a fit, and those where a joint of the window is not seen: only the other terms move it."""
 
 
 @dataclass
-class _Frame:
-    """A frame that waits for its pose to be due; its signs and what follows from them, and the pose of its last fit."""
+class LiveFrame:
+    """A frame of one person that waits for its pose to be due.
+
+    Args:
+        frame: Its number.
+        row: Database rows it was matched to (k,), nearest first.
+        yaw_steps: Their yaws (k,).
+        match_m: How well each matches (k,), metres.
+        candidates_m: Their poses (k, 14, 3), camera axes, reference proportions, metres.
+        root_m: Mid-hip (3,), camera axes.
+        image_m: Joints (14, 2), metres at the depth of the mid-hip about its image; NaN where not seen.
+        weights: (14,); 0 where not seen.
+    """
 
     frame: int
+    row: Integers
+    yaw_steps: Array
+    match_m: Array
+    candidates_m: Array
+    root_m: Array
     image_m: Array
-    weight: Array
-    vectors_m: Array
-    log_weight: Array
+    weights: Array
+
+
+@dataclass
+class _Fitted:
+    """What is known of a frame that waits; its signs and what follows from them, and the pose of its last fit."""
+
+    seen: LiveFrame
     step: SignStep
     trust_m: float
     distance_m: float
@@ -86,61 +95,46 @@ class WindowFit:
 
     Args:
         rate_hz: Frames per second.
-        options: How.
+        min_noise_m: The image is never believed better than this.
     """
 
-    def __init__(self, rate_hz: float, options: WindowFitOptions | None = None) -> None:
-        self._options = options or WindowFitOptions()
+    def __init__(self, rate_hz: float, *, min_noise_m: float = MIN_NOISE_M) -> None:
         self._rate_hz = rate_hz
-        self._waiting: deque[_Frame] = deque()
-        self._newest: _Frame | None = None
+        self._min_noise_m = min_noise_m
+        self._waiting: deque[_Fitted] = deque()
+        self._newest: _Fitted | None = None
         self._held: deque[tuple[int, Array]] = deque(maxlen=_NUM_HELD)
         self._recent_m = np.full((_NOISE_FRAMES, OP14.num_joints, 2), np.nan)
         self._noise_m = 0.0
         self._joint_noise_m = np.zeros(OP14.num_joints)
 
-    def see(
-        self,
-        frame: int,
-        image_m: Array,
-        weights: Array,
-        candidates_m: Array,
-        match_m: Array,
-        distance_m: float,
-        proportions: Array,
-    ) -> None:
+    def see(self, new: LiveFrame, proportions: Array) -> None:
         """Take a frame whose pose will be due later.
 
         Args:
-            frame: Its number.
-            image_m: Joints (14, 2), metres at the depth of the mid-hip about its image; NaN where not seen.
-            weights: (14,); 0 where not seen.
-            candidates_m: Poses it was matched to (k, 14, 3), camera axes, reference proportions, metres, nearest first.
-            match_m: How well each matches (k,), metres.
-            distance_m: Distance of the camera from the mid-hip.
+            new: The frame.
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
-        options, before = self._options, self._newest
-        passed = 1 if before is None else frame - before.frame
-        image = np.where((weights > 0)[:, None], image_m, np.nan)
+        before = self._newest
+        passed = 1 if before is None else new.frame - before.seen.frame
+        image = np.where((new.weights > 0)[:, None], new.image_m, np.nan)
         # Frames that did not come count as not seen.
         unseen = np.full((min(passed, _NOISE_FRAMES) - 1, *image.shape), np.nan)
         self._recent_m = np.concatenate([self._recent_m, unseen, image[None]])[-_NOISE_FRAMES:]
         self._noise_m = image_noise(self._recent_m, np.isfinite(self._recent_m[..., 0]))
-        vectors, log_weight = bone_vectors(candidates_m), (match_m[0] - match_m) / options.depth.misfit_m
+        distance = float(np.linalg.norm(new.root_m))
         step = vote_on_signs(
             None if before is None else before.step,
-            retarget_image(flatten_image(image, candidates_m[0], distance_m), proportions),
+            retarget_image(flatten_image(image, new.candidates_m[0], distance), proportions),
             REFERENCE_LENGTHS_M,
-            vectors,
-            log_weight,
-            noise_m=max(self._noise_m, options.min_noise_m),
+            new.candidates_m,
+            new.match_m - new.match_m[0],
+            noise_m=max(self._noise_m, self._min_noise_m),
             passed_s=passed / self._rate_hz,
-            settings=options.depth,
         )
-        trust = float(bone_deviation_m(match_m[0], self._noise_m, options.trust_per_misfit))
-        weight = np.where(np.isfinite(image).all(axis=-1), weights, 0.0)
-        self._newest = _Frame(frame, image, weight, vectors, log_weight, step, trust, distance_m)
+        trust = float(bone_deviation_m(new.match_m[0], self._noise_m, TRUST_PER_MISFIT))
+        weights = np.where(np.isfinite(image).all(axis=-1), new.weights, 0.0)
+        self._newest = _Fitted(replace(new, image_m=image, weights=weights), step, trust, distance)
         self._waiting.append(self._newest)
 
     def fit(self, ranks: Integers, proportions: Array) -> Array:
@@ -150,28 +144,25 @@ class WindowFit:
             ranks: Candidate that each waiting frame follows by now, the oldest first.
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
-        options = self._options
         signs = trace_signs([one.step for one in self._waiting])
-        window = list(self._waiting)[: options.max_ahead + 1]
+        window = list(self._waiting)[: MAX_AHEAD + 1]
         share = share_of_followed(self._noise_m)
-        noise = np.maximum(self._joint_noise_m, max(self._noise_m, options.min_noise_m))
-        image_m = np.stack([one.image_m for one in window])
+        noise = np.maximum(self._joint_noise_m, max(self._noise_m, self._min_noise_m))
+        image_m = np.stack([one.seen.image_m for one in window])
         distance_m = np.array([one.distance_m for one in window])
         guess_m, bones, is_kept = np.empty((len(window), *_POSE)), np.empty((len(window), *_POSE)), []
         for at, one in enumerate(window):
-            followed = one.vectors_m[ranks[at]]
+            followed = one.step.vectors_m[ranks[at]]
             is_kept.append(one.sign is not None and np.array_equal(one.sign, signs[at]))
             if not is_kept[at]:
                 one.sign = signs[at]
-                one.mean_m, one.depth_m = bones_by_votes(
-                    one.step, one.sign, one.vectors_m, one.log_weight, REFERENCE_LENGTHS_M, options.depth
-                )
+                one.mean_m, one.depth_m = bones_by_votes(one.step, one.sign, REFERENCE_LENGTHS_M)
                 one.fitted_m = _first_guess(one, proportions[:, None] * followed, proportions * one.depth_m)
             guess_m[at] = one.fitted_m
             bones[at] = proportions[:, None] * (share * followed + (1.0 - share) * one.mean_m)
         off = np.nan_to_num(_residuals(image_m, guess_m, distance_m)) / (3.0 * noise)
         robust = np.where(np.array(is_kept)[:, None], 1.0 / (1.0 + off**2), 1.0)
-        believed = robust / noise**2 * np.stack([one.weight for one in window])
+        believed = robust / noise**2 * np.stack([one.seen.weights for one in window])
         fitted = self._fit(window, image_m, believed, distance_m, guess_m, bones, REFERENCE_LENGTHS_M * proportions)
         for one, pose in zip(window, fitted, strict=True):
             one.fitted_m = pose
@@ -179,12 +170,12 @@ class WindowFit:
         of_joint = _residuals(image_m[0], fitted[0], distance_m[0]) / MEAN_OF_RAYLEIGH
         known = np.isfinite(of_joint)
         self._joint_noise_m[known] += _NOISE_GAIN * (of_joint[known] - self._joint_noise_m[known])
-        self._held.append((due.frame, fitted[0]))
+        self._held.append((due.seen.frame, fitted[0]))
         return np.asarray(fitted[0] - mid_hip(fitted[0]))
 
     def _fit(
         self,
-        window: Sequence[_Frame],
+        window: Sequence[_Fitted],
         image_m: Array,
         believed: Array,
         distance_m: Array,
@@ -193,13 +184,13 @@ class WindowFit:
         lengths_m: Array,
     ) -> Array:
         """Return the poses (n, 14, 3) of a window behind the poses that are held."""
-        options, held = self._options, len(self._held)
+        held = len(self._held)
         start = np.concatenate([np.reshape([pose for _, pose in self._held], (held, *_POSE)), guess_m])
-        frames = np.array([*(frame for frame, _ in self._held), *(one.frame for one in window)])
+        frames = np.array([*(frame for frame, _ in self._held), *(one.seen.frame for one in window)])
         image, weight = np.zeros((*start.shape[:2], 2)), np.zeros(start.shape[:2])
         image[held:], weight[held:] = image_m, believed
         distance = np.concatenate([np.full(held, np.inf), distance_m])
-        per_time = (self._rate_hz**2 / options.acceleration_m_s2) ** 2
+        per_time = (self._rate_hz**2 / ACCELERATION_M_S2) ** 2
         points = image_term(image, weight, start, distance)
         points.targets_m[:held], points.weights[:held] = start[:held], _HOLD * per_time
         vectors, over = np.zeros(start.shape), np.zeros((*start.shape[:2], 1))
@@ -210,11 +201,9 @@ class WindowFit:
             DifferenceTerm(np.zeros(start.shape), np.where(is_even, per_time, 0.0)[:, None, None], 2),
             BoneVectorTerm(OP14, vectors, over),
         ]
-        is_whole = all((one.weight > 0).all() for one in window)
-        steps = options.max_steps if is_whole else options.max_steps_missing
+        is_whole = all((one.seen.weights > 0).all() for one in window)
         forest = BoneForest((OP14,), lengths_m)
-        stop = FitSettings(max_iterations=steps, tolerance=options.tolerance)
-        return fit_bones(forest, forest.state_of(start), terms, stop).positions_m[held:]
+        return fit_bones(forest, forest.state_of(start), terms, STOP if is_whole else STOP_MISSING).positions_m[held:]
 
 
 def _residuals(image_m: Array, pose_m: Array, distance_m: Array) -> Array:
@@ -223,11 +212,11 @@ def _residuals(image_m: Array, pose_m: Array, distance_m: Array) -> Array:
     return np.asarray(np.hypot(off[..., 0], off[..., 1]))
 
 
-def _first_guess(one: _Frame, followed_m: Array, depth_m: Array) -> Array:
+def _first_guess(one: _Fitted, followed_m: Array, depth_m: Array) -> Array:
     """Return a pose (14, 3) across as in the image, or as followed (14, 3) where not seen, of bones of these depths."""
     pose = place_depths(np.zeros((OP14.num_joints, 2)), depth_m)
     pose[:, 2] -= mid_hip(pose)[2]
-    pose[:, :2] = flatten_image(one.image_m, pose, one.distance_m)
+    pose[:, :2] = flatten_image(one.seen.image_m, pose, one.distance_m)
     for joint in OP14.order:
         if not np.isfinite(pose[joint, 0]):
             parent = OP14.parents[joint]

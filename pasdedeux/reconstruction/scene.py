@@ -1,0 +1,369 @@
+"""Jointly estimate camera, body sizes and root paths of all people of a video.
+
+One camera sees in which direction a person is and how large the person looks.  How far away that is depends on the
+lens, on how large the person really is and, on a floor, on where the camera stands.  All of it is one robust least
+squares over the pitch, the camera's height, the focal length, the sizes, and the logarithm l(t) of each person's
+distance over its initial value:
+
+- l(t) = log size + log focal, as the person looks in the image;
+- of who stands, the lower ankle is on the floor; nobody is below it, who is held above it is let go of;
+- a foot that stands does not move in depth, and paths are smooth;
+- two bodies do not pass through each other, and a hand that for long keeps its place on a bone of the other's image
+  touches it there;
+- pairs of the database that look like both say how far apart in depth people stand who are seen so;
+- sizes are people's, the lens is a common one, and the pitch is near the one whose poses fit the image best.
+
+Errors of poses last: frames near each other in time count as one, in every term that poses enter.
+Robust terms are weighed anew in each step of the solver: who stands is decided with everything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.surfaces import surface_gaps
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.rotations import conjugate, rotate
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model
+from pasdedeux.reconstruction.couples import PairDepth
+from pasdedeux.reconstruction.pitch import PitchEstimate
+from pasdedeux.reconstruction.rays import camera_turns
+from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.robust import Term, solve
+from pasdedeux.skeletons import OP14
+
+Integers = npt.NDArray[np.int64]
+
+_ANKLES = np.array([leg[2] for leg in OP14.legs])
+_ANKLE_HEIGHT = 0.04
+"""Height of the ankle over the floor, standing, as a part of the stature (Winter 2009, fig. 4.1: 0.039)."""
+_PITCH, _HEIGHT, _LENS, _TILT, _SIZES = 0, 1, 2, 3, 4
+_HANDS = [
+    place for place, (_, child) in enumerate(OP14.bones) if OP14.joint_names[child] in ("left_wrist", "right_wrist")
+]
+
+# Priors of camera, people and image; deviations are standard deviations.
+_GIVEN_RAD = 1e-3
+"""Deviation of a pitch that was stated."""
+_STATURE_M = 1.68
+"""People are about so tall: the mean of women (1.61 m) and men (1.75 m; Fryar et al. 2021)."""
+_SIZE_DEVIATION = 0.06
+"""Deviation of the log of their stature."""
+_KNOWN_DEVIATION = 0.01
+"""The same of a stature, a height or a lens that is known."""
+_LENS_DEVIATION = 0.3
+"""Deviation of the log of the focal length from the assumed."""
+_CAMERA_HEIGHT_M = 1.5
+"""Cameras stand about so high over the floor."""
+_HEIGHT_DEVIATION = 0.6
+"""Deviation of the log of that."""
+_LOOK_DEVIATION = 0.05
+"""Deviation of how large a person looks: poses differ."""
+_LOOK_S = 1.0
+"""Frames nearer in time than this count as one: they err alike."""
+_FLOOR_DEVIATION_M = 0.045
+"""Deviation of the lower ankle from where it stands."""
+_ANKLE_DEVIATION_M = 0.02
+"""The same of a person all the time: shoes and heels."""
+_TILT_DEVIATION = 0.04
+"""Deviation of the slope that errors of the poses in depth give the floor."""
+_FLOOR_S = 0.7
+"""As `_LOOK_S`, for errors of the ankle's height."""
+_STANCE_M_S = 0.3
+"""Deviation of the depth speed of a foot that stands."""
+_STILL_M_S = 0.3
+"""Feet slower than this across the image stand."""
+_ACCELERATION_M_S2 = 8.0
+"""Deviation of the second derivative of a person's distance."""
+_PAIR_S = 0.5
+"""As `_LOOK_S`, for what pairs say."""
+_TOUCH_DEVIATION_M = 0.08
+"""Deviation of the gap of two people who touch."""
+_TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.03, 3.0, 0.1
+"""Hands no further from the other's image may touch, if they stay so long and move along the bone by no more."""
+_GAP_DEVIATION_M = 0.05
+"""Deviation of how far two bodies pass through each other."""
+_ROBUST = 3.0
+"""At so many deviations a residual counts a quarter (Geman, McClure)."""
+
+
+@dataclass(frozen=True)
+class SceneEstimate:
+    """Camera, body sizes and root paths of everybody.
+
+    Args:
+        pitch_rad: Pitch of the camera.
+        pitch_deviation_rad: Standard deviation of it, from the curvature of what was solved.
+        camera_height_m: Height of the camera over the floor.
+        lens_factor: Focal length over the assumed one.
+        sizes: Size of each person over the initial one (person,).
+        factors: Distance of each person's mid-hip from the camera over the initial one, (frame,) each.
+    """
+
+    pitch_rad: float
+    pitch_deviation_rad: float
+    camera_height_m: float
+    lens_factor: float
+    sizes: Array
+    factors: tuple[Array, ...]
+
+    def placed(self, number: int, found: Reconstruction) -> Reconstruction:
+        """Return the reconstruction of a person at its place and size, on the rays of this lens, pose kept."""
+        length = np.linalg.norm(found.root_m, axis=-1)
+        ray = _rays(found.root_m[:, :2] / -found.root_m[:, 2:], self.lens_factor)
+        root = (length * self.factors[number])[:, None] * ray
+        relative = rotate(camera_turns(-ray)[:, None], _relative(found)) * self.sizes[number]
+        return replace(
+            found,
+            positions_m=root[:, None] + relative,
+            root_m=root,
+            metres_per_pixel=found.metres_per_pixel * self.factors[number] / self.lens_factor,
+        )
+
+
+def _up(pitch_rad: float) -> Array:
+    """Return the direction upwards in the axes of a camera of this pitch."""
+    return np.array([0.0, np.cos(pitch_rad), np.sin(pitch_rad)])
+
+
+def _rays(plane: Array, lens_factor: float) -> Array:
+    """Return unit directions (n, 3) from the camera through points (n, 2) of an image one focal length away."""
+    rays = np.concatenate([plane / lens_factor, -np.ones((len(plane), 1))], axis=1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
+def _relative(found: Reconstruction) -> Array:
+    """Return poses (frame, 14, 3) about the mid-hip as a camera turned to it sees them."""
+    towards = -found.root_m / np.linalg.norm(found.root_m, axis=-1, keepdims=True)
+    return rotate(conjugate(camera_turns(towards))[:, None], found.positions_m - found.root_m[:, None])
+
+
+def _of_hands(first: Array, second: Array | None = None) -> Array:
+    """Return what (frame, bone of A, bone of B) is of A's hands and every bone of B, B's hands and every one of A."""
+    second = first if second is None else second
+    return np.concatenate([first[:, _HANDS], second[:, :, _HANDS].swapaxes(1, 2)], axis=1)
+
+
+class _Problem:
+    """The residuals of `estimate_scene` as a function of all unknowns."""
+
+    def __init__(
+        self,
+        people: Sequence[Reconstruction],
+        pitch: PitchEstimate,
+        pairs: Sequence[PairDepth],
+        statures_m: Mapping[int, float],
+        camera_height_m: float | None,
+        *,
+        is_lens_known: bool,
+    ) -> None:
+        self.people, self.pairs, self.pitch = people, pairs, pitch
+        self.lens_deviation = _KNOWN_DEVIATION if is_lens_known else _LENS_DEVIATION
+        self.log_height = float(np.log(camera_height_m or _CAMERA_HEIGHT_M))
+        self.height_deviation = _HEIGHT_DEVIATION if camera_height_m is None else _KNOWN_DEVIATION
+        counts = [len(one.root_m) for one in people]
+        self.num_globals = _SIZES + 2 * len(people)
+        self.starts = self.num_globals + np.concatenate([[0], np.cumsum(counts)])
+        self.distance = [np.linalg.norm(one.root_m, axis=-1) for one in people]
+        self.mean_distance = float(np.mean(np.concatenate(self.distance)))
+        self.plane = [one.root_m[:, :2] / -one.root_m[:, 2:] for one in people]
+        self.images = [one.positions_m[..., :2] / -one.positions_m[..., 2:] for one in people]
+        self.relative = [_relative(one) for one in people]
+        lengths = [np.median(bone_lengths(OP14, one.positions_m), axis=0) for one in people]
+        self.stature = np.array([float(body_height_m(OP14, one)) for one in lengths])
+        stated = [statures_m.get(one.track.person_id) for one in people]
+        self.wanted_stature = np.array([one or _STATURE_M for one in stated])
+        self.size_deviation = np.array([_SIZE_DEVIATION if one is None else _KNOWN_DEVIATION for one in stated])
+        self.radii = capsule_model(OP14).radii_m(self.stature)
+        self.still = [self._still(one) for one in people]
+        start = np.zeros(self.starts[-1])
+        start[_PITCH], start[_HEIGHT] = pitch.pitch_rad, self.log_height
+        for number in (at for at, one in enumerate(stated) if one is not None):
+            size = np.log(self.wanted_stature[number] / self.stature[number])
+            start[_SIZES + number] = start[self.starts[number] : self.starts[number + 1]] = size
+        self.start = start
+        # Distances of frames next to each other and of the two people of a pair differ in colour.
+        colours = [3 * number + np.arange(count) % 3 for number, count in enumerate(counts)]
+        self.colour = np.concatenate([np.arange(self.num_globals) + 3 * len(people), *colours])
+        self.near = []
+        for first, second in combinations(range(len(people)), 2):
+            one, other = people[first].track, people[second].track
+            frames = np.intersect1d(one.frames, other.frames)
+            if len(frames):
+                self.near.append((first, second, frames - one.first_frame, frames - other.first_frame))
+        self.touching = {(first, second): self._touching(first, second, *at) for first, second, *at in self.near}
+
+    def _still(self, one: Reconstruction) -> Array:
+        """Return how much each foot stands by the image alone (frame, foot)."""
+        ankles = one.positions_m[:, _ANKLES, :2]
+        if len(ankles) < 2:
+            return np.zeros(ankles.shape[:2])
+        speed = np.linalg.norm(np.gradient(ankles, axis=0), axis=-1) * one.track.rate_hz
+        return np.where(one.is_bridged[:, None], 0.0, 1.0 / (1.0 + (speed / _STILL_M_S) ** 4))
+
+    def _touching(self, first: int, second: int, one_at: Integers, other_at: Integers) -> npt.NDArray[np.bool_]:
+        """Return on which bones of the other each hand (frame, A's two and B's two, bone) keeps its place in the image.
+
+        A hand that only passes before the other, or dances there, moves along the bone.
+        """
+        from scipy.ndimage import maximum_filter1d, minimum_filter1d  # here: 0.2 s that planning does not need
+
+        both = np.stack([self.people[n].positions_m[at] for n, at in ((first, one_at), (second, other_at))], axis=1)
+        lengths = np.median(np.stack([bone_lengths(OP14, both[:, n]) for n in (0, 1)]), axis=1)
+        depth = -both[..., 2].mean(axis=(1, 2))
+        flat = both / -both[..., 2:] * depth[:, None, None, None]
+        flat[..., 2] = 0.0
+        between = surface_gaps(flat, self.radii[[first, second]], OP14)
+        gap = _of_hands(between.gap_m)
+        along = _of_hands(between.share[..., 1], between.share[..., 0])
+        along = along * lengths[[1, 1, 0, 0]][:, between.bones]
+        length = 2 * round(0.5 * _TOUCH_S * self.people[first].track.rate_hz) + 1
+        high, low = (op(along, length, axis=0) for op in (maximum_filter1d, minimum_filter1d))
+        stays = maximum_filter1d(gap, length, axis=0) < _TOUCH_IMAGE_M
+        stays &= high - low < _TOUCH_KEEP_M
+        return maximum_filter1d(stays.astype(np.uint8), length, axis=0).astype(bool)
+
+    def places(self, x: Array, number: int) -> tuple[Array, Array]:
+        """Return mid-hips (frame, 3) and positions (frame, 14, 3) of a person, camera axes."""
+        ray = _rays(self.plane[number], float(np.exp(x[_LENS])))
+        own = slice(self.starts[number], self.starts[number + 1])
+        root = (self.distance[number] * np.exp(x[own]))[:, None] * ray
+        relative = rotate(camera_turns(-ray)[:, None], self.relative[number]) * np.exp(x[_SIZES + number])
+        # Every joint stays on its own ray, whatever the lens.
+        depth = root[:, None, 2:] + relative[..., 2:]
+        return root, np.concatenate([-depth * self.images[number] * np.exp(-x[_LENS]), depth], axis=-1)
+
+    def terms(self, x: Array) -> list[Term]:
+        """Return the residuals at these unknowns."""
+        placed = [self.places(x, number) for number in range(len(self.people))]
+        terms = [self._priors(x)]
+        for number, (_, positions) in enumerate(placed):
+            terms += self._person(x, number, positions)
+        terms += [self._pair(pair, placed, x) for pair in self.pairs]
+        for first, second, one_at, other_at in self.near:
+            both = np.stack([placed[first][1][one_at], placed[second][1][other_at]], axis=1)
+            size = np.exp(x[[_SIZES + first, _SIZES + second]])
+            between = surface_gaps(both, self.radii[[first, second]] * size[:, None], OP14).gap_m
+            gaps = between.min(axis=(1, 2))
+            stencil = np.stack([self.starts[first] + one_at, self.starts[second] + other_at], axis=1)
+            alike = self._alike(first, _FLOOR_S)
+            through = np.minimum(gaps, 0.0) / (size.mean() * _GAP_DEVIATION_M)
+            terms.append(Term(through, stencil, weight=alike))
+            touching = self.touching[first, second]
+            hands = np.where(touching, _of_hands(between), np.inf).min(axis=2)
+            rows, hand = np.nonzero(touching.any(axis=2))
+            touch = np.maximum(hands[rows, hand], 0.0) / (size.mean() * _TOUCH_DEVIATION_M)
+            terms.append(Term(touch, stencil[rows], is_robust=True, weight=alike))
+        return terms
+
+    def _alike(self, number: int, seconds: float) -> float:
+        """Return what each of the frames counts that err alike for so long."""
+        return 1.0 / max(1.0, seconds * self.people[number].track.rate_hz)
+
+    def _person(self, x: Array, number: int, positions: Array) -> list[Term]:
+        """Return what image, floor and time say of one person at positions (frame, 14, 3)."""
+        found, rate_hz = self.people[number], self.people[number].track.rate_hz
+        at = np.arange(self.starts[number], self.starts[number + 1])
+        known = np.flatnonzero(~found.is_bridged)
+        looks = (x[at] - x[_SIZES + number] - x[_LENS]) / _LOOK_DEVIATION
+        terms = [Term(looks[known], at[known, None], is_robust=True, weight=self._alike(number, _LOOK_S))]
+        ankles, size = positions[:, _ANKLES], np.exp(x[_SIZES + number])
+        stands = _ANKLE_HEIGHT * self.stature[number] * size
+        above = ankles @ _up(x[_PITCH]) + np.exp(x[_HEIGHT]) - stands - x[_SIZES + len(self.people) + number]
+        # What poses err in depth tilts the floor, which is not the pitch.
+        above = above + x[_TILT] * (ankles[..., 2] + self.mean_distance)
+        alike = self._alike(number, _FLOOR_S)
+        # Errors of poses grow with people: whoever is small gains nothing by it.
+        floor = above.min(axis=1) / (size * _FLOOR_DEVIATION_M)
+        terms.append(Term(floor[known], at[known, None], is_robust=floor[known] > 0, weight=alike))
+        if len(at) > 2:
+            distance = self.distance[number] * np.exp(x[at] - x[_SIZES + number])
+            bend = np.diff(distance, n=2) * rate_hz**2 / _ACCELERATION_M_S2
+            terms.append(Term(bend, np.stack([at[:-2], at[1:-1], at[2:]], axis=1)))
+            still = np.sqrt(np.minimum(self.still[number][1:], self.still[number][:-1]))
+            lower = np.argmin(above, axis=1)[1:]
+            rows = np.arange(len(lower))
+            step = np.diff(ankles[..., 2], axis=0)[rows, lower] * rate_hz / (size * _STANCE_M_S)
+            stencil = np.stack([at[:-1], at[1:]], axis=1)
+            terms.append(Term(still[rows, lower] * step, stencil, is_robust=True, weight=alike))
+        return terms
+
+    def _priors(self, x: Array) -> Term:
+        sizes = np.log(self.stature / self.wanted_stature) + x[_SIZES : _SIZES + len(self.people)]
+        value = np.concatenate(
+            [
+                [self._pitch_of_image(x)],
+                [(x[_HEIGHT] - self.log_height) / self.height_deviation],
+                [x[_LENS] / self.lens_deviation],
+                sizes / self.size_deviation,
+                [x[_TILT] / _TILT_DEVIATION],
+                x[_SIZES + len(self.people) : self.num_globals] / _ANKLE_DEVIATION_M,
+            ]
+        )
+        return Term(value, np.zeros((len(value), 0), dtype=np.int64))
+
+    def _pitch_of_image(self, x: Array) -> float:
+        """Return how far the pitch is off, in deviations: that of the rays to people is what suits their image."""
+        if self.pitch.is_given:
+            return float((x[_PITCH] - self.pitch.pitch_rad) / _GIVEN_RAD)
+        known = [plane[~one.is_bridged] for plane, one in zip(self.plane, self.people, strict=True)]
+        down = -_rays(np.concatenate(known), float(np.exp(x[_LENS]))) @ _up(x[_PITCH])
+        off = np.arcsin(np.clip(down, -1.0, 1.0)).mean() - self.pitch.pitch_rad
+        return float(off / self.pitch.deviation_rad)
+
+    def _pair(self, pair: PairDepth, placed: Sequence[tuple[Array, Array]], x: Array) -> Term:
+        first, second = pair.people
+        at = [pair.frames - self.people[number].track.first_frame for number in pair.people]
+        roots = [placed[number][0][rows] for number, rows in zip(pair.people, at, strict=True)]
+        middle = roots[0] + roots[1]
+        towards = -middle / np.linalg.norm(middle, axis=-1, keepdims=True)
+        nearer = ((roots[1] - roots[0]) * towards).sum(axis=-1)
+        known = np.flatnonzero(np.isfinite(pair.deviation_m))
+        # Pairs were looked up at the initial size.
+        size = np.exp(0.5 * (x[_SIZES + first] + x[_SIZES + second]))
+        value = (nearer / size - pair.depth_m)[known] / pair.deviation_m[known]
+        stencil = np.stack([self.starts[first] + at[0], self.starts[second] + at[1]], axis=1)[known]
+        return Term(value, stencil, is_robust=True, weight=self._alike(first, _PAIR_S))
+
+
+def estimate_scene(
+    people: Sequence[Reconstruction],
+    pitch: PitchEstimate,
+    *,
+    pairs: Sequence[PairDepth] = (),
+    statures_m: Mapping[int, float] | None = None,
+    camera_height_m: float | None = None,
+    is_lens_known: bool = False,
+) -> SceneEstimate:
+    """Jointly estimate camera, body sizes and root paths.
+
+    Args:
+        people: As the camera sees them, at least one, at initial places; mid-hips before the camera.
+        pitch: What the image says of the pitch.
+        pairs: What pairs of a database say of couples, by their numbers in `people`.
+        statures_m: Stature by person id, where it is known.
+        camera_height_m: Height of the camera over the floor where it is known.
+        is_lens_known: The focal length was stated, not assumed.
+
+    Raises:
+        InputError: The height is not positive.
+    """
+    if camera_height_m is not None and not (np.isfinite(camera_height_m) and camera_height_m > 0):
+        raise InputError(f"the height of the camera over the floor is {camera_height_m} m; it must be positive")
+    problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m, is_lens_known=is_lens_known)
+    x, variance = solve(problem, robust=_ROBUST, variance_of=_PITCH)
+    return SceneEstimate(
+        float(x[_PITCH]),
+        float(np.sqrt(variance)),
+        float(np.exp(x[_HEIGHT])),
+        float(np.exp(x[_LENS])),
+        np.exp(x[_SIZES : _SIZES + len(people)]),
+        tuple(np.exp(x[start:stop]) for start, stop in pairwise(problem.starts)),
+    )

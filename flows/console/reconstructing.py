@@ -20,7 +20,7 @@ from flows.exports.export_format import FileNames, write_text
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import say_units, write_npz
 from pasdedeux.people.decisions import write_decisions
-from pasdedeux.people.settle import SequencePeople, SettledPeople
+from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import reconstruct_people
@@ -120,20 +120,20 @@ def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> N
     source, refs = _projections(database, store)
     searchers, take_ids = _searchers(source, refs, whole.pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
-    found: list[tuple[SettledPeople, SequencePeople]] = []
+    found: list[tuple[ResolvedPeople, SequencePeople]] = []
     failed: list[InputError] = []
     for one in sources:
         typer.echo(one.in_words(), err=True)
         try:
-            settled = one.settle()
+            resolved = one.resolve()
         except InputError as error:
             failed.append(error)
         else:
-            found += [(settled, sequence) for sequence in settled.sequences]
+            found += [(resolved, sequence) for sequence in resolved.sequences]
     num_made = 0
-    for settled, sequence in found:
+    for resolved, sequence in found:
         try:
-            _reconstruct_sequence(settled, sequence, searchers, take_ids, pairs_m, whole)
+            _reconstruct_sequence(resolved, sequence, searchers, take_ids, pairs_m, whole)
             num_made += 1
         except InputError as error:
             failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
@@ -144,7 +144,7 @@ def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> N
 
 
 def _reconstruct_sequence(
-    settled: SettledPeople,
+    resolved: ResolvedPeople,
     sequence: SequencePeople,
     searchers: list[Searcher],
     take_ids: npt.NDArray[np.object_],
@@ -154,7 +154,7 @@ def _reconstruct_sequence(
     """Write files of every person of one sequence, and say how good they are."""
     if sequence.why_not_followed:
         raise InputError(sequence.why_not_followed)
-    tracks = _tracks(settled, sequence.sequence_id, whole.person_ids)
+    tracks = _tracks(resolved, sequence.sequence_id, whole.person_ids)
     if not tracks:
         raise InputError("no frame shows enough joints of a person")
     pitch, searcher = None, searchers[0]
@@ -208,9 +208,9 @@ def _reconstruct_sequence(
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
-def _tracks(settled: SettledPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[Track]:
+def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[Track]:
     """Return the tracks of the people of a sequence that are wanted, of everybody where nobody is named."""
-    frames = settled.frames
+    frames = resolved.frames
     is_own = np.array([name == sequence_id for name in frames.sequence_id])
     known = sorted(set(frames.person_id[is_own].tolist()))
     unknown = sorted(set(person_ids) - set(known))
@@ -222,9 +222,9 @@ def _tracks(settled: SettledPeople, sequence_id: str, person_ids: tuple[int, ...
         frames.frame[rows],
         frames.person_id[rows],
         frames.frame[rows] / (frames.rate_hz or 1.0),
-        settled.op14.positions[rows],
-        settled.op14.confidence[rows],
-        partner_id=settled.partner_id[rows],
+        resolved.op14.positions[rows],
+        resolved.op14.confidence[rows],
+        partner_id=resolved.partner_id[rows],
         width_px=width,
         height_px=height,
         focal_px=frames.focal_px.get(sequence_id),

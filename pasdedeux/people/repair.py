@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -22,16 +20,6 @@ _MOVES_WITH = {
 """Keypoints of hands and feet that are swapped and exchanged with a joint of op14."""
 
 
-@dataclass(frozen=True)
-class RepairedRows:
-    """Keypoints (row, K, 2) and confidences (row, K) after repair, their op14, and how many joints of it changed."""
-
-    keypoints_px: Array
-    confidence: Array
-    op14: Keypoints
-    num_touched: int
-
-
 def repair_rows(
     frame: Integers,
     person_id: Integers,
@@ -41,7 +29,7 @@ def repair_rows(
     layout: KeypointLayout,
     *,
     rate_hz: float,
-) -> RepairedRows:
+) -> tuple[Array, Array, Keypoints, int]:
     """Return a video's rows with swapped sides and exchanged limbs put right and wild keypoints masked.
 
     Somebody of whom nothing would be left stays as they were.
@@ -54,10 +42,13 @@ def repair_rows(
         op14: Keypoints (row, 14, 2) derived from these.
         layout: What the keypoints are.
         rate_hz: Frames per second.
+
+    Returns:
+        Keypoints (row, K, 2) and confidences (row, K), their op14, and how many joints of it changed.
     """
     px, seen = keypoints_px.copy(), confidence.copy()
     if not len(frame):
-        return RepairedRows(px, seen, op14, 0)
+        return px, seen, op14, 0
     people, person = np.unique(person_id, return_inverse=True)
     at = frame - int(frame.min())
     shape = (len(people), int(at.max()) + 1, OP14.num_joints)
@@ -85,7 +76,7 @@ def repair_rows(
         np.where(is_kept[:, None], found.confidence[person, at], op14.confidence),
     )
     is_touched = found.is_touched[person, at] & (op14.confidence > 0) & is_kept[:, None]
-    return RepairedRows(px, seen, repaired, int(is_touched.sum()))
+    return px, seen, repaired, int(is_touched.sum())
 
 
 def _mask_others(

@@ -16,7 +16,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
-from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
+from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
 from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
@@ -59,8 +59,8 @@ class FoundAnnotations:
         frames = _read(self.parameters, self.files)
         return replace(frames, rate_hz=frames.rate_hz or DEFAULT_RATE_HZ)
 
-    def settle(self) -> SettledPeople:
-        """Return the annotations with who is who settled.
+    def resolve(self) -> ResolvedPeople:
+        """Return the annotations with identities resolved.
 
         Raises:
             InputError: As `read`, nobody is in it, or the table of who is who is about others.
@@ -68,7 +68,7 @@ class FoundAnnotations:
         try:
             decisions = [Decision.from_words(row) for row in self.parameters.people]
             is_start = self.parameters.take_seconds is not None  # who is who is told of the whole sequence
-            return settle_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
+            return resolve_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
         except InputError as error:
             raise type(error)(f"annotations {self.parameters.id}: {error}") from None
 
@@ -193,15 +193,15 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
 
 
 def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters) -> ArtifactRef:
-    """Read a source of 2D poses, settle who is who, and derive the working skeletons."""
+    """Read a source of 2D poses, resolve who is who, and derive the working skeletons."""
     for file in shard.files:
         read_again(file)
-    settled = FoundAnnotations(parameters, shard.files, None).settle()
-    frames, op14 = settled.frames, settled.op14
+    resolved = FoundAnnotations(parameters, shard.files, None).resolve()
+    frames, op14 = resolved.frames, resolved.op14
     rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
     sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
-    count, stills = frames.num_rows, {one.sequence_id for one in settled.sequences if one.why_not_followed}
+    count, stills = frames.num_rows, {one.sequence_id for one in resolved.sequences if one.why_not_followed}
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
         shard,
@@ -211,8 +211,8 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "sequence_id": list(frames.sequence_id),
                 "frame": frames.frame,
                 "person_id": frames.person_id,
-                "partner_id": [None if one < 0 else int(one) for one in settled.partner_id],
-                "source_person_id": settled.source_person_id,
+                "partner_id": [None if one < 0 else int(one) for one in resolved.partner_id],
+                "source_person_id": resolved.source_person_id,
                 "time_s": frames.frame / rate_hz,
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
@@ -246,27 +246,27 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
             "layout": frames.layout,
             "num_skipped_frames": len(frames.skipped),
             "skipped_files": list(frames.skipped[:MAX_NAMED_FILES]),
-            **_decisions(settled),
+            **_decisions(resolved),
         },
-        attachments={PEOPLE_NAME: write_decisions(row for one in settled.sequences for row in one.decisions).encode()},
+        attachments={PEOPLE_NAME: write_decisions(row for one in resolved.sequences for row in one.decisions).encode()},
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
         verdict=_verdict(pair17.confidence > 0, len(frames.skipped), len(shard.files)),
     )
 
 
-def _decisions(settled: SettledPeople) -> dict[str, Any]:
+def _decisions(resolved: ResolvedPeople) -> dict[str, Any]:
     """Return what was decided of who is who, as facts."""
     return {
         "couples": [
             {"sequence_id": one.sequence_id, "person_ids": [pair.first, pair.second], "num_near_frames": pair.num_near}
-            for one in settled.sequences
+            for one in resolved.sequences
             for pair in one.pairs
         ][:MAX_NAMED_FILES],
-        "why_no_video": {one.sequence_id: one.why_not_followed for one in settled.sequences if one.why_not_followed},
-        "num_merged_rows": sum(one.num_merged_rows for one in settled.sequences),
-        "num_ghost_rows": sum(one.num_ghost_rows for one in settled.sequences),
-        "num_repaired_joints": sum(one.num_repaired_joints for one in settled.sequences),
-        "num_renamed_rows": sum(one.num_renamed_rows for one in settled.sequences),
+        "why_no_video": {one.sequence_id: one.why_not_followed for one in resolved.sequences if one.why_not_followed},
+        "num_merged_rows": sum(one.num_merged_rows for one in resolved.sequences),
+        "num_ghost_rows": sum(one.num_ghost_rows for one in resolved.sequences),
+        "num_repaired_joints": sum(one.num_repaired_joints for one in resolved.sequences),
+        "num_renamed_rows": sum(one.num_renamed_rows for one in resolved.sequences),
     }
 
 

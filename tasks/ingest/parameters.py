@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle, draw_styles
 from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
-from pasdedeux.people.settle import PeopleSettings
+from pasdedeux.people.resolution import PeopleSettings
 from pasdedeux.plausibility.capture import JUDGED
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.stage import Parameters, stream

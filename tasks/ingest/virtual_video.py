@@ -20,7 +20,7 @@ from pasdedeux.cameras.virtual_video import (
 )
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import identity_switches
-from pasdedeux.people.settle import SequenceRows, SettledSequence, settle_sequence
+from pasdedeux.people.resolution import ResolvedSequence, SequenceRows, resolve_sequence
 from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.skeletons.layouts import KeypointLayout
@@ -94,8 +94,8 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
         if parameters.detector:
             sequence_id += ".detector"
-            settled = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
-            detected.append(_add_detected(rows, parameters, sequence_id, view, settled))
+            resolved = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
+            detected.append(_add_detected(rows, parameters, sequence_id, view, resolved))
         else:
             _add_known(rows, parameters, sequence_id, view, frames, key, seen)
         _add_camera(cameras, parameters, sequence_id, view)
@@ -182,8 +182,8 @@ def _detect(
     pair17: np.ndarray,
     op14: np.ndarray,
     rng: np.random.Generator,
-) -> tuple[SettledSequence, np.ndarray]:
-    """Return what is settled of the people that a detector sees, and who each row really is (row,).
+) -> tuple[ResolvedSequence, np.ndarray]:
+    """Return what is resolved of the people that a detector sees, and who each row really is (row,).
 
     A passer-by is one more person than the take has.  People are listed in random order in every frame.
     """
@@ -213,8 +213,8 @@ def _detect(
     rows = SequenceRows(
         frame, place, seen.px[frame, person], seen.confidence[frame, person], np.arange(len(frame), dtype=np.int64)
     )
-    settled = settle_sequence(sequence_id, rows, _LAYOUT, rate_hz=parameters.rate_hz, has_identities=False)
-    return settled, person[settled.rows.source_row]
+    resolved = resolve_sequence(sequence_id, rows, _LAYOUT, rate_hz=parameters.rate_hz, has_identities=False)
+    return resolved, person[resolved.rows.source_row]
 
 
 def _add_detected(
@@ -222,14 +222,14 @@ def _add_detected(
     parameters: VideoParameters,
     sequence_id: str,
     view: VirtualView,
-    found: tuple[SettledSequence, np.ndarray],
+    found: tuple[ResolvedSequence, np.ndarray],
 ) -> dict[str, Any]:
     """Add the rows of a detector's sequence, and return how well people were told apart.
 
     People are numbered as the take numbers who they are for most of the time; all others come after those.
     """
-    settled, true_id = found
-    people, person = np.unique(settled.rows.person_id, return_inverse=True)
+    resolved, true_id = found
+    people, person = np.unique(resolved.rows.person_id, return_inverse=True)
     counts = np.zeros((len(people), int(true_id.max()) + 1), dtype=np.int64)
     np.add.at(counts, (person, true_id), 1)
     names: dict[int, int] = {}
@@ -240,7 +240,7 @@ def _add_detected(
     for one in range(len(people)):
         names.setdefault(one, max([*names.values(), counts.shape[1] - 1]) + 1)
     renamed = np.array([names[one] for one in range(len(people))])
-    number = settled.rows.frame
+    number = resolved.rows.frame
     _add_rows(
         rows,
         parameters,
@@ -249,20 +249,20 @@ def _add_detected(
         number=number,
         take_frame=number,
         person_id=renamed[person],
-        partner_id=[None if one < 0 else int(renamed[np.searchsorted(people, one)]) for one in settled.partner_id],
+        partner_id=[None if one < 0 else int(renamed[np.searchsorted(people, one)]) for one in resolved.partner_id],
         source_person_id=[None] * len(number),
         is_key=np.ones(len(number), dtype=bool),
-        seen=Annotated(settled.rows.keypoints_px, settled.rows.confidence),
-        op14=Annotated(settled.op14.positions, settled.op14.confidence),
+        seen=Annotated(resolved.rows.keypoints_px, resolved.rows.confidence),
+        op14=Annotated(resolved.op14.positions, resolved.op14.confidence),
     )
     return {
         "sequence_id": sequence_id,
         "num_people": len(people),
         "num_true_people": len(np.unique(true_id)),
-        "num_identity_switches": identity_switches(true_id, settled.rows.person_id, number),
+        "num_identity_switches": identity_switches(true_id, resolved.rows.person_id, number),
         "couples": [
             sorted(int(renamed[np.searchsorted(people, one)]) for one in (pair.first, pair.second))
-            for pair in settled.decided.pairs
+            for pair in resolved.decided.pairs
         ],
     }
 

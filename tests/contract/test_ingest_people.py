@@ -1,4 +1,4 @@
-"""Who is who, settled at ingest: simulated detectors, partners, and tables that overrule what was decided."""
+"""Who is who, resolved at ingest: simulated detectors, partners, and tables that overrule what was decided."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is who is settled once: identities, faults and pairs reach every stage through the rows of a source."""
+"""Who is who is resolved once: identities, faults and pairs reach every stage through the rows of a source."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.pairs import choose_pairs
-from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
+from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.crowds import duet_couple
@@ -43,11 +43,11 @@ def dance(noise_px: float = 2.0, *, num_people: int = 2) -> Detections:
     return film(np.random.default_rng(1), couple, noise_px=noise_px, yaw_rad=0.3)
 
 
-def people_in(settled: SettledPeople, seen: Detections) -> set[tuple[int, int]]:
-    """Return which true people each person of the settled rows really is, by the keypoints."""
+def people_in(resolved: ResolvedPeople, seen: Detections) -> set[tuple[int, int]]:
+    """Return which true people each person of the resolved rows really is, by the keypoints."""
     found = set()
     for frame, person, px in zip(
-        settled.frames.frame, settled.frames.person_id, settled.frames.keypoints_px, strict=True
+        resolved.frames.frame, resolved.frames.person_id, resolved.frames.keypoints_px, strict=True
     ):
         rows = np.flatnonzero(seen.frame == frame)
         apart = np.nanmedian(np.linalg.norm(seen.keypoints_px[rows] - px, axis=-1), axis=-1)
@@ -57,12 +57,12 @@ def people_in(settled: SettledPeople, seen: Detections) -> set[tuple[int, int]]:
 
 def test_people_numbered_anew_in_every_frame_are_followed_and_partners() -> None:
     seen = dance()
-    settled = settle_people(rows_of(seen))
-    assert len(people_in(settled, seen)) == 2
-    np.testing.assert_array_equal(settled.partner_id, 1 - settled.frames.person_id)
-    assert set(settled.source_person_id[settled.frames.person_id == 0].tolist()) == {0, 1}
-    assert "0 and 1 are partners" in settled.sequences[0].in_words()
-    kept = settle_people(rows_of(seen), PeopleSettings(identities="given"))
+    resolved = resolve_people(rows_of(seen))
+    assert len(people_in(resolved, seen)) == 2
+    np.testing.assert_array_equal(resolved.partner_id, 1 - resolved.frames.person_id)
+    assert set(resolved.source_person_id[resolved.frames.person_id == 0].tolist()) == {0, 1}
+    assert "0 and 1 are partners" in resolved.sequences[0].in_words()
+    kept = resolve_people(rows_of(seen), PeopleSettings(identities="given"))
     assert len(people_in(kept, seen)) == 4
 
 
@@ -79,31 +79,31 @@ def test_people_whom_a_source_takes_for_each_other_are_put_right(kind: str, ever
         "not at all": np.zeros(len(seen.frame), dtype=bool),
     }[kind]
     given = replace(seen, true_id=np.where(swapped, 1 - seen.true_id, seen.true_id))
-    settled = settle_people(rows_of(given, has_identities=True))
-    assert len(people_in(settled, seen)) == 2
-    renamed = settled.sequences[0].num_renamed_rows
+    resolved = resolve_people(rows_of(given, has_identities=True))
+    assert len(people_in(resolved, seen)) == 2
+    renamed = resolved.sequences[0].num_renamed_rows
     assert renamed in (swapped.sum(), (~swapped).sum())
-    assert ("somebody else" in settled.sequences[0].in_words()) == (kind != "not at all")
-    kept = settle_people(rows_of(given, has_identities=True), PeopleSettings(identities="given"))
+    assert ("somebody else" in resolved.sequences[0].in_words()) == (kind != "not at all")
+    kept = resolve_people(rows_of(given, has_identities=True), PeopleSettings(identities="given"))
     np.testing.assert_array_equal(kept.frames.person_id, kept.source_person_id)
 
 
 def test_a_person_who_comes_back_keeps_the_number_that_the_source_gives() -> None:
     seen = dance()
     away = (seen.true_id == 1) & (seen.frame > 30) & (seen.frame < 90)
-    settled = settle_people(rows_of(seen.rows(~away), has_identities=True))
-    np.testing.assert_array_equal(settled.frames.person_id, settled.source_person_id)
+    resolved = resolve_people(rows_of(seen.rows(~away), has_identities=True))
+    np.testing.assert_array_equal(resolved.frames.person_id, resolved.source_person_id)
 
 
 def test_a_passer_by_is_nobodys_partner() -> None:
     seen = dance(num_people=3)
     seen = seen.rows((seen.true_id < 2) | ((seen.frame > 40) & (seen.frame <= 70)))
-    settled = settle_people(rows_of(seen))
-    assert len(people_in(settled, seen)) == 3
-    partners = {(int(a), int(b)) for a, b in zip(settled.frames.person_id, settled.partner_id, strict=True)}
+    resolved = resolve_people(rows_of(seen))
+    assert len(people_in(resolved, seen)) == 3
+    partners = {(int(a), int(b)) for a, b in zip(resolved.frames.person_id, resolved.partner_id, strict=True)}
     (passer,) = {a for a, b in partners if b < 0}
     assert partners == {(passer, -1), *((a, b) for a in range(3) for b in range(3) if passer not in (a, b) and a != b)}
-    assert settled.sequences[0].num_people == 3
+    assert resolved.sequences[0].num_people == 3
 
 
 def test_faults_are_put_right_in_the_keypoints_that_move_with_the_joints() -> None:
@@ -132,13 +132,13 @@ def test_faults_are_put_right_in_the_keypoints_that_move_with_the_joints() -> No
     wrong[row] = px[row, mirrored]
     wild = layout.keypoint_names.index("left_wrist")
     wrong[100, wild] += 400.0
-    settled = settle_people(replace(right, keypoints_px=wrong))
-    np.testing.assert_array_equal(settled.frames.keypoints_px[row], px[row])
-    assert settled.frames.confidence[100, wild] == 0.0
-    assert settled.op14.confidence[100, OP14.index("left_wrist")] == 0.0
-    op14 = layout.derive("op14", settled.frames.keypoints_px, settled.frames.confidence)
-    np.testing.assert_allclose(settled.op14.positions, op14.positions)
-    left = settle_people(replace(right, keypoints_px=wrong), PeopleSettings(has_repair=False))
+    resolved = resolve_people(replace(right, keypoints_px=wrong))
+    np.testing.assert_array_equal(resolved.frames.keypoints_px[row], px[row])
+    assert resolved.frames.confidence[100, wild] == 0.0
+    assert resolved.op14.confidence[100, OP14.index("left_wrist")] == 0.0
+    op14 = layout.derive("op14", resolved.frames.keypoints_px, resolved.frames.confidence)
+    np.testing.assert_allclose(resolved.op14.positions, op14.positions)
+    left = resolve_people(replace(right, keypoints_px=wrong), PeopleSettings(has_repair=False))
     np.testing.assert_array_equal(left.frames.keypoints_px, replace(right, keypoints_px=wrong).keypoints_px)
 
 
@@ -146,24 +146,24 @@ def test_single_images_are_not_followed_and_paired_one_by_one() -> None:
     seen = dance(num_people=3)
     seen = seen.rows(seen.frame % 20 == 0)
     images = rows_of(replace(seen, frame=seen.frame * 1000))
-    settled = settle_people(images)
-    np.testing.assert_array_equal(settled.frames.person_id, images.person_id)
-    np.testing.assert_array_equal(settled.frames.keypoints_px, images.keypoints_px)
-    assert "single images" in settled.sequences[0].why_not_followed
-    for frame in np.unique(settled.frames.frame):
-        rows = settled.frames.frame == frame
-        assert np.count_nonzero(settled.partner_id[rows] >= 0) == 2
+    resolved = resolve_people(images)
+    np.testing.assert_array_equal(resolved.frames.person_id, images.person_id)
+    np.testing.assert_array_equal(resolved.frames.keypoints_px, images.keypoints_px)
+    assert "single images" in resolved.sequences[0].why_not_followed
+    for frame in np.unique(resolved.frames.frame):
+        rows = resolved.frames.frame == frame
+        assert np.count_nonzero(resolved.partner_id[rows] >= 0) == 2
 
 
 @pytest.mark.parametrize("num_images", [2, 3, 7, 40])
 def test_stills_numbered_one_by_one_lose_nobody(num_images: int) -> None:
     images = photos(num_images)
     for settings in (PeopleSettings(), PeopleSettings(identities="given")):
-        settled = settle_people(images, settings)
-        np.testing.assert_array_equal(settled.frames.person_id, images.person_id)
-        np.testing.assert_array_equal(settled.frames.keypoints_px, images.keypoints_px)
-        np.testing.assert_array_equal(settled.partner_id, 1 - images.person_id)
-        assert "single images, not a video" in settled.sequences[0].why_not_followed
+        resolved = resolve_people(images, settings)
+        np.testing.assert_array_equal(resolved.frames.person_id, images.person_id)
+        np.testing.assert_array_equal(resolved.frames.keypoints_px, images.keypoints_px)
+        np.testing.assert_array_equal(resolved.partner_id, 1 - images.person_id)
+        assert "single images, not a video" in resolved.sequences[0].why_not_followed
 
 
 @pytest.mark.parametrize("has_identities", [False, True])
@@ -171,10 +171,10 @@ def test_key_frames_farther_apart_than_anybody_is_followed_lose_nobody(has_ident
     couple = duet_couple("hug", duration_s=30.0)
     seen = film(np.random.default_rng(1), couple, noise_px=2.0)
     keys = rows_of(seen.rows(seen.frame % 72 == 0), has_identities=has_identities)
-    settled = settle_people(keys)
-    assert ("single images" in settled.sequences[0].why_not_followed) is not has_identities
-    assert settled.sequences[0].num_repaired_joints == 0
-    np.testing.assert_array_equal(settled.frames.keypoints_px, keys.keypoints_px)
+    resolved = resolve_people(keys)
+    assert ("single images" in resolved.sequences[0].why_not_followed) is not has_identities
+    assert resolved.sequences[0].num_repaired_joints == 0
+    np.testing.assert_array_equal(resolved.frames.keypoints_px, keys.keypoints_px)
 
 
 def test_a_video_full_of_false_detections_is_a_video() -> None:
@@ -190,9 +190,9 @@ def test_a_video_full_of_false_detections_is_a_video() -> None:
         keypoints_px=np.concatenate([seen.keypoints_px, spread]),
         confidence=np.concatenate([seen.confidence, seen.confidence[at]]),
     )
-    settled = settle_people(rows_of(full))
-    assert settled.sequences[0].why_not_followed == ""
-    assert settled.sequences[0].num_ghost_rows > 3 * len(np.unique(false))
+    resolved = resolve_people(rows_of(full))
+    assert resolved.sequences[0].why_not_followed == ""
+    assert resolved.sequences[0].num_ghost_rows > 3 * len(np.unique(false))
 
 
 def photos(num_images: int) -> AnnotatedFrames:
@@ -231,6 +231,6 @@ def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -
 def test_without_a_rate_or_anybody_the_reason_is_named() -> None:
     seen = rows_of(dance())
     with pytest.raises(InputError, match="frame rate"):
-        settle_people(replace(seen, rate_hz=None))
+        resolve_people(replace(seen, rate_hz=None))
     with pytest.raises(InputError, match="no frame shows enough joints of a person"):
-        settle_people(replace(seen, confidence=np.zeros(seen.confidence.shape)))
+        resolve_people(replace(seen, confidence=np.zeros(seen.confidence.shape)))

@@ -1,10 +1,10 @@
-"""Who is who in a source of 2D poses, decided once: identities, faults of the detector, and pairs."""
+"""Identity resolution in a source of 2D poses: who is who, faults of the detector, and pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import Decision, decide, spans_of
-from pasdedeux.people.identity import follow_people, mean_of_two
+from pasdedeux.people.identity import FollowedRows, follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
 from pasdedeux.people.repair import repair_rows
 from pasdedeux.people.video import MAX_REPAIR_GAP_S, typical_gap_s, why_no_video, why_not_followed
@@ -27,7 +27,7 @@ Integers = npt.NDArray[np.int64]
 
 
 class PeopleSettings(Settings):
-    """How it is settled who is who."""
+    """How identities are resolved."""
 
     identities: Literal["auto", "follow", "given"] = Field(
         "auto",
@@ -37,7 +37,7 @@ class PeopleSettings(Settings):
     )
     has_repair: bool = Field(
         True,
-        description="Swapped sides, exchanged limbs and wild keypoints of a video are put right or left out; not where "
+        description="Swapped sides, exchanged limbs and wild keypoints of a video are put right or masked; not where "
         "its frames are typically more than half a second apart",
     )
 
@@ -78,15 +78,15 @@ class SequencePeople:
             (self.num_renamed_rows, "detections are somebody else than the source says"),
             (self.num_merged_rows, "doubled detections merged"),
             (self.num_ghost_rows, "detections dropped"),
-            (self.num_repaired_joints, "joints repaired or left out"),
+            (self.num_repaired_joints, "joints repaired or masked"),
         )
         words += [f"{count} {what}" for count, what in counts if count]
         return f"{self.sequence_id}: {', '.join(words)}"
 
 
 @dataclass(frozen=True)
-class SettledPeople:
-    """A source of 2D poses whose people are settled; rows sorted by sequence, frame and person.
+class ResolvedPeople:
+    """A source of 2D poses whose identities are resolved; rows sorted by sequence, frame and person.
 
     Args:
         frames: The rows that are left, with who each is and with repaired keypoints.
@@ -127,8 +127,8 @@ class SequenceRows:
 
 
 @dataclass(frozen=True)
-class SettledSequence:
-    """One sequence whose people are settled: its rows by frame and person, op14, partners (row,), -1 for nobody."""
+class ResolvedSequence:
+    """One sequence whose identities are resolved: rows by frame and person, op14, partners (row,), -1 for nobody."""
 
     rows: SequenceRows
     op14: Keypoints
@@ -136,14 +136,14 @@ class SettledSequence:
     decided: SequencePeople
 
 
-def settle_people(
+def resolve_people(
     frames: AnnotatedFrames,
     settings: PeopleSettings | None = None,
     decisions: Sequence[Decision] = (),
     *,
     is_start: bool = False,
-) -> SettledPeople:
-    """Decide who is who in every sequence, repair the detector's faults, and find the pairs.
+) -> ResolvedPeople:
+    """Resolve identities in every sequence, repair the detector's faults, and find the pairs.
 
     Args:
         frames: The rows as a source gives them, with their rate.
@@ -155,19 +155,18 @@ def settle_people(
     Raises:
         InputError: The rate is not known, nobody is left, or a decision is about what the sequences do not have.
     """
-    settings = settings or PeopleSettings()
     if frames.rate_hz is None:
         raise InputError("people cannot be followed without the frame rate of the video")
-    layout, found = KEYPOINT_LAYOUTS[frames.layout], []
+    found = []
     sequence_of = np.array(frames.sequence_id, dtype=object)
     for name in sorted(set(frames.sequence_id)):
         at = np.flatnonzero(sequence_of == name)
         rows = SequenceRows(frames.frame[at], frames.person_id[at], frames.keypoints_px[at], frames.confidence[at], at)
         found.append(
-            settle_sequence(
+            resolve_sequence(
                 name,
                 rows,
-                layout,
+                KEYPOINT_LAYOUTS[frames.layout],
                 rate_hz=frames.rate_hz,
                 has_identities=frames.has_identities,
                 settings=settings,
@@ -177,20 +176,14 @@ def settle_people(
         )
     if not sum(len(one.rows.frame) for one in found):
         raise InputError("no frame shows enough joints of a person")
-
-    joined = SequenceRows(
-        *(np.concatenate([getattr(one.rows, field.name) for one in found]) for field in fields(SequenceRows))
-    )
-    return SettledPeople(
-        frames=replace(
-            frames,
-            sequence_id=tuple(one.decided.sequence_id for one in found for _ in one.rows.frame),
-            frame=joined.frame,
-            person_id=joined.person_id,
-            keypoints_px=joined.keypoints_px,
-            confidence=joined.confidence,
-        ),
-        source_person_id=frames.person_id[joined.source_row],
+    columns: dict[str, Any] = {
+        field.name: np.concatenate([getattr(one.rows, field.name) for one in found]) for field in fields(SequenceRows)
+    }
+    source_row = columns.pop("source_row")
+    names = tuple(one.decided.sequence_id for one in found for _ in one.rows.frame)
+    return ResolvedPeople(
+        frames=replace(frames, sequence_id=names, **columns),
+        source_person_id=frames.person_id[source_row],
         partner_id=np.concatenate([one.partner_id for one in found]),
         op14=Keypoints(
             np.concatenate([one.op14.positions for one in found]),
@@ -200,7 +193,7 @@ def settle_people(
     )
 
 
-def settle_sequence(
+def resolve_sequence(
     sequence_id: str,
     rows: SequenceRows,
     layout: KeypointLayout,
@@ -210,8 +203,8 @@ def settle_sequence(
     settings: PeopleSettings | None = None,
     decisions: Sequence[Decision] = (),
     is_start: bool = False,
-) -> SettledSequence:
-    """Do for one sequence what `settle_people` does for all of a source.
+) -> ResolvedSequence:
+    """Do for one sequence what `resolve_people` does for all of a source.
 
     Args:
         sequence_id: Its name.
@@ -228,15 +221,16 @@ def settle_sequence(
     """
     settings = settings or PeopleSettings()
     is_followed = settings.identities == "follow" or (settings.identities == "auto" and not has_identities)
-    seen = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
+    op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
     reason = why_no_video(rows.frame)
     if not reason and (is_followed or not has_identities):
-        reason = why_not_followed(rows.frame, seen.positions, seen.confidence, rate_hz=rate_hz)
+        reason = why_not_followed(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
     merged = ghosts = repaired = renamed = 0
     if is_followed and not reason:
-        rows, merged, ghosts = _followed(rows, layout, rate_hz)
+        followed = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
+        rows, merged, ghosts = _merged(rows, followed), followed.num_merged, followed.num_ghosts
     elif settings.identities == "auto" and not reason:
-        person_id = _checked(rows, layout, rate_hz)
+        person_id = _checked(rows, op14, rate_hz)
         renamed = int(np.count_nonzero(person_id != rows.person_id))
         rows = replace(rows, person_id=person_id)
     has_numbers = has_identities or not reason
@@ -246,59 +240,44 @@ def settle_sequence(
     rows = rows.chosen(np.lexsort([rows.person_id, rows.frame]))
     op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
     if settings.has_repair and not reason and typical_gap_s(rows.frame, rate_hz) <= MAX_REPAIR_GAP_S:
-        mended = repair_rows(
+        keypoints_px, confidence, op14, repaired = repair_rows(
             rows.frame, rows.person_id, rows.keypoints_px, rows.confidence, op14, layout, rate_hz=rate_hz
         )
-        rows = replace(rows, keypoints_px=mended.keypoints_px, confidence=mended.confidence)
-        op14, repaired = mended.op14, mended.num_touched
+        rows = replace(rows, keypoints_px=keypoints_px, confidence=confidence)
     pairs, partner = _partners(rows, op14, has_identities=has_numbers)
-    found = SequencePeople(
-        sequence_id,
-        len(np.unique(rows.person_id)),
-        tuple(pairs),
-        reason,
-        merged,
-        ghosts,
-        repaired,
-        renamed,
-        tuple(spans),
-    )
-    return SettledSequence(rows, op14, partner, found)
+    num_people = len(np.unique(rows.person_id))
+    counts = (merged, ghosts, repaired, renamed)
+    found = SequencePeople(sequence_id, num_people, tuple(pairs), reason, *counts, tuple(spans))
+    return ResolvedSequence(rows, op14, partner, found)
 
 
-def _followed(rows: SequenceRows, layout: KeypointLayout, rate_hz: float) -> tuple[SequenceRows, int, int]:
-    """Return the rows of those who are people, as the persons they are, and how many were merged and dropped."""
-    op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
-    found = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
+def _merged(rows: SequenceRows, followed: FollowedRows) -> SequenceRows:
+    """Return the rows of those who are people, as the persons they are."""
     keypoints_px, confidence = rows.keypoints_px.copy(), rows.confidence.copy()
-    for row in np.flatnonzero(found.twin >= 0):
-        both = np.array([found.twin[row], row])
+    for row in np.flatnonzero(followed.twin >= 0):
+        both = np.array([followed.twin[row], row])
         keypoints_px[both[0]], confidence[both[0]] = mean_of_two(keypoints_px[both], confidence[both])
-    settled = replace(rows, person_id=found.track_id, keypoints_px=keypoints_px, confidence=confidence)
-    settled = settled.chosen(found.track_id >= 0)
-    return settled, found.num_merged, found.num_ghosts
+    people = replace(rows, person_id=followed.track_id, keypoints_px=keypoints_px, confidence=confidence)
+    return people.chosen(followed.track_id >= 0)
 
 
-def _checked(rows: SequenceRows, layout: KeypointLayout, rate_hz: float) -> Integers:
+def _checked(rows: SequenceRows, op14: Keypoints, rate_hz: float) -> Integers:
     """Return who each row is (row,), where the source numbers people over time but may take them for each other.
 
     People are followed with the numbers as evidence; who is followed gets the number given most often to them, and one
     number is given to several only where they are not there together: so a person who comes back keeps the number.
     """
-    op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
     track_id = follow_people(
         rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id
     ).track_id
     is_followed = track_id >= 0
     votes, counts = np.unique(np.stack([track_id, rows.person_id])[:, is_followed], axis=1, return_counts=True)
-    taken = {
-        (int(one), int(at)) for one, at in zip(rows.person_id[~is_followed], rows.frame[~is_followed], strict=True)
-    }
+    taken = set(zip(rows.person_id[~is_followed].tolist(), rows.frame[~is_followed].tolist(), strict=True))
     person_id = rows.person_id.copy()
     named: set[int] = set()
     for vote in np.argsort(-counts, kind="stable"):
-        track, name = (int(one) for one in votes[:, vote])
-        own = {(name, int(at)) for at in rows.frame[track_id == track]}
+        track, name = votes[:, vote].tolist()
+        own = {(name, at) for at in rows.frame[track_id == track].tolist()}
         if track not in named and not own & taken:
             person_id[track_id == track] = name
             named.add(track)

@@ -9,6 +9,7 @@ from typing import Any
 
 from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
 from storage_schema.keys import plain_json
+from tasks.facts import TakeFacts, facts_of
 from tasks.stage import Shard, Stage
 
 _MAX_NAMED = 3  # differences named one by one; more are counted
@@ -106,8 +107,9 @@ def _described(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, st
     described = {}
     for manifest in manifests:
         place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)
-        is_take = manifest.facts.get("kind") == "take"
-        described[manifest.ref.key] = (place, f"take {manifest.facts['take_id']}" if is_take else _label(place))
+        facts = facts_of(manifest)
+        name = f"take {facts.take_id}" if isinstance(facts, TakeFacts) else _label(place)
+        described[manifest.ref.key] = (place, name)
     return described
 
 

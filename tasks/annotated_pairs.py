@@ -15,7 +15,7 @@ from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
-from tasks.poses import num_persons
+from tasks.facts import SequenceFacts
 from tasks.stage import StageInputs
 
 
@@ -70,12 +70,13 @@ class SeenPair:
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
     """Return the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
+    found = {manifest.ref: SequenceFacts.of(manifest) for manifest in inputs.of("annotations")}
     usable = [
         manifest
         for manifest in inputs.of("annotations")
-        if not manifest.facts.get("is_held_out", False) and num_persons(manifest) >= 2
+        if not found[manifest.ref].is_held_out and found[manifest.ref].num_persons >= 2
     ]
-    preferred = [manifest for manifest in usable if manifest.facts.get("purpose") in ("random_views", "given")]
+    preferred = [manifest for manifest in usable if found[manifest.ref].purpose in ("random_views", "given")]
     return preferred or usable
 
 
@@ -217,7 +218,7 @@ def gather(
         np.array(pairs), np.array(scales), np.array(directions), np.array(weights), np.array(which, dtype=np.int64)
     )
     num_skipped = gathered.num_skipped + sum(1 for place in keypoints if place not in index)
-    stills = frozenset(name for ref in annotations for name in store.manifest(ref).facts.get("why_no_video", {}))
+    stills = frozenset(name for ref in annotations for name in SequenceFacts.of(store.manifest(ref)).why_no_video)
     return PlacedPairs(
         gathered=replace(gathered, num_skipped=num_skipped, moment=_moments(list(index), stills)),
         places=tuple(index),

@@ -28,7 +28,8 @@ from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
-from tasks.poses import num_persons, read_poses
+from tasks.facts import PeopleFacts, SkippedFacts, TakeFacts, VariantFacts
+from tasks.poses import read_poses
 from tasks.stage import (
     VERDICT_FACT,
     EarlyPlan,
@@ -86,7 +87,7 @@ class TakeMotion:
 
 def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
     """Plan one shard per take and batch of variants; a take without anybody of those asked for has one that says so."""
-    takes = {take.facts["take_id"]: take for take in inputs.of("poses") if take.facts.get("kind") == "take"}
+    takes = {TakeFacts.of(take).take_id: take for take in inputs.of("poses")}
     _check_takes(parameters, takes)
     common = parameters.model_dump(exclude={"contacts", "variants_per_shard"})
     size, shards = parameters.variants_per_shard, []
@@ -94,11 +95,11 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
         names = [variation.variant_id for variation in _variations(take, parameters)]
         if not names:
             asked = tuple(sorted({who for chosen in parameters.sets or (parameters,) for who in chosen.persons}))
-            nobody = NobodyParameters(persons=asked, num_persons=num_persons(take))
+            nobody = NobodyParameters(persons=asked, num_persons=TakeFacts.of(take).num_persons)
             shards.append(AUGMENTATION.shard(inputs, take_id, "nobody", nobody, {"take": [take]}))
         for start in range(0, len(names), size):
             batch = tuple(names[start : start + size])
-            stated = parameters.contacts.get(take_id, known_contacts(take))
+            stated = parameters.contacts.get(take_id, TakeFacts.of(take).contacts)
             chosen = BatchParameters(**common, contacts=stated, variants=batch)
             shards.append(AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", chosen, {"take": [take]}))
     return shards
@@ -121,11 +122,6 @@ def _check_takes(parameters: AugmentationParameters, takes: Collection[str]) -> 
             raise InputError(f"augmentation.contacts: take '{take_id}' is not there; takes: {', '.join(sorted(takes))}")
 
 
-def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
-    """Return the contacts that are known of a take: it was built that way, or its file of contacts says so."""
-    return tuple(UserContact(**contact) for contact in take.facts.get("contacts", ()))
-
-
 def batch_of(manifest: Manifest) -> BatchParameters:
     """Return what a batch of variants was told, but for the limits of its verdicts.
 
@@ -135,7 +131,7 @@ def batch_of(manifest: Manifest) -> BatchParameters:
         InputError: What it was told is not allowed any more: names the setting.
     """
     try:
-        return BatchParameters.model_validate(manifest.facts["told"], extra="ignore")
+        return BatchParameters.model_validate(VariantFacts.of(manifest).told, extra="ignore")
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(map(str, first["loc"]))
@@ -153,7 +149,7 @@ def planned_variations(manifest: Manifest) -> list[Variation]:
 
 
 def _variations(take: Manifest, settings: VariationSettings) -> list[Variation]:
-    return make_variations(settings, num_persons(take))
+    return make_variations(settings, PeopleFacts.of(take).num_persons)
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -162,8 +158,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         case NobodyParameters(persons=asked, num_persons=count):
             who = "one person" if count == 1 else f"{count} people"
             reason = f"{who}, and nobody of those who are scaled: {', '.join(asked)}"
-            skipped = [f"No variants of take {shard.partition}: {reason}."]
-            facts = {"kind": "nobody", "takes": [shard.partition], "skipped": skipped}
+            skipped = (f"No variants of take {shard.partition}: {reason}.",)
+            facts = SkippedFacts(kind="nobody", takes=(shard.partition,), skipped=skipped)
             return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
         case BatchParameters() as batch:
             return _solve_batch(shard, batch, store)
@@ -174,26 +170,25 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> ArtifactRef:
     """Solve a batch of variants and stream them to the store."""
     manifest = store.manifest(shard.ref("take"))
-    take_id = manifest.facts["take_id"]
+    take_id = TakeFacts.of(manifest).take_id
     known = {v.variant_id: v for v in _variations(manifest, parameters)}
     take = read_take(store, manifest.ref)
     started = time.monotonic()
     augmenter = Augmenter(take.source, parameters, user_contacts=parameters.contacts)
-    facts = {
-        "kind": "variants",
-        "takes": [take_id],
-        "take_id": take_id,
-        "variants": list(parameters.variants),
-        "num_persons": take.source.num_people,
-        "num_frames": take.source.num_frames,
-        "rate_hz": take.source.rate_hz,
-        "is_held_out": bool(manifest.facts.get("is_held_out", False)),
-        "closest_m": take.source.closest_m,
+    facts = VariantFacts(
+        takes=(take_id,),
+        take_id=take_id,
+        variants=parameters.variants,
+        num_persons=take.source.num_people,
+        num_frames=take.source.num_frames,
+        rate_hz=take.source.rate_hz,
+        is_held_out=TakeFacts.of(manifest).is_held_out,
+        closest_m=take.source.closest_m,
         # What reads variants solves more of them: how is part of the content, where the bytes do not tell.
-        "told": parameters.model_dump(mode="json", exclude={"limits"}),
-    }
+        told=parameters.model_dump(mode="json", exclude={"limits"}),
+    )
     verdicts: list[Verdict] = []
-    with store.writer(**artifact_fields(shard, store), facts=facts) as writer:
+    with store.writer(**artifact_fields(shard, store), facts=facts.to_json()) as writer:
         for start in range(0, len(parameters.variants), _SOLVED_TOGETHER):
             batch = [known[name] for name in parameters.variants[start : start + _SOLVED_TOGETHER]]
             for variant in augmenter.solve(batch):
@@ -212,14 +207,14 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
     Raises:
         InputError: A frame is not finite.
     """
-    facts = store.manifest(ref).facts
+    facts = TakeFacts.of(store.manifest(ref))
     takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
     poses = read_poses(store, ref, "time_s", "body22_m", "body22_world_unitquat")
     return TakeMotion(
         source=Source(
             poses["body22_m"],
-            float(facts["rate_hz"]),
-            f"take {facts['take_id']}",
+            facts.rate_hz,
+            f"take {facts.take_id}",
             objects=_read_objects(store, ref),
         ),
         rest_m=takes["body22_rest_m"][np.argsort(takes["person"])].astype(np.float64),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
 
 GROWN = "grown_seeds"
@@ -42,9 +43,14 @@ def reference_to(table: str, ref: ArtifactRef) -> str:
     return f"{table}@{ref.content_digest[:16]}"
 
 
+def density_of(manifest: Manifest) -> str:
+    """Return the name of the density of an artifact with draws; grown seeds have their own."""
+    return GROWN if "seeds" in manifest.tables else DrawFacts.of(manifest).density
+
+
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:
     """Return the artifacts with draws, and those with grown seeds, which count as draws."""
-    return [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if seed.facts["kind"] == GROWN)]
+    return [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if SeedFacts.of(seed).kind == GROWN)]
 
 
 def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawSet]:
@@ -61,8 +67,8 @@ def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tup
     """Return reference and pairs of every artifact with draws, by density in order."""
     found: dict[str, list[tuple[str, np.ndarray]]] = {}
     for ref in refs:
-        table = "seeds" if "seeds" in store.manifest(ref).tables else "draws"
-        name = GROWN if table == "seeds" else str(store.manifest(ref).facts["density"])
+        name = density_of(store.manifest(ref))
+        table = "seeds" if name == GROWN else "draws"
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
             found.setdefault(name, []).append((reference_to(table, ref), pairs))

@@ -24,11 +24,11 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
-from tasks.draw_sets import DrawSet, draw_manifests, read_all_draws, reference_to
-from tasks.poses import num_persons
+from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, reference_to
+from tasks.facts import LiftedFacts, SequenceFacts
 from tasks.priors import read_limits
-from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, stream
-from tasks.torso_bases import read_torso_basis, shares_takes
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
+from tasks.torso_bases import read_torso_basis
 
 LIFTING = StageName("lifting", 7)
 
@@ -63,14 +63,14 @@ class LiftingParameters(Parameters):
 
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     """Plan a shard per artifact of annotated pairs that has views; none without draws."""
-    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
+    draws = [one for one in draw_manifests(inputs) if density_of(one) != PRIOR_ONLY]
     if not draws:
         return []
     views = {ref: manifest for manifest in inputs.of("views") for ref in manifest.inputs}
     return [
         _shard(inputs, parameters, annotated, views[annotated.ref], draws)
         for annotated in inputs.of("annotations")
-        if annotated.ref in views and num_persons(annotated) >= 2
+        if annotated.ref in views and SequenceFacts.of(annotated).num_persons >= 2
     ]
 
 
@@ -88,15 +88,14 @@ def _shard(
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Lift the chosen pairs of one artifact of annotations and fill in between them."""
     options = shard.options(LiftingParameters)
-    annotated = store.manifest(shard.ref("annotations"))
+    annotated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
     draws, index = _indexed_draws(store, shard.refs("draws"))
     lifted_from = _lifted_from(store, shard.refs("draws"), draws)
     every, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    is_video = annotated.facts.get("purpose") in ("video", "given") and options.between_frames > 0
-    stills = annotated.facts.get("why_no_video", {})
-    in_time = [place for place in every if is_video and place.sequence_id not in stills]
+    is_video = annotated.purpose in ("video", "given") and options.between_frames > 0
+    in_time = [place for place in every if is_video and place.sequence_id not in annotated.why_no_video]
     spans = _spans(in_time, options.num_spans, options.between_frames)
     places = list(every)
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
@@ -108,18 +107,17 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         rows += found
     rows += _baselines(shard, store, [every[place] for place in wanted], every)
     between = [row for span in spans for row in _fill(span, fitted, draws)]
-    skipped = f"{annotated.partition}: {num_skipped} annotated pairs were not lifted, too little was seen"
-    facts = {
-        "kind": "lifted_pairs",
-        "sequence_ids": annotated.facts.get("sequence_ids", []),
-        "purpose": annotated.facts.get("purpose"),
-        "is_held_out": bool(annotated.facts.get("is_held_out", False)),
-        "num_draws": len(draws.pairs_m),
-        "num_lifted": len(wanted),
-        "learned_takes": merge_takes(*(store.manifest(ref) for ref in shard.refs("draws"))),
-        "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
-        "skipped": [skipped] if num_skipped else [],
-    }
+    skipped = f"{shard.partition}: {num_skipped} annotated pairs were not lifted, too little was seen"
+    facts = LiftedFacts(
+        sequence_ids=annotated.sequence_ids,
+        purpose=annotated.purpose,
+        is_held_out=annotated.is_held_out,
+        num_draws=len(draws.pairs_m),
+        num_lifted=len(wanted),
+        learned_takes=merge_takes(*(store.manifest(ref) for ref in shard.refs("draws"))),
+        takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+        skipped=(skipped,) if num_skipped else (),
+    )
     tables = {"lifted_pairs": _columns(rows)} if rows else {}
     if between:
         tables["in_betweens"] = _columns(between)

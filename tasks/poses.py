@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, Manifest, Store
-
-
-def num_persons(manifest: Manifest) -> int:
-    """Return how many people an artifact with tables of takes, annotations or variants shows."""
-    return int(manifest.facts["num_persons"])
+from storage_schema import ArtifactRef, Store
+from tasks.facts import TakeFacts
 
 
 def read_poses(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.ndarray]:
@@ -22,12 +18,12 @@ def read_poses(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.nd
     table = store.read(ref, "poses", columns=["person", "frame", *columns])
     person, frame = np.asarray(table["person"]), np.asarray(table["frame"])
     order = np.lexsort((person, frame))
-    manifest = store.manifest(ref)
-    frames, count = np.unique(frame), num_persons(manifest)
+    take = TakeFacts.of(store.manifest(ref))
+    frames, count = np.unique(frame), take.num_persons
     expected = np.repeat(frames, count), np.tile(np.arange(count), len(frames))
     if not (np.array_equal(frame[order], expected[0]) and np.array_equal(person[order], expected[1])):
         raise InputError(
-            f"the poses of take {manifest.facts['take_id']} do not have each of {count} people once in every frame; "
+            f"the poses of take {take.take_id} do not have each of {count} people once in every frame; "
             "build it again with --force"
         )
     return {

@@ -13,7 +13,8 @@ from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import ArtifactRef, Store
+from tasks.facts import PriorFacts, TakeFacts
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
 from tasks.torso_bases import default_origin, default_torso_basis
 
@@ -37,14 +38,9 @@ class PriorsShard(Parameters):
 
 def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
     """Plan one shard over all prior takes; a take that is held out is never among them."""
-    takes = [manifest for manifest in inputs.of("poses") if _is_prior(manifest)]
+    takes = [one for one in inputs.of("poses") if (facts := TakeFacts.of(one)).is_prior and not facts.is_held_out]
     parameters_of_shard = PriorsShard(default_basis=default_origin(inputs.of("poses")))
     return [PRIORS.shard(inputs, "body", "priors", parameters_of_shard, {"poses": takes})]
-
-
-def _is_prior(manifest: Manifest) -> bool:
-    facts = manifest.facts
-    return facts.get("kind") == "take" and bool(facts.get("is_prior", False)) and not facts.get("is_held_out", False)
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -60,14 +56,13 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     if is_learned:
         limits = published.widened(poses, name="prior takes")
     verdict = _verdict(poses, limits, published, origin)
-    facts = {
-        "kind": "priors",
-        "takes": merge_takes(*(store.manifest(ref) for ref in shard.refs("poses"))),
-        "num_poses": len(poses),
-        "origin": "prior takes" if is_learned else f"{origin}: no prior take is named",
-        "explained_variance": float(basis.explained_variance.sum()),
-        "valid_share": verdict.value if len(poses) else None,
-    }
+    facts = PriorFacts(
+        takes=merge_takes(*(store.manifest(ref) for ref in shard.refs("poses"))),
+        num_poses=len(poses),
+        origin="prior takes" if is_learned else f"{origin}: no prior take is named",
+        explained_variance=float(basis.explained_variance.sum()),
+        valid_share=verdict.value if len(poses) else None,
+    )
     tables = {"torso_basis": _basis_columns(basis), "joint_limits": _limit_columns(limits)}
     return commit(shard, store, tables=tables, facts=facts, verdict=verdict)
 

@@ -22,6 +22,7 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import DrawFacts, ProjectionFacts, TakeFacts, VariantFacts
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
 
 PROJECTIONS = StageName("projections", 5)
@@ -112,25 +113,29 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan a shard per take that is not held out, per artifact of draws and per artifact of variants."""
     shards = []
     wanted: list[tuple[Literal["take", "draw", "variant"], str]] = [("take", "poses")]
-    has_takes = any(not one.facts.get("is_held_out", False) for one in inputs.of("poses"))
+    has_takes = any(not take.is_held_out for take in map(TakeFacts.of, inputs.of("poses")))
     if parameters.include_draws or (parameters.include_draws is None and not has_takes):
         wanted.append(("draw", "draws"))
     if parameters.include_variants:
         wanted.append(("variant", "variants"))
     for origin, table in wanted:
         for manifest in inputs.of(table):
-            facts = manifest.facts
-            if facts.get("is_held_out", False):
-                continue
-            if origin == "draw" and facts["density"] != _DENSITY:
-                continue
+            if origin == "draw":
+                if DrawFacts.of(manifest).density != _DENSITY:
+                    continue
+                source_rate_hz, partition = None, manifest.partition
+            else:
+                shown = TakeFacts.of(manifest) if origin == "take" else VariantFacts.of(manifest)
+                if shown.is_held_out:
+                    continue
+                source_rate_hz, partition = shown.rate_hz, shown.take_id
             options = PoseShard(
                 origin=origin,
                 rate_hz=_RATE_HZ,
                 views=parameters.views,
-                source_rate_hz=None if origin == "draw" else facts.get("rate_hz"),
+                source_rate_hz=source_rate_hz,
             )
-            partition, name = facts.get("take_id", manifest.partition), f"{origin}-{manifest.partition}-{manifest.name}"
+            name = f"{origin}-{manifest.partition}-{manifest.name}"
             shards.append(PROJECTIONS.shard(inputs, partition, name, options, {"poses": [manifest]}))
     return shards
 
@@ -167,14 +172,13 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "root_translation_m": centred.root_translation_m,
         "joint_radius_m": np.hypot(centred.poses_m[..., 0], centred.poses_m[..., 2]),
     }
-    facts = {
-        "kind": "projections",
-        "origin": options.origin,
-        "takes": merge_takes(store.manifest(ref)),
-        "num_poses": len(positions),
-        "rate_hz": options.rate_hz,
-        "views": options.views.model_dump(mode="json"),
-    }
+    facts = ProjectionFacts(
+        origin=options.origin,
+        takes=merge_takes(store.manifest(ref)),
+        num_poses=len(positions),
+        rate_hz=options.rate_hz,
+        views=options.views.model_dump(mode="json"),
+    )
     verdict = Verdict(
         Level.PASS if len(positions) else Level.WARN,
         "" if len(positions) else f"the {options.origin}s hold no pose",
@@ -188,12 +192,12 @@ def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
     Raises:
         InputError: Parts do not tell, or differ.
     """
-    told = [part.facts["views"] for part in parts if "views" in part.facts]
-    if not told or len(told) < len(parts):
+    stated = [ProjectionFacts.of(part).views for part in parts]
+    if not stated or stated[0] is None or None in stated:
         raise InputError("a projection database of an earlier version does not say what camera sees it; build it again")
-    if any(views != told[0] for views in told):
+    if any(views != stated[0] for views in stated):
         raise InputError("parts of the projection database differ in yaw steps or camera; build them with one study")
-    return ViewsOfPoses(**told[0])
+    return ViewsOfPoses(**stated[0])
 
 
 def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | None = None) -> np.ndarray:

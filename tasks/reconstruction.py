@@ -27,8 +27,9 @@ from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, lef
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import MotionFacts, ProjectionFacts, SequenceFacts
 from tasks.projections import read_pairs, read_views
-from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, stream
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
 RECONSTRUCTION = StageName("reconstruction", 18)
 
@@ -81,9 +82,8 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
     for manifest in inputs.of("annotations"):
         if not _is_wanted(manifest, parameters.sequences):
             continue
-        seen = set(manifest.facts.get("takes", []))
-        allowed = [database for database in databases if not seen & set(database.facts.get("takes", []))]
-        for sequence_id in manifest.facts.get("sequence_ids", []):
+        allowed = [database for database in databases if not shares_takes(manifest, database)]
+        for sequence_id in SequenceFacts.of(manifest).sequence_ids:
             told = parameters.part(SequenceShard, sequence_id=sequence_id)
             read = {"annotations": [manifest], "projections": allowed}
             shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, told, read))
@@ -91,11 +91,10 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
 
 
 def _is_wanted(manifest: Manifest, sequences: str) -> bool:
-    facts = manifest.facts
-    purpose = facts.get("purpose")
-    if purpose == "given":
+    facts = SequenceFacts.of(manifest)
+    if facts.purpose == "given":
         return True
-    return purpose == "video" and (sequences == "all" or (sequences == "held_out" and bool(facts.get("is_held_out"))))
+    return facts.purpose == "video" and (sequences == "all" or (sequences == "held_out" and facts.is_held_out))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -104,10 +103,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     manifest, parameters = store.manifest(annotations), shard.options(SequenceShard)
     sequence_id = parameters.sequence_id
     facts: dict[str, Any] = {
-        "kind": "motions",
         "sequence_ids": [sequence_id],
         "takes": merge_takes(manifest, *(store.manifest(ref) for ref in database_refs)),
-        "sequence_takes": sorted(manifest.facts.get("takes", [])),
+        "sequence_takes": merge_takes(manifest),
         "database_takes": merge_takes(*(store.manifest(ref) for ref in database_refs)),
         "methods": [method.value for method in parameters.methods],
         "skipped": [],
@@ -125,7 +123,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         shard,
         store,
         tables={"motions": _columns(rows)},
-        facts=facts,
+        facts=MotionFacts(**facts),
         attachments=attachments,
         verdict=(merge_verdicts(judged.values()) if rows else None)
         or Verdict(Level.FAIL, facts["skipped"][0] if facts["skipped"] else "the sequence shows nobody"),
@@ -144,7 +142,7 @@ def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, fact
     is_unknown = table.is_null("image_width_px")[rows[0]] or table.is_null("image_height_px")[rows[0]]
     frame, time_s = np.asarray(table["frame"])[rows], np.asarray(table["time_s"])[rows]
     # What ingest decided counts: stills numbered one by one look like a video by their numbers alone.
-    decided = store.manifest(ref).facts.get("why_no_video", {})
+    decided = SequenceFacts.of(store.manifest(ref)).why_no_video
     reason = decided.get(sequence_id) or why_no_video(frame)
     if reason:
         facts["skipped"].append(f"{sequence_id}: {reason}")
@@ -241,7 +239,7 @@ def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, 
         np.concatenate([np.asarray(part["op14_m"]) for part in parts]),
         np.concatenate([np.asarray(part["is_sequence_start"]) for part in parts]),
         num_yaws=views.num_yaws,
-        rate_hz=float(manifests[0].facts["rate_hz"]),
+        rate_hz=ProjectionFacts.of(manifests[0]).rate_hz,
         camera=views.level_camera,
         body22_unitquat=np.concatenate([np.asarray(part["body22_unitquat"]) for part in parts]),
     )

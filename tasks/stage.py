@@ -14,6 +14,7 @@ import numpy as np
 from pasdedeux.settings import Settings
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
+from tasks.facts import Facts
 
 VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
 """Names under which a shard's verdict, and those of its parts, stand among its facts."""
@@ -199,9 +200,14 @@ class Stage:
     unread: Callable[[Any], tuple[str, ...]] | None = field(default=None, repr=False)
 
 
-def merge_takes(*manifests: Manifest) -> list[str]:
+def merge_takes(*manifests: Manifest) -> tuple[str, ...]:
     """Return the takes that any of these artifacts learned from or shows, sorted."""
-    return sorted({take for manifest in manifests for take in manifest.facts.get("takes", [])})
+    return tuple(sorted({take for manifest in manifests for take in Facts.of(manifest).takes}))
+
+
+def shares_takes(one: Manifest, other: Manifest) -> bool:
+    """Tell whether two artifacts rest on a common take."""
+    return not set(Facts.of(one).takes).isdisjoint(Facts.of(other).takes)
 
 
 def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
@@ -225,13 +231,13 @@ def commit(
     store: Store,
     *,
     tables: Mapping[str, Mapping[str, Any]],
-    facts: Mapping[str, Any],
+    facts: Facts,
     attachments: Mapping[str, bytes] | None = None,
     sources: Sequence[SourceCredit] = (),
     verdict: Verdict | None = None,
     parts: Mapping[str, Verdict] | None = None,
 ) -> ArtifactRef:
-    """Commit a shard's tables under its key; `facts` are the small JSON facts that later planning reads.
+    """Commit a shard's tables under its key, and the facts that later planning reads.
 
     A verdict is kept with the facts, for the console and the report; so are those of its parts by name, such as each
     person of a sequence, for the report and the table of verdicts.  The manifest names the shard's inputs and the
@@ -242,7 +248,7 @@ def commit(
         tables=tables,
         attachments=attachments or {},
         facts={
-            **facts,
+            **facts.to_json(),
             **({} if verdict is None else {VERDICT_FACT: verdict.to_json()}),
             **({PARTS_FACT: {name: part.to_json() for name, part in parts.items()}} if parts else {}),
         },

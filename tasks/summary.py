@@ -11,7 +11,7 @@ from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import Judged, merge_verdicts, part_name
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
-from tasks.poses import num_persons
+from tasks.facts import DrawFacts, LiftedFacts, PeopleFacts, SeedFacts, SequenceFacts, TakeFacts, facts_of
 from tasks.stage import verdict_of, verdicts_of_parts
 
 _APART = "evaluation"
@@ -20,11 +20,10 @@ _APART = "evaluation"
 
 @dataclass(frozen=True)
 class _Thing:
-    """A thing that people count: name, table, a fact that counts it instead of rows, the topic that judges it."""
+    """A thing that people count, by rows or artifacts: name, table, the topic that judges it."""
 
     name: str
     table: str
-    counted_by: str = ""
     is_artifact: bool = False
     topic: str = ""
 
@@ -34,7 +33,7 @@ _THINGS = (
     _Thing("annotations", "annotations"),
     _Thing("seeds", "seeds"),
     _Thing("draws", "draws"),
-    _Thing("lifted pairs", "lifted_pairs", counted_by="num_lifted", topic="lifting"),
+    _Thing("lifted pairs", "lifted_pairs", topic="lifting"),
     _Thing("database poses", "projections"),
     _Thing("reconstructed sequences", "motions", is_artifact=True, topic="reconstruction"),
     _Thing("variants", "variant_quality", topic="augmentation"),
@@ -70,20 +69,21 @@ def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
 
 def _left_out(manifest: Manifest) -> list[str]:
     """Say in sentences what an artifact, or the stage that made it, left out and why."""
-    facts = manifest.facts
-    found = list(facts.get("skipped", []))
-    if "poses" in manifest.tables and (count := num_persons(manifest)) != 2:
-        who = "one person" if count == 1 else f"{count} people"
-        found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
-    if facts.get("num_skipped_frames"):
-        named = ", ".join(facts["skipped_files"])
-        found.append(
-            f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}); "
-            "`on_unreadable` of its source says whether they stop the run."
-        )
-    if facts.get("num_annotations_skipped"):
-        count = facts["num_annotations_skipped"]
-        found.append(f"Chains: {count} annotations without all joints of two people, or without a view, were left out.")
+    facts = facts_of(manifest)
+    found = list(facts.skipped)
+    match facts:
+        case TakeFacts(num_persons=count) if "poses" in manifest.tables and count != 2:
+            who = "one person" if count == 1 else f"{count} people"
+            found.append(f"Take {facts.take_id}: {who}; the stages that need pairs passed it over.")
+        case SequenceFacts(num_skipped_frames=count) if count:
+            found.append(
+                f"{manifest.partition}: {count} unreadable frames were left out ({', '.join(facts.skipped_files)}); "
+                "`on_unreadable` of its source says whether they stop the run."
+            )
+        case DrawFacts(num_annotations_skipped=count) | SeedFacts(num_annotations_skipped=count) if count:
+            found.append(
+                f"Chains: {count} annotations without all joints of two people, or without a view, were left out."
+            )
     return found
 
 
@@ -125,11 +125,13 @@ def _made(thing: _Thing, parts: Sequence[Manifest]) -> Made:
     count, seconds = 0, math.nan
     for one in parts:
         rows = one.tables[thing.table].rows
-        own = int(one.facts.get(thing.counted_by, rows)) if not thing.is_artifact else int(rows > 0)
+        facts = facts_of(one)
+        own = facts.num_lifted if isinstance(facts, LiftedFacts) else int(rows > 0) if thing.is_artifact else rows
         count += own
         # Of annotations the rows are people and frames, of single frames there are no seconds.
-        if {"num_frames", "rate_hz"} <= one.facts.keys() and one.facts.get("purpose", "video") == "video":
+        is_video = not isinstance(facts, SequenceFacts) or facts.purpose == "video"
+        if isinstance(facts, PeopleFacts) and facts.rate_hz and is_video:
             times = own if thing.table == "variant_quality" else 1
-            length = times * one.facts["num_frames"] / one.facts["rate_hz"]
+            length = times * facts.num_frames / facts.rate_hz
             seconds = length if math.isnan(seconds) else seconds + length
     return Made(thing.name, count, seconds, sum(one.num_bytes for one in parts))

@@ -10,14 +10,10 @@ from pasdedeux.cameras.torso import TorsoBasis
 from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.choreography import duet_torso_basis
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import SequenceFacts, TakeFacts, facts_of
 
 BUILT_IN_DUETS = "built-in duets"
 BODY_PROPORTIONS = "body proportions"
-
-
-def shares_takes(one: Manifest, other: Manifest) -> bool:
-    """Tell whether two artifacts rest on a common take."""
-    return not set(one.facts.get("takes", [])).isdisjoint(other.facts.get("takes", []))
 
 
 def default_origin(shown: Iterable[Manifest]) -> str:
@@ -26,7 +22,11 @@ def default_origin(shown: Iterable[Manifest]) -> str:
     On the duets themselves it comes from body proportions alone, so that nothing is evaluated on what it was learned
     from.
     """
-    return BODY_PROPORTIONS if any(one.facts.get("is_built_in", False) for one in shown) else BUILT_IN_DUETS
+    return (
+        BODY_PROPORTIONS
+        if any(facts.is_built_in for one in shown if isinstance(facts := facts_of(one), TakeFacts | SequenceFacts))
+        else BUILT_IN_DUETS
+    )
 
 
 def default_torso_basis(origin: str) -> TorsoBasis:

@@ -12,9 +12,9 @@ from pasdedeux.cameras.views import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns
-from tasks.poses import num_persons
-from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
-from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
+from tasks.facts import SequenceFacts, ViewFacts
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes
+from tasks.torso_bases import default_origin, read_torso_basis
 
 VIEWS = StageName("views", 4)
 
@@ -82,25 +82,25 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     if len(without):
         frames = Counter(pairs.places[number].sequence_id for number in without.tolist())
         skipped += _in_words(frames, "fewer than 4 torso joints of one of the two people were seen")
-    facts = {
-        "kind": "views",
-        "takes": merge_takes(annotations, *bases),
-        "learned_takes": merge_takes(*bases),
-        "torso_basis": "prior takes" if bases else default_origin([annotations]),
-        "sequence_ids": annotations.facts.get("sequence_ids", []),
-        "purpose": annotations.facts.get("purpose"),
-        "is_held_out": bool(annotations.facts.get("is_held_out", False)),
-        "num_annotations": len(pairs.places),
-        "num_without_view": len(without),
-        "num_hypotheses": len(estimates.weight),
-        "size_ratio": estimates.size_ratio,
-        "skipped": skipped,
-    }
+    seen = SequenceFacts.of(annotations)
+    facts = ViewFacts(
+        takes=merge_takes(annotations, *bases),
+        learned_takes=merge_takes(*bases),
+        torso_basis="prior takes" if bases else default_origin([annotations]),
+        sequence_ids=seen.sequence_ids,
+        purpose=seen.purpose,
+        is_held_out=seen.is_held_out,
+        num_annotations=len(pairs.places),
+        num_without_view=len(without),
+        num_hypotheses=len(estimates.weight),
+        size_ratio=estimates.size_ratio,
+        skipped=skipped,
+    )
     verdict = _verdict(
         len(pairs.places),
         len(without),
         estimates.trust[estimates.is_lifted],
-        num_persons(annotations),
+        seen.num_persons,
     )
     return commit(shard, store, tables={"views": columns}, facts=facts, verdict=verdict)
 

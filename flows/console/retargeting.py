@@ -35,12 +35,12 @@ from pasdedeux.learning import VariantRequest, Weights, read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
-from tasks.augmentation import known_contacts, read_take
+from tasks.augmentation import read_take
+from tasks.facts import ModelFacts, TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.shard_parameters import TakeParameters
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
-from tasks.poses import num_persons
 from tasks.stage import StageInputs, verdict_of
 
 _MISFIT_M = 0.05
@@ -171,9 +171,10 @@ def _find_model(text: str, store_root: Path) -> Weights:
     else:
         manifests = list(store.artifacts("training"))
     models = [manifest for manifest in manifests if "models" in manifest.tables]
-    found = [manifest for manifest in models if manifest.facts["model"] == name]
+    found = [manifest for manifest in models if ModelFacts.of(manifest).model == name]
     if len(found) != 1:
-        there = [f"{one.facts['model']}@models@{one.ref.key[:12]} ({one.facts['split']})" for one in found or models]
+        named = [(ModelFacts.of(one), one.ref.key[:12]) for one in found or models]
+        there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
         raise InputError(
             f"--model {text}: {len(found)} models of the store have this name"
             + (f"; say which: {', '.join(there[:12])}" if there else "; the store has none")
@@ -190,8 +191,8 @@ def _retarget(
     units: Units,
     weights: Weights | None,
 ) -> None:
-    manifest = store.manifest(ref)
-    take_id, count = manifest.facts["take_id"], num_persons(manifest)
+    take = TakeFacts.of(store.manifest(ref))
+    take_id, count = take.take_id, take.num_persons
     if len(targets) > count:
         who = "one person" if count == 1 else f"{count} people"
         raise InputError(f"{len(targets)} bodies are given, but take {take_id} has {who}: --to once for each, A first")
@@ -210,7 +211,7 @@ def _retarget(
         worst_m = max(map(abs, fit.misfit_m.values()))
         if worst_m > _MISFIT_M:
             contradictions.append((person, worst_m))
-    solver = Augmenter(source, user_contacts=known_contacts(manifest))
+    solver = Augmenter(source, user_contacts=take.contacts)
     if weights is None:
         variant = solver.solve([Variation("retarget", bone_scale)])[0]
         positions_m, bone_scale, verdict = variant.positions_m, variant.bone_scale, variant.verdict
@@ -219,7 +220,7 @@ def _retarget(
         # A take of the same name may be another one: what a model learned of a take holds for that take alone.
         is_known = weights.takes.get(take_id) == ref.content_digest
         name = take_id if is_known else f"{take_id} ({ref.key[:12]})"
-        positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=known_contacts(manifest)))
+        positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=take.contacts))
         verdict = solver.judge(bone_scale, positions_m)
         typer.echo(f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}", err=True)
     out.mkdir(parents=True, exist_ok=True)
@@ -240,7 +241,7 @@ def _retarget(
             "its distances contradict each other, or are not those of one person",
             err=True,
         )
-    captured = verdict_of(manifest)
+    captured = verdict_of(store.manifest(ref))
     if captured is not None and captured.level is not Level.PASS:
         typer.echo(f"take {take_id}: {verdict_words(captured)}", err=True)
     typer.echo(verdict_words(verdict))

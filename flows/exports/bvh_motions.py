@@ -21,6 +21,7 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import body_from_joints
 from pasdedeux.reconstruction.people import motions_together
 from storage_schema import ArtifactRef, Reference, Store, TableData
+from tasks.facts import MotionFacts
 
 _TABLES = ("poses", "variants", "motions")
 
@@ -79,7 +80,7 @@ def _motions(export: Export) -> Iterator[tuple[tuple[str | int, ...], Motion]]:
     for ref in export.refs:
         rows = export.store.read(ref, "motions")
         # From the axes of a camera that looks down to a world in which people stand upright.
-        pitch_deg = export.store.manifest(ref).facts.get("pitch_deg", 0.0)
+        pitch_deg = MotionFacts.of(export.store.manifest(ref)).pitch_deg
         camera = DatabaseCamera(math.radians(pitch_deg))
         for (sequence_id, method), part in _groups(rows, "sequence_id", "method"):
             person_ids = np.unique(rows["person_id"][part])

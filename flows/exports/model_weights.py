@@ -12,8 +12,8 @@ from flows.exports.export_format import Export, ExportFormat, FileNames, write_t
 from flows.records import read_last_run
 from pasdedeux.learning import Weights, write_weights
 from storage_schema import Manifest, Reference, Store, latest_studies
+from tasks.facts import ModelFacts, TakeFacts
 from tasks.stage import verdict_of
-from tasks.training.items import skeleton_name
 from tasks.training.run import load_stored
 
 
@@ -32,7 +32,8 @@ class ModelWeights(ExportFormat):
         paths = []
         for ref in export.refs:
             manifest = export.store.manifest(ref)
-            path = names.path(manifest.facts["split"], manifest.facts["model"], suffix=".safetensors")
+            facts = ModelFacts.of(manifest)
+            path = names.path(facts.split, facts.model, suffix=".safetensors")
             path.write_bytes(write_weights(stored_weights(export.store, manifest)))
             paths += [path, write_text(path.with_suffix(".md"), "\n".join(_card(export.store, manifest)) + "\n")]
         return paths
@@ -43,10 +44,11 @@ FORMAT = ModelWeights()
 
 def stored_weights(store: Store, manifest: Manifest) -> Weights:
     """Return a stored model and the takes that it was trained on."""
+    learned = ModelFacts.of(manifest).takes
     takes = {
-        str(read.facts["take_id"]): read.ref.content_digest
+        take_id: read.ref.content_digest
         for read in _read(store, manifest)
-        if read.ref.stage == "ingest" and read.facts["take_id"] in manifest.facts["takes"]
+        if read.ref.stage == "ingest" and (take_id := TakeFacts.of(read).take_id) in learned
     }
     return Weights(load_stored(store, manifest), takes)
 
@@ -58,16 +60,16 @@ def _read(store: Store, manifest: Manifest) -> list[Manifest]:
 
 
 def _card(store: Store, manifest: Manifest) -> Iterator[str]:
-    facts, told = manifest.facts, manifest.parameters
-    yield from (f"# {facts['model']}, split {facts['split']}", "")
-    counted = {part: sum(map(len, facts[part].values())) for part in ("train", "validation", "test")}
-    yield f"- class: `{facts['class']}`; artifact: {manifest.ref.stage} {manifest.ref.key}"
-    yield f"- skeleton: {skeleton_name(manifest)}"
-    yield f"- split: `{facts['split']}`, seed {manifest.seed}; variants: " + ", ".join(
+    facts, told = ModelFacts.of(manifest), manifest.parameters
+    yield from (f"# {facts.model}, split {facts.split}", "")
+    counted = {part: sum(map(len, getattr(facts, part).values())) for part in ("train", "validation", "test")}
+    yield f"- class: `{facts.class_name}`; artifact: {manifest.ref.stage} {manifest.ref.key}"
+    yield f"- skeleton: {facts.skeleton}"
+    yield f"- split: `{facts.split}`, seed {manifest.seed}; variants: " + ", ".join(
         f"{part} {count}" for part, count in counted.items()
     )
-    yield f"- takes trained on: {', '.join(facts['takes']) or 'none'}"
-    if facts["shares_takes"]:
+    yield f"- takes trained on: {', '.join(facts.takes) or 'none'}"
+    if facts.shares_takes:
         yield "- the takes of its test variants are those it was trained on, at other scales"
     yield f"- trained by pasdedeux {manifest.code_version}, stage version {manifest.version}"
     yield from ("", "## Parameters", "", "```json", json.dumps(told.get("settings", {}), indent=1), "```", "")
@@ -89,5 +91,5 @@ def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
     for scores in [one for one in found if one.ref.place in current] or found:
         rows = store.read(scores.ref, "scores")
         for row in map(rows.row, range(rows.num_rows)):
-            if row["method"] == manifest.facts["model"] and row["item"] == "all" and np.isnan(row["at"]):
+            if row["method"] == ModelFacts.of(manifest).model and row["item"] == "all" and np.isnan(row["at"]):
                 yield f"| {row['metric']}, {row['split']} | {row['value']:.4g} {row['unit']} | |"

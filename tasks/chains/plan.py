@@ -12,7 +12,7 @@ from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.chains.parameters import ChainsParameters, RunSettings, SegmentParameters, SummaryParameters
 from tasks.draw_sets import GROWN
-from tasks.seeds import start_indices
+from tasks.facts import SeedFacts
 from tasks.stage import Shard, StageInputs, StageName
 
 CHAINS = StageName("chains", 14)
@@ -60,8 +60,8 @@ def _starts(inputs: StageInputs, which: str) -> list[tuple[Manifest, int]]:
     return [
         (seed, index)
         for seed in inputs.of("seeds")
-        if which == "all" or (which == "grown") == (seed.facts["kind"] == GROWN)
-        for index in start_indices(seed)
+        if which == "all" or (which == "grown") == (SeedFacts.of(seed).kind == GROWN)
+        for index in SeedFacts.of(seed).start_indices
     ]
 
 

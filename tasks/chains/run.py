@@ -32,6 +32,7 @@ from pasdedeux.settings import Settings
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
+from tasks.facts import ChainFacts, DrawFacts
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 
@@ -96,20 +97,19 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             "proposal_state": [proposal_to_json(state)],
         },
     }
-    facts = {
-        "kind": "draws",
-        "density": options.name,
-        "seed_index": options.seed_index,
-        "chain": options.chain,
-        "segment": options.segment,
-        "num_draws": count,
-        "log_seed": target.log_seed,
-        "log_ceiling": target.log_ceiling if np.isfinite(target.log_ceiling) else None,
-        "sigma_l": problem.evidence.likelihood.sigma_l,
-        "num_annotations_skipped": problem.evidence.num_skipped,
-        "note": problem.evidence.note(),
-        "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
-    }
+    facts = DrawFacts(
+        density=options.name,
+        seed_index=options.seed_index,
+        chain=options.chain,
+        segment=options.segment,
+        num_draws=count,
+        log_seed=target.log_seed,
+        log_ceiling=target.log_ceiling if np.isfinite(target.log_ceiling) else None,
+        sigma_l=problem.evidence.likelihood.sigma_l,
+        num_annotations_skipped=problem.evidence.num_skipped,
+        note=problem.evidence.note(),
+        takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+    )
     return commit(shard, store, tables=tables, facts=facts)
 
 
@@ -315,15 +315,15 @@ def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> Artifa
         )
         for name in columns
     }
-    facts = done[0].facts
+    facts = DrawFacts.of(done[0])
     reports = diagnose(
         stacked["pair17_m"],
         stacked["log_density"],
         stacked["num_accepted"],
         thin=options.thin,
-        log_ceiling=np.inf if facts["log_ceiling"] is None else float(facts["log_ceiling"]),
-        log_seed=float(facts["log_seed"]),
-        sigma_l=np.nan if facts["sigma_l"] is None else float(facts["sigma_l"]),
+        log_ceiling=np.inf if facts.log_ceiling is None else facts.log_ceiling,
+        log_seed=facts.log_seed,
+        sigma_l=np.nan if facts.sigma_l is None else facts.sigma_l,
     )
     count = options.num_chains
     info = {
@@ -333,17 +333,12 @@ def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> Artifa
         **{name: [getattr(report, name) for report in reports] for name in FIGURES},
         "verdict": [report.verdict.level.value for report in reports],
         "reason": [report.verdict.reason for report in reports],
-        "note": [str(facts["note"])] * count,
+        "note": [facts.note] * count,
     }
     return commit(
         shard,
         store,
         tables={"chain_info": info},
-        facts={
-            "kind": "chain_info",
-            "density": options.name,
-            "seed_index": options.seed_index,
-            "takes": merge_takes(*done),
-        },
+        facts=ChainFacts(density=options.name, seed_index=options.seed_index, takes=merge_takes(*done)),
         verdict=merge_verdicts(report.verdict for report in reports),
     )

@@ -21,8 +21,9 @@ from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.augmentation import batch_of, known_contacts, read_take
+from tasks.augmentation import batch_of, read_take
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 
@@ -30,8 +31,8 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per take that has variants."""
     found = []
     for take in inputs.of("poses"):
-        take_id = take.facts["take_id"]
-        variants = [manifest for manifest in inputs.of("variants") if manifest.facts["takes"] == [take_id]]
+        take_id = TakeFacts.of(take).take_id
+        variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).take_id == take_id]
         if variants:
             found.append(TOPIC.shard(inputs, take_id, take=[take], variants=variants))
     return found
@@ -40,7 +41,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score the variants of one take and draw the extremes beside the source."""
     take, parts = shard.ref("take"), shard.refs("variants")
-    take_id = store.manifest(take).facts["take_id"]
+    take_id = TakeFacts.of(store.manifest(take)).take_id
     tables = [store.read(ref, "variant_quality") for ref in parts]
     names = [name for table in tables for name in table["variant_id"]]
     homes = [ref for ref, table in zip(parts, tables, strict=True) for _ in range(table.num_rows)]
@@ -70,7 +71,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if contacts.weights.size:
         whose = "found in the source"
         if held:
-            is_known = solved.contacts == known_contacts(store.manifest(take))
+            is_known = solved.contacts == TakeFacts.of(store.manifest(take)).contacts
             whose = "known of the take" if is_known else "stated by the study"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
     drifts = contact_drifts(contacts, source, _motions(store, parts, tables))

@@ -16,6 +16,7 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.facts import DrawFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 _REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "min": np.min, "max": np.max}
@@ -41,13 +42,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
     """Return the segments of the first chain of the first seed of each density."""
     found = []
-    for density in sorted({str(manifest.facts["density"]) for manifest in draws}):
-        own = [manifest for manifest in draws if manifest.facts["density"] == density]
-        first = min(int(manifest.facts["seed_index"]) for manifest in own)
-        found += sorted(
-            (one for one in own if int(one.facts["seed_index"]) == first and int(one.facts["chain"]) == 0),
-            key=lambda one: int(one.facts["segment"]),
-        )
+    facts = [(DrawFacts.of(manifest), manifest) for manifest in draws]
+    for density in sorted({one.density for one, _ in facts}):
+        first = min(one.seed_index for one, _ in facts if one.density == density)
+        place = (density, first, 0)
+        own = [pair for pair in facts if (pair[0].density, pair[0].seed_index, pair[0].chain) == place]
+        found += [manifest for _, manifest in sorted(own, key=lambda pair: pair[0].segment)]
     return found
 
 
@@ -59,8 +59,9 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
         table = store.read(ref, "draws", columns=["pair17_m", "log_prior"])
         parts = (np.asarray(table["pair17_m"], dtype=np.float64), np.asarray(table["log_prior"]))
         manifest = store.manifest(ref)
-        chains.setdefault(str(manifest.facts["density"]), []).append(parts)
-        places[str(manifest.facts["density"])] = f"draws:STUDY/{manifest.partition}"
+        density = DrawFacts.of(manifest).density
+        chains.setdefault(density, []).append(parts)
+        places[density] = f"draws:STUDY/{manifest.partition}"
     scores, pictures, captions = [], {}, {}
     for density, parts_of in sorted(chains.items()):
         pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))

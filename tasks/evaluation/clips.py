@@ -10,6 +10,7 @@ from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.ground_truth import rate_of
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.facts import SequenceFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20
@@ -34,8 +35,8 @@ def _plan(inputs: StageInputs, settings: ClipSettings) -> list[Shard]:
     return [
         TOPIC.shard(inputs, sequence_id, settings.part(ClipParameters, sequence_id=sequence_id), annotations=[manifest])
         for manifest in inputs.of("annotations")
-        if manifest.facts["purpose"] != "random_views"
-        for sequence_id in manifest.facts["sequence_ids"]
+        if (facts := SequenceFacts.of(manifest)).purpose != "random_views"
+        for sequence_id in facts.sequence_ids
     ]
 
 

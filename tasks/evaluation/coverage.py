@@ -24,7 +24,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import read_rates, read_take_frames, read_takes
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
-from tasks.poses import num_persons
+from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 SPLITS = ("annotated", "unannotated", "held_out")
@@ -51,17 +51,15 @@ class CoverageParameters(CoverageSettings):
 def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
     """Plan one shard per part of the real frames, over the draws of every density and the grown seeds."""
     draws = draw_manifests(inputs)
-    takes = [manifest for manifest in inputs.of("poses") if num_persons(manifest) == 2]
+    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons == 2]
     annotations = [
-        manifest
-        for manifest in inputs.of("annotations")
-        if manifest.facts["is_virtual"] and manifest.facts["purpose"] == "random_views"
+        manifest for manifest in inputs.of("annotations") if SequenceFacts.of(manifest).purpose == "random_views"
     ]
     if not draws or not takes:
         return []
-    seeds = [seed for seed in inputs.of("seeds") if seed.facts["kind"] != GROWN]
+    seeds = [seed for seed in inputs.of("seeds") if SeedFacts.of(seed).kind != GROWN]
     named = {"takes": takes, "annotations": annotations, "first_seed": seeds[:1], "draws": draws}
-    has_held_out = any(take.facts["is_held_out"] for take in takes)
+    has_held_out = any(TakeFacts.of(take).is_held_out for take in takes)
     return [
         TOPIC.shard(inputs, split, settings.part(CoverageParameters, split=split), **named)
         for split in SPLITS
@@ -75,11 +73,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     split, take_refs, draw_refs = options.split, shard.refs("takes"), shard.refs("draws")
     held_out = held_out_takes(store, take_refs)
     refuse_learned(store, draw_refs, held_out)
-    learned = [ref for ref in take_refs if store.manifest(ref).facts["is_prior"]]
+    learned = [ref for ref in take_refs if TakeFacts.of(store.manifest(ref)).is_prior]
     takes = read_takes(store, [ref for ref in take_refs if ref not in learned], "pair17_m")
     notes = []
     if learned:
-        names = ", ".join(sorted(str(store.manifest(ref).facts["take_id"]) for ref in learned))
+        names = ", ".join(sorted(take.take_id for take in TakeFacts.read(store, learned)))
         notes.append(f"Coverage is not measured on {names}: priors learned from what people did there.")
     annotated = set(read_take_frames(store, shard.refs("annotations"), keys_only=True).values())
     generator = stream(shard.seed, TOPIC.name, split)
@@ -140,12 +138,12 @@ def _items(
 
 def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
     """Return the draws from the first seed alone of each density that has many others: how far chains walk."""
-    facts = {ref: store.manifest(ref).facts for ref in refs if "draws" in store.manifest(ref).tables}
+    facts = {ref: DrawFacts.of(one) for ref in refs if "draws" in (one := store.manifest(ref)).tables}
     seeds: dict[str, set[int]] = {}
     for fact in facts.values():
-        seeds.setdefault(str(fact["density"]), set()).add(int(fact["seed_index"]))
+        seeds.setdefault(fact.density, set()).add(fact.seed_index)
     first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
-    own = tuple(ref for ref, fact in facts.items() if first.get(str(fact["density"])) == int(fact["seed_index"]))
+    own = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
     return {f"{name}_first_seed": found.pairs_m for name, found in read_draw_sets(store, own).items()}
 
 

@@ -10,6 +10,7 @@ from pasdedeux.evaluation.verdicts import Criterion, Items
 from storage_schema import Store
 from tasks.evaluation.reconstruction import read_reconstructed
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 _SUFFIX = ".detector"
@@ -19,12 +20,13 @@ MAX_SWITCHES_PER_MINUTE = 1.0
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per reconstructed sequence of a detector, with that of the same video beside it."""
     motions = {one.partition: one for one in inputs.of("motions") if one.tables["motions"].rows}
-    annotations = {name: one for one in inputs.of("annotations") for name in one.facts.get("sequence_ids", ())}
+    annotations = {name: one for one in inputs.of("annotations") for name in SequenceFacts.of(one).sequence_ids}
     found = []
     for name, detected in motions.items():
         plain = motions.get(name.removesuffix(_SUFFIX))
         if name.endswith(_SUFFIX) and plain is not None:
-            takes = [one for one in inputs.of("poses") if one.facts["take_id"] in detected.facts["sequence_takes"]]
+            shown = MotionFacts.of(detected).sequence_takes
+            takes = [one for one in inputs.of("poses") if TakeFacts.of(one).take_id in shown]
             sources = [annotations[one.partition] for one in (detected, plain)]
             found.append(
                 TOPIC.shard(inputs, name, detected=[detected], plain=[plain], annotations=sources, takes=takes)
@@ -35,7 +37,8 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one sequence: who is who, and the error of each person by the last method."""
     annotations, takes = shard.refs("annotations"), shard.refs("takes")
-    (settled,) = (one for one in store.manifest(annotations[0]).facts["detected"] if one["sequence_id"] == shard.name)
+    facts = SequenceFacts.of(store.manifest(annotations[0]))
+    (settled,) = (one for one in facts.detected if one.sequence_id == shard.name)
     scores = []
     for name in ("detected", "plain"):
         for person in read_reconstructed(store, shard.ref(name), annotations, takes):
@@ -50,9 +53,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             )
     minutes = float(np.ptp(store.read(annotations[1], "annotations", columns=["time_s"])["time_s"])) / 60.0
     figures = {
-        "identity_switches_per_minute": settled["num_identity_switches"] / minutes,
-        "extra_people": float(settled["num_people"] - settled["num_true_people"]),
-        "wrong_pairs": float(sum(pair != [0, 1] for pair in settled["couples"]) + ([0, 1] not in settled["couples"])),
+        "identity_switches_per_minute": settled.num_identity_switches / minutes,
+        "extra_people": float(settled.num_people - settled.num_true_people),
+        "wrong_pairs": float(sum(pair != (0, 1) for pair in settled.couples) + ((0, 1) not in settled.couples)),
     }
     scores += [Score(metric, "followed", value, item=shard.name) for metric, value in figures.items()]
     switches = {"followed": np.array([figures["identity_switches_per_minute"]])}

@@ -23,7 +23,7 @@ from pasdedeux.learning.clips import HISTORY, HORIZON, clips_of, joint_errors
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.poses import num_persons
+from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import refuse_without_torch
@@ -43,13 +43,13 @@ class OneTraining(Parameters):
 
 def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     """Plan a shard for each repetition; interactions of one take cannot be split by take and are left out."""
-    takes = [take for take in inputs.of("poses") if num_persons(take) == 2]
+    takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
     kinds = [interaction_of(take) for take in takes]
     used = [take for take, kind in zip(takes, kinds, strict=True) if kinds.count(kind) > 1]
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
         return []
-    ids = {take.facts["take_id"] for take in used}
-    variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in ids]
+    ids = {TakeFacts.of(take).take_id for take in used}
+    variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).take_id in ids]
     return [
         topic.shard(
             inputs,
@@ -148,12 +148,12 @@ def _split(shard: Shard, store: Store, told: OneTraining) -> tuple[list[Manifest
     train: list[Manifest] = []
     test: list[Manifest] = []
     for kind in sorted(by_kind):
-        takes = sorted(by_kind[kind], key=lambda take: str(take.facts["take_id"]))
+        takes = sorted(by_kind[kind], key=lambda take: TakeFacts.of(take).take_id)
         takes = [takes[at] for at in generator.permutation(len(takes))]
-        takes.sort(key=lambda take: bool(take.facts["is_held_out"]))
+        takes.sort(key=lambda take: TakeFacts.of(take).is_held_out)
         num_test = max(round(judge * len(takes)), 1)
         num_train = min(max(round(learn * len(takes)), 1), len(takes) - num_test)
-        train += [take for take in takes[:num_train] if not take.facts["is_held_out"]]
+        train += [take for take in takes[:num_train] if not TakeFacts.of(take).is_held_out]
         test += takes[len(takes) - num_test :]
     return train, test
 
@@ -170,7 +170,7 @@ def _clips(
     )
     found: dict[str, list[np.ndarray]] = {}
     for take in takes:
-        take_id = take.facts["take_id"]
+        take_id = TakeFacts.of(take).take_id
         source = variants.takes[take_id].source
         motions = [source.positions_m]
         if is_augmented:

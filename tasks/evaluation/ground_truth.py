@@ -9,6 +9,7 @@ import numpy as np
 from pasdedeux.cameras.pinhole import PinholeCamera
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place
+from tasks.facts import SequenceFacts, TakeFacts
 from tasks.poses import read_poses
 
 TakeFrames = dict[tuple[str, int], tuple[str, int]]
@@ -41,13 +42,12 @@ def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, Pinhole
 
 def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
     """Return one positions column of every take as (frame, person, joint, 3)."""
-    return {store.manifest(ref).facts["take_id"]: read_poses(store, ref, column)[column] for ref in refs}
+    return {TakeFacts.of(store.manifest(ref)).take_id: read_poses(store, ref, column)[column] for ref in refs}
 
 
 def read_rates(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, float]:
     """Return the frames per second of every take."""
-    found = [store.manifest(ref).facts for ref in refs]
-    return {str(facts["take_id"]): float(facts["rate_hz"]) for facts in found}
+    return {take.take_id: take.rate_hz for take in TakeFacts.read(store, refs)}
 
 
 def true_pair(place: Place, frames: TakeFrames, takes: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray] | None:
@@ -69,7 +69,7 @@ def read_take_frames(store: Store, refs: Iterable[ArtifactRef], *, keys_only: bo
     """
     frames = {}
     for ref in refs:
-        if not store.manifest(ref).facts["is_virtual"]:
+        if not SequenceFacts.of(store.manifest(ref)).is_virtual:
             continue  # a video of the user's own may show a take, but nobody knows which frame of it
         table = store.read(ref, "annotations", columns=["sequence_id", "frame", "is_key", "take_id", "take_frame"])
         for sequence_id, frame, is_key, take_id, take_frame in zip(

@@ -23,7 +23,7 @@ from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_seen_pa
 from tasks.draw_sets import draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import read_rates, read_take_frames, read_takes, true_pair
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
-from tasks.poses import num_persons
+from tasks.facts import DrawFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 _NUM_JUDGED = 24
@@ -40,13 +40,15 @@ _BASELINES = (PRIOR_ONLY, _NEAREST, _REAL)
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard over what was left out of the annotations that draws are made from, and of held-out takes."""
     learned = annotated_pairs(inputs)
-    held_out = [one for one in inputs.of("annotations") if one.facts.get("is_held_out") and views_of([one], inputs)]
-    held_out = [one for one in held_out if num_persons(one) == 2]
+    held_out = [
+        one for one in inputs.of("annotations") if SequenceFacts.of(one).is_held_out and views_of([one], inputs)
+    ]
+    held_out = [one for one in held_out if SequenceFacts.of(one).num_persons == 2]
     draws = draw_manifests(inputs)
     learned = [one for one in learned if views_of([one], inputs)]
     if not draws or not learned:
         return []
-    takes = [manifest for manifest in inputs.of("poses") if num_persons(manifest) >= 2]
+    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons >= 2]
     every = [*learned, *held_out]
     views = [views_of([one], inputs)[0] for one in every]
     return [TOPIC.shard(inputs, "images", annotations=every, views=views, draws=draws, takes=takes)]
@@ -55,15 +57,15 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Measure how near draws come to images that they were not made from, and draw a map of annotations."""
     annotations, views, draw_refs = shard.refs("annotations"), shard.refs("views"), shard.refs("draws")
-    facts = [store.manifest(ref).facts for ref in annotations]
+    facts = SequenceFacts.read(store, annotations)
     used: dict[Place, SeenPair] = {}
     left_out: dict[Place, SeenPair] = {}
     held_out: dict[Place, SeenPair] = {}
     for fact, *refs in zip(facts, annotations, views, strict=True):
         for place, one in read_seen_pairs(store, *refs, num_hypotheses=_NUM_HYPOTHESES)[0].items():
-            group = held_out if fact.get("is_held_out", False) else left_out if one.is_left_out else used
+            group = held_out if fact.is_held_out else left_out if one.is_left_out else used
             group[place] = one
-    stills = {name for fact in facts for name in fact.get("why_no_video", {})}
+    stills = {name for fact in facts for name in fact.why_no_video}
     judged = {"left_out": _apart(left_out, used, stills), "held_out": held_out}
     if held_out:
         refuse_learned(store, draw_refs, held_out_takes(store, shard.refs("takes")))
@@ -113,9 +115,9 @@ def _takes_and_times(
     store: Store, shard: Shard, places: Sequence[Place], stills: set[str]
 ) -> tuple[list[str], list[float]]:
     """Return the take of each image and its time there, seconds; each still of one's own is a moment of its own."""
-    facts = {ref: store.manifest(ref).facts for ref in shard.refs("annotations")}
     frames, rates = read_take_frames(store, shard.refs("annotations")), read_rates(store, shard.refs("takes"))
-    own = {name: float(fact["rate_hz"]) for fact in facts.values() for name in fact.get("sequence_ids", ())}
+    shown = SequenceFacts.read(store, shard.refs("annotations"))
+    own = {name: fact.rate_hz for fact in shown for name in fact.sequence_ids}
     takes, times_s = [], []
     for place in places:
         is_virtual = (place.sequence_id, place.frame) in frames
@@ -157,7 +159,7 @@ def _spread(every: Mapping[Place, SeenPair], count: int) -> list[SeenPair]:
 
 def _real_pairs(store: Store, shard: Shard, used: Mapping[Place, SeenPair]) -> np.ndarray:
     """Return the true pairs behind the annotations that draws were made from, (n, 2, 17, 3); none of real video."""
-    virtual = [ref for ref in shard.refs("annotations") if store.manifest(ref).facts["is_virtual"]]
+    virtual = [ref for ref in shard.refs("annotations") if SequenceFacts.of(store.manifest(ref)).is_virtual]
     frames, takes = read_take_frames(store, virtual), read_takes(store, shard.refs("takes"), "pair17_m")
     found = [true_pair(place, frames, takes) for place in used]
     return np.array([one[1] for one in found if one is not None]).reshape(-1, 2, 17, 3)
@@ -180,7 +182,7 @@ def _map(
         rows = [row for row in range(table.num_rows) if table["sequence_id"][row] is not None]
         places = [(str(table[names[0]][row]), *(int(table[name][row]) for name in names[1:])) for row in rows]
         found = [by_name[place].image_m for place in places if place in by_name]
-        nearest.setdefault(str(store.manifest(ref).facts["density"]), []).extend(found)
+        nearest.setdefault(DrawFacts.of(store.manifest(ref)).density, []).extend(found)
     try:
         return annotation_map_figure(
             np.array([one.image_m for one in _spread(used, _NUM_MAPPED)]),

@@ -32,10 +32,10 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
-from tasks.draw_sets import GROWN, draw_manifests, read_all_draws, read_draw_sets
+from tasks.draw_sets import GROWN, density_of, draw_manifests, read_all_draws, read_draw_sets
 from tasks.evaluation.ground_truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
-from tasks.poses import num_persons
+from tasks.facts import LiftedFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
@@ -64,13 +64,13 @@ class LiftedPairsSettings(Parameters):
 def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     """Plan a shard over all lifted pairs, one that shows some, one over real pairs with joints and frames hidden."""
     lifted = list(inputs.of("lifted_pairs"))
-    takes = [manifest for manifest in inputs.of("poses") if num_persons(manifest) >= 2]
-    couples = [manifest for manifest in takes if num_persons(manifest) == 2]
+    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons >= 2]
+    couples = [manifest for manifest in takes if TakeFacts.of(manifest).num_persons == 2]
     known = {ref for manifest in lifted for ref in manifest.inputs}
     shown = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
-    annotations = [manifest for manifest in shown if manifest.facts["is_virtual"]]
+    annotations = [manifest for manifest in shown if SequenceFacts.of(manifest).is_virtual]
     found = []
-    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
+    draws = [one for one in draw_manifests(inputs) if density_of(one) != PRIOR_ONLY]
     shown = [one for one in shown if views_of([one], inputs)]
     learned = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
     if shown and draws and learned:
@@ -103,9 +103,9 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     expected: dict[str, list[tuple[list[float], np.ndarray, np.ndarray]]] = {}
     examples: dict[str, dict[Place, dict[str, np.ndarray]]] = {}
     for ref in shard.refs("lifted"):
-        facts = store.manifest(ref).facts
-        if facts["is_held_out"]:
-            refuse_overlap(f"artifact {store.manifest(ref).partition}", facts["learned_takes"], held_out)
+        facts = LiftedFacts.of(store.manifest(ref))
+        if facts.is_held_out:
+            refuse_overlap(f"artifact {store.manifest(ref).partition}", facts.learned_takes, held_out)
         for table_name, sink in (("lifted_pairs", found), ("in_betweens", between)):
             if table_name not in store.manifest(ref).tables:
                 continue
@@ -300,10 +300,10 @@ def _spread_places(takes: Mapping[str, np.ndarray], count: int, gap: int) -> lis
     return [every[at] for at in evenly_spread(len(every), count, has_ends=False)]
 
 
-def _split(facts: dict[str, object], is_held_out: bool) -> str:
+def _split(facts: LiftedFacts, is_held_out: bool) -> str:
     if is_held_out:
         return "held_out"
-    return "annotated" if facts["purpose"] == "random_views" else "unannotated"
+    return "annotated" if facts.purpose == "random_views" else "unannotated"
 
 
 TOPIC = Topic(

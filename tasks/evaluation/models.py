@@ -17,8 +17,9 @@ from pasdedeux.learning import BASELINES, DEFAULT_MODELS, SPLIT_NAMES, VariantKe
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
-from tasks.training.items import StoredVariants, interaction_of, skeleton_name
+from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored
 
 _DRAWS = 10
@@ -29,12 +30,12 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per split, with every model trained on it."""
     splits: dict[str, list[Manifest]] = {}
     for manifest in inputs.of("models"):
-        splits.setdefault(manifest.facts["split"], []).append(manifest)
+        splits.setdefault(ModelFacts.of(manifest).split, []).append(manifest)
     found = []
     for split, models in splits.items():
-        tested = set(models[0].facts["test"])
-        takes = [manifest for manifest in inputs.of("poses") if manifest.facts["take_id"] in tested]
-        variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in tested]
+        tested = set(ModelFacts.of(models[0]).test)
+        takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in tested]
+        variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).take_id in tested]
         found.append(TOPIC.shard(inputs, split, models=models, takes=takes, variants=variants))
     return found
 
@@ -42,16 +43,16 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants, and show the best, a middling and the worst of them."""
     stored = [store.manifest(ref) for ref in shard.refs("models")]
-    facts = stored[0].facts
-    skeleton = skeleton_name(stored[0])
+    facts = ModelFacts.of(stored[0])
+    skeleton = facts.skeleton
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), skeleton)
-    models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in stored}
+    models = {ModelFacts.of(manifest).model: load_stored(store, manifest) for manifest in stored}
     meters: dict[str, ModelMeter] = {}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in (*models, SOLVER)}
     tested: list[VariantKey] = []
     trivial = DEFAULT_MODELS if set(models).difference(DEFAULT_MODELS) else BASELINES
     parts: list[Items] = []
-    for item in variants.items(_named(facts["test"])):
+    for item in variants.items(_named(facts.test)):
         request = item.request
         tested.append(VariantKey(request.take_id, item.variant_id, request.bone_scale))
         if request.take_id not in meters:
@@ -62,11 +63,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         by_frame = {name: frame_errors_cm(motion, item.motion_m) for name, motion in predicted.items()}
         times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
         parts.append(Items(by_frame, [request.take_id] * len(times_s), times_s, trivial, count=1))
-    split = f"{facts['split']} test"
+    split = f"{facts.split} test"
 
     def scores_where(item: str, rows: Sequence[int]) -> list[Score]:
         mine = {name: [found[row] for row in rows] for name, found in errors.items()}
-        own = None if facts["shares_takes"] else [tested[row].take_id for row in rows]
+        own = None if facts.shares_takes else [tested[row].take_id for row in rows]
         return model_scores(mine, baselines=trivial, split=split, item=item, takes=own) if rows else []
 
     distances = {name: found for name, found in errors.items() if name != SOLVER}
@@ -76,10 +77,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             distances,
             baselines=DEFAULT_MODELS,
             split=split,
-            takes=None if facts["shares_takes"] else [key.take_id for key in tested],
+            takes=None if facts.shares_takes else [key.take_id for key in tested],
         ),
     ]
-    interactions = {take.facts["take_id"]: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))}
+    interactions = {
+        TakeFacts.of(take).take_id: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))
+    }
     for motion in sorted({interactions[key.take_id] for key in tested}):
         own = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
         scores += scores_where(motion, own)
@@ -87,20 +90,20 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += scores_where(f"{motion} at {LARGEST_SCALE}", largest)
     streams = partial(stream, shard.seed, "evaluation", "generated", split)
     scores += _generated(models, meters, streams, baselines=trivial, split=split)
-    shared = " The takes are those of the training set, at other scales." if facts["shares_takes"] else ""
+    shared = " The takes are those of the training set, at other scales." if facts.shares_takes else ""
     pictures = {
-        f"models-{facts['split']}.svg": model_figure(
-            [key.furthest_scale for key in tested], distances, baselines=trivial, split=facts["split"]
+        f"models-{facts.split}.svg": model_figure(
+            [key.furthest_scale for key in tested], distances, baselines=trivial, split=facts.split
         )
     }
     captions = {
-        f"models-{facts['split']}.svg": f"Error of each model on the {len(tested)} test variants of split "
-        f"{facts['split']}: lower is better, dashed are the trivial ways.{shared}"
+        f"models-{facts.split}.svg": f"Error of each model on the {len(tested)} test variants of split "
+        f"{facts.split}: lower is better, dashed are the trivial ways.{shared}"
     }
     shown = best_model(scores, split=split, baselines=trivial)
     if shown is not None:
         cases = extreme_cases([found["E_r"] for found in errors[shown]])
-        name = f"cases-{facts['split']}.player.json"
+        name = f"cases-{facts.split}.player.json"
         wanted = {(tested[row].take_id, tested[row].variant_id): what for what, row in cases.items()}
         drawn = {wanted[item.request.take_id, item.variant_id]: item for item in variants.items(list(wanted))}
         pictures[name] = case_player(
@@ -111,26 +114,26 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             for what, row in cases.items()
         )
         captions[name] = (
-            f"{in_words(shown)}, on split {facts['split']}; the true variant is grey. Better: no grey to see. {listed}."
+            f"{in_words(shown)}, on split {facts.split}; the true variant is grey. Better: no grey to see. {listed}."
         )
     keys = [
         f"{name}: the distance of key pairs (JPD) is between {pairs}."
         for name, one in sorted(meters.items())
         if (pairs := one.key_names())
     ]
-    learned = len({key for manifest in stored for key in manifest.facts["train"]})
+    learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
         *([f"Models and figures are of {skeleton}; what is of surfaces is not measured."] * (skeleton != BODY22.name)),
-        f"Split {facts['split']}: {len(tested)} test variants of {len(meters)} "
+        f"Split {facts.split}: {len(tested)} test variants of {len(meters)} "
         f"take{'s' * (len(meters) != 1)}, learned from {learned}. "
         + (
             "Intervals are over test variants, which of one take are much alike: they say nothing of other takes."
-            if facts["shares_takes"]
+            if facts.shares_takes
             else f"Intervals are over takes, as variants of one are much alike, where there are {FEWEST_UNITS}."
         ),
         *keys,
     ]
-    items = {str(facts["split"]).replace("_", " "): Items.joined(parts)}
+    items = {str(facts.split).replace("_", " "): Items.joined(parts)}
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes, items=items)
 
 

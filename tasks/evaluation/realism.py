@@ -21,9 +21,9 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.augmentation import read_take
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.poses import num_persons
+from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
-from tasks.training.items import StoredVariants, interaction_of, skeleton_name
+from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored, refuse_without_torch
 
 if TYPE_CHECKING:
@@ -52,13 +52,13 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     that splits across these test, and features of two classifiers have no distances in common.
     """
     models = inputs.of("models")
-    takes = [take for take in inputs.of("poses") if num_persons(take) == 2]
+    takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
     if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
         return []
-    models = [model for model in models if skeleton_name(model) == BODY22.name]
+    models = [model for model in models if ModelFacts.of(model).skeleton == BODY22.name]
     if not models:
         return [TOPIC.shard(inputs, OTHER_SKELETON)]
-    variants = [manifest for manifest in inputs.of("variants") if num_persons(manifest) == 2]
+    variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).num_persons == 2]
     return [TOPIC.shard(inputs, "all", settings.part(LearnedSettings), models=models, takes=takes, variants=variants)]
 
 
@@ -73,24 +73,24 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 
     settings = shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
-    learned = [take for take in takes if not take.facts["is_held_out"]]
+    learned = [take for take in takes if not TakeFacts.of(take).is_held_out]
     real = _real_clips(store, learned)
     if len(real) < 2:
         return TopicResult(notes=["Left out: takes that are not held out are of one interaction alone."])
     classifier = train_classifier(real, settings.classifier, stream(shard.seed, "evaluation", "classifier"))
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
-    kinds = {take.facts["take_id"]: interaction_of(take) for take in takes}
+    kinds = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
     splits: dict[str, list[Manifest]] = {}
     for ref in shard.refs("models"):
         manifest = store.manifest(ref)
-        splits.setdefault(manifest.facts["split"], []).append(manifest)
+        splits.setdefault(ModelFacts.of(manifest).split, []).append(manifest)
     scores, notes = [], []
     for split, manifests in splits.items():
-        test = [(take_id, name) for take_id, names in manifests[0].facts["test"].items() for name in names]
+        test = [(take_id, name) for take_id, names in ModelFacts.of(manifests[0]).test.items() for name in names]
         step = max(len(test) / settings.num_realism_variants, 1.0)
         chosen = [test[int(at)] for at in np.arange(0.0, len(test), step)]
-        models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
-        is_of_takes = not manifests[0].facts["shares_takes"]
+        models = {ModelFacts.of(manifest).model: load_stored(store, manifest) for manifest in manifests}
+        is_of_takes = not ModelFacts.of(manifests[0]).shares_takes
         predicted: dict[str, list[_Clips]] = {}
         drawn: dict[str, list[_Clips]] = {}
         strata: list[tuple[str, str]] = []
@@ -111,7 +111,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             if len(clips) > 1:
                 scores += _compare(classifier, clips, *dealt, split=f"{split} test", item=of)
         tested = {take_id for take_id, _ in chosen}
-        seen = sorted(tested.intersection(take.facts["take_id"] for take in learned))
+        seen = sorted(tested.intersection(TakeFacts.of(take).take_id for take in learned))
         notes.append(f"Split {split}: of {len(tested)} tested takes the classifier learned from {len(seen)}.")
     counted = ", ".join(f"{kind} {len(found)}" for kind, found in real.items())
     return TopicResult(
@@ -119,7 +119,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         notes=[
             f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
             f"{classifier.accuracy(real):.0f} % of them right, and has the digest {classifier.digest}.",
-            f"Takes of the classifier: {', '.join(sorted(take.facts['take_id'] for take in learned))}.",
+            f"Takes of the classifier: {', '.join(sorted(TakeFacts.of(take).take_id for take in learned))}.",
             *notes,
         ],
     )

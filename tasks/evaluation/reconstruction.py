@@ -21,6 +21,7 @@ from pasdedeux.evaluation.verdicts import Criterion
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.evaluation.ground_truth import rate_of, read_cameras, read_rates, read_take_frames, read_takes
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
+from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 
@@ -30,8 +31,11 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     for motions in inputs.of("motions"):
         if not motions.tables["motions"].rows:
             continue
-        annotations = [m for m in inputs.of("annotations") if m.ref in motions.inputs and m.facts["is_virtual"]]
-        takes = [m for m in inputs.of("poses") if m.facts["take_id"] in motions.facts["sequence_takes"]]
+        annotations = [
+            m for m in inputs.of("annotations") if m.ref in motions.inputs and SequenceFacts.of(m).is_virtual
+        ]
+        shown = MotionFacts.of(motions).sequence_takes
+        takes = [m for m in inputs.of("poses") if TakeFacts.of(m).take_id in shown]
         found.append(TOPIC.shard(inputs, motions.partition, motions=[motions], annotations=annotations, takes=takes))
     return found
 
@@ -39,14 +43,12 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one sequence."""
     motions, annotations = shard.ref("motions"), shard.refs("annotations")
-    facts = store.manifest(motions).facts
-    refuse_overlap(
-        f"the projection database of sequence {shard.name}", facts["database_takes"], facts["sequence_takes"]
-    )
+    facts = MotionFacts.of(store.manifest(motions))
+    refuse_overlap(f"the projection database of sequence {shard.name}", facts.database_takes, facts.sequence_takes)
     if not annotations:
         return _show(store, motions, f"{shard.name}: a video whose truth nobody knows; no scores.")
     cameras = read_cameras(store, annotations)
-    split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
+    split = "held_out" if any(one.is_held_out for one in SequenceFacts.read(store, annotations)) else "annotated"
     table = _read_motions(store, motions)
     sequence_id = str(table["sequence_id"][0])
     scores = []

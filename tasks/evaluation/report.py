@@ -19,6 +19,7 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
 from tasks.evaluation.topic import EVALUATION, ScoresOf, Topic
+from tasks.facts import Facts, TakeFacts, TopicFacts
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, verdict_of
 from tasks.summary import judge, summary_of
 
@@ -85,7 +86,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
         store,
         tables={"verdicts": verdict_columns(judged)} if judged else {},
         attachments={**figures, "report.html": page.encode(), "card.md": render_card(card).encode()},
-        facts={"takes": merge_takes(*inputs)},
+        facts=Facts(takes=merge_takes(*inputs)),
     )
 
 
@@ -163,12 +164,15 @@ def _section(
     pictures = [Picture(f"{topic.name}-compared.svg", drawn[1], drawn[0])] if drawn else []
     for part in _worst_and_best_first(parts):
         pictures += [
-            Picture(name=name, caption=part.facts["captions"][name], content=store.attachment(part.ref, name))
+            Picture(name=name, caption=TopicFacts.of(part).captions[name], content=store.attachment(part.ref, name))
             for name in sorted(part.attachments, key=lambda name: (not name.endswith(PLAYER), name))
         ]
     return Section(
         heading=topic.heading,
-        paragraphs=(topic.introduction, *_shortened(folded(note for part in parts for note in part.facts["notes"]))),
+        paragraphs=(
+            topic.introduction,
+            *_shortened(folded(note for part in parts for note in TopicFacts.of(part).notes)),
+        ),
         tables=(*topic.tables(scores), *([] if means is None else [means]), *figures, *names),
         pictures=tuple(pictures),
         verdicts={
@@ -207,13 +211,13 @@ def _card(
     for manifest in inputs:
         for table, part in manifest.tables.items():
             rows[table] = rows.get(table, 0) + part.rows
-    takes = [manifest.facts for manifest in inputs if "poses" in manifest.tables]
+    takes = [TakeFacts.of(manifest) for manifest in inputs if "poses" in manifest.tables]
     return DatasetCard(
         title=settings.title,
         description=settings.description,
         summary=summary,
         rows=rows,
-        takes=sorted(facts["take_id"] for facts in takes),
-        held_out=sorted(facts["take_id"] for facts in takes if facts["is_held_out"]),
+        takes=sorted(take.take_id for take in takes),
+        held_out=sorted(take.take_id for take in takes if take.is_held_out),
         cautions=tuple(sentence for topic in topics for table, sentence in topic.cautions if table in rows),
     )

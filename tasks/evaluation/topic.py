@@ -11,6 +11,7 @@ from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.evaluation.verdicts import Criterion, Items, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import Facts, TakeFacts, TopicFacts
 from tasks.stage import Parameters, Shard, StageInputs, StageName, commit, merge_takes
 
 EVALUATION = StageName("evaluation", 45)
@@ -92,11 +93,11 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
         store,
         tables={"scores": columns_of(topic.name, result.scores)} if result.scores else {},
         attachments=dict(result.pictures),
-        facts={
-            "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
-            "captions": dict(result.captions),
-            "notes": list(result.notes),
-        },
+        facts=TopicFacts(
+            takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+            captions=dict(result.captions),
+            notes=tuple(result.notes),
+        ),
         verdict=None if whole is None else replace(whole, paired=None),
         parts=parts,
     )
@@ -104,14 +105,13 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
 
 def held_out_takes(store: Store, refs: Sequence[ArtifactRef]) -> list[str]:
     """Return the names of the takes that are held out among these takes, sorted."""
-    facts = [store.manifest(ref).facts for ref in refs]
-    return sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
+    return sorted(take.take_id for take in TakeFacts.read(store, refs) if take.is_held_out)
 
 
 def refuse_learned(store: Store, refs: Iterable[ArtifactRef], held_out: Sequence[str]) -> None:
     """Refuse artifacts that learned from a take that is held out, as `refuse_overlap` does."""
     for manifest in map(store.manifest, refs):
-        refuse_overlap(f"artifact {manifest.partition}", manifest.facts["takes"], held_out)
+        refuse_overlap(f"artifact {manifest.partition}", Facts.of(manifest).takes, held_out)
 
 
 def refuse_overlap(what: str, learned_from: Sequence[str], evaluated: Sequence[str]) -> None:

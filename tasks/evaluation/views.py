@@ -15,6 +15,7 @@ from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, place_of
 from tasks.evaluation.ground_truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.facts import SequenceFacts, ViewFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 
@@ -34,8 +35,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     annotated = shard.refs("annotations")
     takes = read_takes(store, shard.refs("takes"), "pair17_m")
     cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
-    annotation_facts = [store.manifest(ref).facts for ref in annotated]
-    held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
+    held_out = {take for facts in SequenceFacts.read(store, annotated) if facts.is_held_out for take in facts.takes}
     rates = read_rates(store, shard.refs("takes"))
     scores: list[Score] = []
     items = Items()
@@ -58,7 +58,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
                 items = Items(view_errors(estimated, weight, true), takes_of, times_s, VIEW_BASELINES)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
-    skipped = [note for ref in shard.refs("views") for note in store.manifest(ref).facts.get("skipped", [])]
+    skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
     return TopicResult(
         scores=scores,
         pictures={"views.svg": picture},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
+from tasks.facts import SkippedFacts
 from tasks.ingest.annotations import run_annotations
 from tasks.ingest.parameters import IngestParameters
 from tasks.ingest.plan import INGEST, plan
@@ -34,7 +35,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return run_annotations(shard, store, parameters)
         case LeftOutParameters(left_out=left_out):
             words = f"{', '.join(left_out)} left out: {next(iter(left_out.values()))}"
-            facts = {"kind": "left_out", "takes": [], "skipped": list(left_out.values())}
+            facts = SkippedFacts(takes=(), skipped=tuple(left_out.values()))
             return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, words))
         case other:
             raise AssertionError(f"ingest has no shards of {type(other).__name__}")

@@ -7,7 +7,6 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.facts import Couple, SequenceFacts
 from tasks.ingest.cameras import CameraFiles, find_cameras, read_header, video_beside
 from tasks.ingest.parameters import AnnotationOptions
 from tasks.ingest.shard_parameters import AnnotationParameters
@@ -232,42 +232,34 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "image_height_px": [size[1] if size else None for size in sizes],
             }
         },
-        facts={
-            "kind": "sequences",
-            "takes": [parameters.take_id] if parameters.take_id else [],
-            "sequence_ids": sorted(set(frames.sequence_id)),
-            "is_held_out": parameters.is_held_out,
-            "is_virtual": False,
-            "num_frames": len(people),
-            "num_persons": max(people.values()),
-            "rate_hz": rate_hz,
-            "purpose": "given",
-            "format": parameters.format,
-            "layout": frames.layout,
-            "num_skipped_frames": len(frames.skipped),
-            "skipped_files": list(frames.skipped[:MAX_NAMED_FILES]),
-            **_decisions(resolved),
-        },
+        facts=SequenceFacts(
+            takes=(parameters.take_id,) if parameters.take_id else (),
+            sequence_ids=tuple(sorted(set(frames.sequence_id))),
+            is_held_out=parameters.is_held_out,
+            is_virtual=False,
+            num_frames=len(people),
+            num_persons=max(people.values()),
+            rate_hz=rate_hz,
+            purpose="given",
+            format=parameters.format,
+            layout=frames.layout,
+            num_skipped_frames=len(frames.skipped),
+            skipped_files=tuple(frames.skipped[:MAX_NAMED_FILES]),
+            couples=tuple(
+                Couple(sequence_id=one.sequence_id, person_ids=(pair.first, pair.second), num_near_frames=pair.num_near)
+                for one in resolved.sequences
+                for pair in one.pairs
+            )[:MAX_NAMED_FILES],
+            why_no_video={one.sequence_id: one.why_not_followed for one in resolved.sequences if one.why_not_followed},
+            num_merged_rows=sum(one.num_merged_rows for one in resolved.sequences),
+            num_ghost_rows=sum(one.num_ghost_rows for one in resolved.sequences),
+            num_repaired_joints=sum(one.num_repaired_joints for one in resolved.sequences),
+            num_renamed_rows=sum(one.num_renamed_rows for one in resolved.sequences),
+        ),
         attachments={PEOPLE_NAME: write_decisions(row for one in resolved.sequences for row in one.decisions).encode()},
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
         verdict=_verdict(pair17.confidence > 0, len(frames.skipped), len(shard.files)),
     )
-
-
-def _decisions(resolved: ResolvedPeople) -> dict[str, Any]:
-    """Return what was decided of who is who, as facts."""
-    return {
-        "couples": [
-            {"sequence_id": one.sequence_id, "person_ids": [pair.first, pair.second], "num_near_frames": pair.num_near}
-            for one in resolved.sequences
-            for pair in one.pairs
-        ][:MAX_NAMED_FILES],
-        "why_no_video": {one.sequence_id: one.why_not_followed for one in resolved.sequences if one.why_not_followed},
-        "num_merged_rows": sum(one.num_merged_rows for one in resolved.sequences),
-        "num_ghost_rows": sum(one.num_ghost_rows for one in resolved.sequences),
-        "num_repaired_joints": sum(one.num_repaired_joints for one in resolved.sequences),
-        "num_renamed_rows": sum(one.num_renamed_rows for one in resolved.sequences),
-    }
 
 
 def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:

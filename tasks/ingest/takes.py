@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +27,7 @@ from pasdedeux.projections.sources import resample_positions
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
+from tasks.facts import TakeFacts
 from tasks.ingest.shard_parameters import DuetParameters, PersonParameters, TakeParameters
 from tasks.ingest.sources import layout_named, read_again
 from tasks.stage import Shard, SourceFile, commit
@@ -78,7 +78,7 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
     frames = people[0].motion.num_frames
     known = (contact.within(0, frames) for contact in made.known_contacts(parameters.rate_hz))
     contacts = [contact.model_dump() for contact in known if contact is not None]
-    return _commit(shard, store, parameters, people, "keep", Verdict(Level.PASS), {"contacts": contacts})
+    return _commit(shard, store, parameters, people, "keep", Verdict(Level.PASS), contacts)
 
 
 def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
@@ -113,13 +113,13 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
                 has_rotations=MOTION_FORMATS[person.format].has_rotations,
             )
         )
-    verdict, facts, objects = _verdict(parameters.persons, common), {}, None
+    verdict, contacts, objects = _verdict(parameters.persons, common), None, None
     if parameters.contacts_sha256:
         data = read_again(files[parameters.contacts_sha256])
-        facts["contacts"] = _known_contacts(parameters, people[0].motion.num_frames, data)
+        contacts = _known_contacts(parameters, people[0].motion.num_frames, data)
     if parameters.objects_sha256:
         objects = _objects(parameters, read_again(files[parameters.objects_sha256]), up_axes[0])
-    return _commit(shard, store, parameters, people, parameters.floor, verdict, facts, objects)
+    return _commit(shard, store, parameters, people, parameters.floor, verdict, contacts, objects)
 
 
 def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[dict[str, Any]]:
@@ -181,7 +181,7 @@ def _commit(
     people: list[_Person],
     floor: Literal["auto", "keep"],
     verdict: Verdict,
-    more_facts: Mapping[str, Any] = MappingProxyType({}),
+    contacts: Sequence[dict[str, Any]] | None = None,
     objects: MovingObjects | None = None,
 ) -> ArtifactRef:
     """Check the capture, put the take on the floor where asked, derive the working skeletons and commit.
@@ -193,18 +193,17 @@ def _commit(
     names = [person.source_name for person in people] if isinstance(parameters, TakeParameters) else []
     judged = judge_capture(found, parameters.capture.limits, names)
     take_id = parameters.take_id
-    facts: dict[str, Any] = {
-        "kind": "take",
-        "take_id": take_id,
-        "takes": [take_id],
-        "num_persons": len(people),
-        "num_frames": people[0].motion.num_frames,
-        "rate_hz": parameters.rate_hz,
-        "is_held_out": parameters.is_held_out,
-        "is_prior": parameters.is_prior,
-        "is_built_in": isinstance(parameters, DuetParameters),
-        **more_facts,
-    }
+    facts = TakeFacts(
+        take_id=take_id,
+        takes=(take_id,),
+        num_persons=len(people),
+        num_frames=people[0].motion.num_frames,
+        rate_hz=parameters.rate_hz,
+        is_held_out=parameters.is_held_out,
+        is_prior=parameters.is_prior,
+        is_built_in=isinstance(parameters, DuetParameters),
+        **({} if contacts is None else {"contacts": contacts}),
+    )
     tables = {"take_quality": _quality(take_id, found, judged)}
     if judged.take.level is Level.FAIL and parameters.capture.leave_out_failing:
         left_out = f"Take {take_id} was left out, its capture fails: {judged.take.reason}."
@@ -212,7 +211,7 @@ def _commit(
             shard,
             store,
             tables=tables,
-            facts={**facts, "skipped": [left_out]},
+            facts=facts.model_copy(update={"skipped": (left_out,)}),
             sources=[parameters.source],
             verdict=Verdict(Level.FAIL, left_out),
         )

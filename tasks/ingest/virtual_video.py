@@ -26,6 +26,7 @@ from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
+from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
 from tasks.ingest.shard_parameters import VideoParameters
 from tasks.poses import read_poses
 from tasks.stage import Shard, commit, stream
@@ -61,10 +62,9 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     manifest = store.find("ingest", shard.after[0])
     if manifest is None:
         raise InputError(f"take {take_id} is not in the store; run the whole stage")
+    take = TakeFacts.of(manifest)
     if "poses" not in manifest.tables:
-        return commit(
-            shard, store, tables={}, facts={"kind": "sequences", "takes": [], "skipped": manifest.facts["skipped"]}
-        )
+        return commit(shard, store, tables={}, facts=SequenceFacts(takes=(), skipped=take.skipped))
     poses = read_poses(store, manifest.ref, "pair17_m", "op14_m")
     pair17, op14 = poses["pair17_m"], poses["op14_m"]
     num_frames, num_persons = pair17.shape[:2]
@@ -72,7 +72,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     # A detector looks through the same cameras with the same noise; what it adds is drawn apart.
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)
     faults = stream(shard.seed, "ingest", take_id, "detector")
-    detected: list[dict[str, Any]] = []
+    detected: list[DetectedSequence] = []
     angles = sample_views(rng, count, _distribution(parameters))
     is_video = parameters.purpose == "video"
     keys = np.zeros(count, dtype=int) if is_video else _key_frames(rng, num_frames, count)
@@ -105,19 +105,18 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         shard,
         store,
         tables={"annotations": rows, "cameras": cameras},
-        facts={
-            "kind": "sequences",
-            "takes": [take_id],
-            "sequence_ids": cameras["sequence_id"],
-            "is_held_out": parameters.is_held_out,
-            "is_virtual": True,
-            "is_built_in": manifest.facts["is_built_in"],
-            "num_frames": num_frames if is_video else count,
-            "num_persons": num_persons,
-            "rate_hz": parameters.rate_hz,
-            "purpose": parameters.purpose,
-            "detected": detected,
-        },
+        facts=SequenceFacts(
+            takes=(take_id,),
+            sequence_ids=cameras["sequence_id"],
+            is_held_out=parameters.is_held_out,
+            is_virtual=True,
+            is_built_in=take.is_built_in,
+            num_frames=num_frames if is_video else count,
+            num_persons=num_persons,
+            rate_hz=parameters.rate_hz,
+            purpose=parameters.purpose,
+            detected=tuple(detected),
+        ),
         sources=manifest.sources,
         verdict=_verdict(shares_inside),
     )
@@ -223,7 +222,7 @@ def _add_detected(
     sequence_id: str,
     view: VirtualView,
     found: tuple[ResolvedSequence, np.ndarray],
-) -> dict[str, Any]:
+) -> DetectedSequence:
     """Add the rows of a detector's sequence, and return how well people were told apart.
 
     People are numbered as the take numbers who they are for most of the time; all others come after those.
@@ -255,16 +254,17 @@ def _add_detected(
         seen=Annotated(resolved.rows.keypoints_px, resolved.rows.confidence),
         op14=Annotated(resolved.op14.positions, resolved.op14.confidence),
     )
-    return {
-        "sequence_id": sequence_id,
-        "num_people": len(people),
-        "num_true_people": len(np.unique(true_id)),
-        "num_identity_switches": identity_switches(true_id, resolved.rows.person_id, number),
-        "couples": [
-            sorted(int(renamed[np.searchsorted(people, one)]) for one in (pair.first, pair.second))
-            for pair in resolved.decided.pairs
-        ],
-    }
+    couples = [
+        sorted(int(renamed[np.searchsorted(people, one)]) for one in (pair.first, pair.second))
+        for pair in resolved.decided.pairs
+    ]
+    return DetectedSequence(
+        sequence_id=sequence_id,
+        num_people=len(people),
+        num_true_people=len(np.unique(true_id)),
+        num_identity_switches=identity_switches(true_id, resolved.rows.person_id, number),
+        couples=tuple((one, other) for one, other in couples),
+    )
 
 
 def _add_known(

@@ -1,7 +1,7 @@
 """Stage `seeds`: where chains start: frames of takes, files, pairs lifted from 2D alone, and what grows from them."""
 
 from tasks.seeds.parameters import SEEDS, SeedFrame, SeedsParameters
-from tasks.seeds.plan import check, check_study, plan, start_indices
+from tasks.seeds.plan import check, check_study, plan
 from tasks.seeds.run import run_shard
 from tasks.stage import Stage
 
@@ -13,7 +13,6 @@ __all__ = [
     "check_study",
     "plan",
     "run_shard",
-    "start_indices",
 ]
 
 STAGE = Stage(

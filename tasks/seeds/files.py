@@ -24,6 +24,7 @@ from storage_schema import (
     resolve,
     source_credits,
 )
+from tasks.facts import Facts
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
 
@@ -155,7 +156,7 @@ def _pair_file(store: Store, manifest: Manifest, pair_m: np.ndarray, made_from: 
     return PairFile(
         pair_m=pair_m,
         made_from=made_from,
-        takes=tuple(manifest.facts.get("takes", ())),
+        takes=Facts.of(manifest).takes,
         sources=tuple(PairSource(one.name, one.licence, one.credit) for one in source_credits(store, manifest.ref)),
     )
 

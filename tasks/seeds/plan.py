@@ -9,7 +9,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.poses import num_persons
+from tasks.facts import TakeFacts
 from tasks.seeds.files import SeedFile, load_seed
 from tasks.seeds.parameters import (
     GROWN_OF_2D_ALONE,
@@ -23,8 +23,7 @@ from tasks.seeds.parameters import (
     SeedFrame,
     SeedsParameters,
 )
-from tasks.stage import Shard, StageInputs
-from tasks.torso_bases import shares_takes
+from tasks.stage import Shard, StageInputs, shares_takes
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
@@ -108,15 +107,10 @@ def check_study(sections: Mapping[str, Any]) -> None:
         )
 
 
-def start_indices(manifest: Manifest) -> list[int]:
-    """Return the indices of the seeds in an artifact from which chains start, from its facts."""
-    facts = manifest.facts
-    return [int(index) for index in facts["starts"]] if "starts" in facts else [int(facts["seed_index"])]
-
-
 def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     """Plan a shard per named frame, or as many as are to be chosen."""
-    takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
+    found = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
+    takes = {take.take_id: one for take, one in found if not take.is_held_out and take.num_persons == 2}
     limits = inputs.of("joint_limits")
     prior = parameters.part(PriorSettings).model_dump()
     wanted: list[FrameSeed | ChosenSeed] = []
@@ -146,16 +140,15 @@ def _check_frame(frame: SeedFrame, takes: Mapping[str, Manifest]) -> None:
             f"seeds.frames: take '{frame.take}' is no take of two people that may be learned from; "
             f"known ones: {', '.join(sorted(takes))}"
         )
-    last = int(takes[frame.take].facts["num_frames"]) - 1
+    last = TakeFacts.of(takes[frame.take]).num_frames - 1
     if frame.frame > last:
         raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
 
 
 def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, file: SeedFile) -> Shard:
     loaded = load_seed(file, seed_index=index)
-    held_out = [manifest for manifest in inputs.of("poses") if manifest.facts.get("is_held_out")]
-    hidden = {str(take) for manifest in held_out for take in manifest.facts.get("takes", [])}
-    seen = sorted(hidden.intersection(loaded.pair.takes))
+    held_out = {take.take_id for take in map(TakeFacts.of, inputs.of("poses")) if take.is_held_out}
+    seen = sorted(held_out.intersection(loaded.pair.takes))
     if seen:
         raise InputError(
             f"seeds.files: {file.path.name} was made from take '{seen[0]}', which this study holds out: "
@@ -164,8 +157,3 @@ def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, fil
     options = loaded.parameters.model_copy(update=parameters.part(PriorSettings).model_dump())
     read = {"joint_limits": inputs.of("joint_limits")}
     return SEEDS.shard(inputs, f"seed{index}", "file", options, read, files=loaded.files)
-
-
-def _is_usable(manifest: Manifest) -> bool:
-    facts = manifest.facts
-    return facts.get("kind") == "take" and not facts.get("is_held_out", False) and num_persons(manifest) == 2

@@ -18,6 +18,7 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from tasks.annotated_pairs import PlacedPairs, gather
+from tasks.facts import SeedFacts, TakeFacts
 from tasks.priors import read_limits
 from tasks.seeds.files import FileSeed, credits_of, read_seed
 from tasks.seeds.parameters import ChosenSeed, FrameSeed, GrownSeeds, LiftedSeeds
@@ -51,7 +52,13 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _commit_frame(
     shard: Shard, store: Store, options: FrameSeed | ChosenSeed, pair_m: np.ndarray, take_id: str, frame: int
 ) -> ArtifactRef:
-    facts = {"take_id": take_id, "take_frame": frame, "takes": _takes(shard, store)}
+    facts = SeedFacts(
+        kind="seed",
+        seed_index=options.seed_index,
+        take_id=take_id,
+        take_frame=frame,
+        takes=_takes(shard, store),
+    )
     return _commit_one(shard, store, options, pair_m, "frame", facts, take_id=[take_id], take_frame=[frame])
 
 
@@ -59,7 +66,8 @@ def _take_in(shard: Shard, store: Store, options: FileSeed) -> ArtifactRef:
     """Commit a seed that came in a file, with the lineage that the file states."""
     pair = read_seed(shard)
     origin = "draw" if pair.made_from.startswith("draws@") else "file"
-    facts = {"made_from": pair.made_from, "takes": sorted({*pair.takes, *_takes(shard, store)})}
+    takes = tuple(sorted({*pair.takes, *_takes(shard, store)}))
+    facts = SeedFacts(kind="seed", seed_index=options.seed_index, made_from=pair.made_from, takes=takes)
     return _commit_one(
         shard, store, options, pair.pair_m, origin, facts, sources=credits_of(pair), made_from=[pair.made_from or None]
     )
@@ -71,24 +79,22 @@ def _commit_one(
     options: FrameSeed | ChosenSeed | FileSeed,
     pair_m: np.ndarray,
     origin: str,
-    facts: dict[str, Any],
+    facts: SeedFacts,
     *,
     sources: Sequence[SourceCredit] = (),
     **known: Any,
 ) -> ArtifactRef:
     """Commit a seed that stands alone, gauge-fixed, and say whether chains can start from it."""
-    index = options.seed_index
     quality = seed_quality(pair_m[None], read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     verdict = Verdict(Level.PASS)
     if not quality.is_possible[0]:
         reason = f"{quality.num_invalid[0]} joint angles are out of range, at most {options.max_invalid_angles} may be"
         verdict = Verdict(Level.FAIL, f"{reason}: no chain can start here")
-    columns = _columns(origin, [index], gauge_fix(pair_m)[None], quality.log_prior, **known)
-    facts = {"kind": "seed", "seed_index": index, **facts}
+    columns = _columns(origin, [facts.seed_index], gauge_fix(pair_m)[None], quality.log_prior, **known)
     return commit(shard, store, tables={"seeds": columns}, facts=facts, sources=sources, verdict=verdict)
 
 
-def _takes(shard: Shard, store: Store) -> list[str]:
+def _takes(shard: Shard, store: Store) -> tuple[str, ...]:
     return merge_takes(*(store.manifest(ref) for ref in shard.all_inputs))
 
 
@@ -134,12 +140,12 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
     )
     indices = options.first_index + np.arange(len(seeds.pairs_m))
     columns = _columns("lifted", indices, seeds.pairs_m, seeds.log_prior, **_places(placed, seeds.entry))
-    facts = {
-        "kind": "lifted_seeds",
-        "starts": indices.tolist(),
-        "num_annotations_skipped": placed.gathered.num_skipped,
-        "takes": _takes(shard, store),
-    }
+    facts = SeedFacts(
+        kind="lifted_seeds",
+        starts=indices.tolist(),
+        num_annotations_skipped=placed.gathered.num_skipped,
+        takes=_takes(shard, store),
+    )
     is_short = len(indices) < options.num_lifted
     verdict = Verdict(
         Level.WARN if is_short else Level.PASS,
@@ -179,15 +185,15 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
         image_distance_m=growth.image_distance_m,
         **_places(placed, growth.entry),
     )
-    facts = {
-        "kind": "grown_seeds",
-        "num_grown": len(growth.pairs_m),
-        "num_refused": growth.num_refused,
-        "num_left": growth.num_left,
-        "num_annotations_skipped": placed.gathered.num_skipped,
-        "starts": (options.first_index + possible[: options.num_starts]).tolist(),
-        "takes": merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
-    }
+    facts = SeedFacts(
+        kind="grown_seeds",
+        num_grown=len(growth.pairs_m),
+        num_refused=growth.num_refused,
+        num_left=growth.num_left,
+        num_annotations_skipped=placed.gathered.num_skipped,
+        starts=(options.first_index + possible[: options.num_starts]).tolist(),
+        takes=merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
+    )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=_growth_verdict(growth, options))
 
 
@@ -217,12 +223,12 @@ def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray
     """Return the pair, take and frame of an automatically chosen seed; the choice of earlier seeds is repeated."""
     pairs, take_of, frame_of, take_ids = [], [], [], []
     for take, ref in enumerate(shard.refs("poses")):
-        facts = store.manifest(ref).facts
-        frames = evenly_spread(int(facts["num_frames"]), _NUM_LOOKED_AT)
+        facts = TakeFacts.of(store.manifest(ref))
+        frames = evenly_spread(facts.num_frames, _NUM_LOOKED_AT)
         pairs.append(_read_pairs(store, ref, frames))
         take_of.append(np.full(len(frames), take))
         frame_of.append(frames)
-        take_ids.append(str(facts["take_id"]))
+        take_ids.append(facts.take_id)
     every, takes = np.concatenate(pairs), np.concatenate(take_of)
     quality = seed_quality(every, read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     chosen = choose_seeds(every, takes, quality, options.seed_index + 1)[options.seed_index]

@@ -12,16 +12,12 @@ from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest, mapped_
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import TakeMotion, batch_of, read_take
+from tasks.facts import TakeFacts, VariantFacts
 
 
 def interaction_of(take: Manifest) -> str:
     """Return what a take is a performance of: the built-in duet that it was made from, or itself."""
-    return str(take.parameters.get("duet", {}).get("name", "") or take.facts["take_id"])
-
-
-def skeleton_name(model: Manifest) -> str:
-    """Return the skeleton of a stored model; older ones are of `body22` and do not say so."""
-    return str(model.facts.get("skeleton", BODY22.name))
+    return str(take.parameters.get("duet", {}).get("name", "") or TakeFacts.of(take).take_id)
 
 
 @dataclass(frozen=True)
@@ -43,11 +39,11 @@ class StoredVariants:
         self._joints = MAPPED_SKELETONS.get(skeleton)
         self._mapped: dict[str, Source] = {}
         self.takes: dict[str, TakeMotion] = {
-            store.manifest(ref).facts["take_id"]: read_take(store, ref) for ref in takes
+            TakeFacts.of(store.manifest(ref)).take_id: read_take(store, ref) for ref in takes
         }
         self._homes: dict[tuple[str, str], _Home] = {}
         for ref in variants:
-            take_id = store.manifest(ref).facts["take_id"]
+            take_id = VariantFacts.of(store.manifest(ref)).take_id
             table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
             for row, variant_id in enumerate(table["variant_id"]):
                 home = _Home(ref, table["bone_scale"][row].reshape(2, -1), str(table["verdict"][row]) == "fail")
@@ -68,7 +64,7 @@ class StoredVariants:
             by_ref.setdefault(self._homes[take_id, variant_id].ref, set()).add(variant_id)
         for ref, names in by_ref.items():
             manifest = self._store.manifest(ref)
-            take_id, told = manifest.facts["take_id"], batch_of(manifest)
+            take_id, told = VariantFacts.of(manifest).take_id, batch_of(manifest)
             offset = 0
             sizes = self._store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
             for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):

@@ -10,7 +10,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning import Split, VariantKey, make_split, model_class
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
-from tasks.poses import num_persons
+from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
@@ -27,11 +27,11 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     Raises:
         InputError: A split leaves nothing to train on, or nothing to test on.
     """
-    variants = [manifest for manifest in inputs.of("variants") if num_persons(manifest) == 2]
+    variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).num_persons == 2]
     if not variants:
         return []
-    used = {manifest.facts["take_id"] for manifest in variants}
-    takes = [manifest for manifest in inputs.of("poses") if manifest.facts.get("take_id") in used]
+    used = {VariantFacts.of(manifest).take_id for manifest in variants}
+    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in used]
     test_takes = tuple(sorted(parameters.test_takes))
     _check_test_takes(test_takes, used)
     for name in parameters.splits:
@@ -106,17 +106,17 @@ def split_variants(
     Raises:
         InputError: The training or the test set is empty.
     """
-    interactions = {take.facts["take_id"]: interaction_of(take) for take in takes}
+    interactions = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
     keys: list[VariantKey] = []
     held_out: set[str] = set()
     for manifest in variants:
-        take_id = manifest.facts["take_id"]
+        facts = VariantFacts.of(manifest)
         keys += [
-            VariantKey(take_id, one.variant_id, one.bone_scale, interactions.get(take_id, ""))
+            VariantKey(facts.take_id, one.variant_id, one.bone_scale, interactions.get(facts.take_id, ""))
             for one in planned_variations(manifest)
         ]
-        if manifest.facts["is_held_out"]:
-            held_out.add(take_id)
+        if facts.is_held_out:
+            held_out.add(facts.take_id)
     return make_split(name, keys, stream(seed, "training", name), test_takes=test_takes, held_out=sorted(held_out))
 
 

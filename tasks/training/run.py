@@ -27,6 +27,7 @@ from pasdedeux.learning import (
 )
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import ModelFacts, SkippedFacts
 from tasks.stage import Shard, commit, stream
 from tasks.training.items import StoredVariants
 from tasks.training.parameters import LeftOutParameters, SegmentParameters
@@ -45,7 +46,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     if isinstance(shard.parameters, LeftOutParameters):
         name = shard.parameters.name
         reason = f"{name} is left out: the study says training.networks = false"
-        facts = {"kind": "left_out", "model": name, "skipped": [f"Model {reason}."]}
+        facts = SkippedFacts(model=name, skipped=(f"Model {reason}.",))
         return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
     told = shard.options(SegmentParameters)
     kind = model_class(told.model)
@@ -57,7 +58,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     train, validation = variants.sound(split.train), variants.sound(split.validation)
     if not train and kind.is_trained:
         raise InputError(f"split '{told.split}': every variant that it would learn from failed ({len(split.train)})")
-    done = {"models": None, "model_states": None} | {_what(found): found for found in _done(shard, store)}
+    done = {"models": None, "model_states": None} | {
+        next(name for name in ("models", "model_states") if name in found.tables): found
+        for found in _done(shard, store)
+    }
     before, start = done["model_states"], done["models"]
     trained = kind.train(
         Training(
@@ -85,20 +89,20 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             "models" if is_last else "model_states": _array_rows(told, arrays),
             "training_log": _log_rows(told, log if told.segment == 0 else trained.log),
         },
-        facts={
-            "kind": "model" if is_last else "model_state",
-            "split": told.split,
-            "model": told.name,
-            "class": told.model,
+        facts=ModelFacts(
+            kind="model" if is_last else "model_state",
+            split=told.split,
+            model=told.name,
+            class_name=told.model,
             **({"description": describe(trained.model).model_dump(mode="json")} if is_last else {}),
-            "skeleton": told.skeleton,
-            "segment": told.segment,
-            "takes": sorted({key.take_id for key in train}),
-            "shares_takes": split.shares_takes,
-            "train": _by_take(train),
-            "validation": _by_take(validation),
-            "test": _by_take(split.test),
-        },
+            skeleton=told.skeleton,
+            segment=told.segment,
+            takes=tuple(sorted({key.take_id for key in train})),
+            shares_takes=split.shares_takes,
+            train=_by_take(train),
+            validation=_by_take(validation),
+            test=_by_take(split.test),
+        ),
         verdict=_judge(told.name, trained.model, _reader(variants, validation[:: -(-len(validation) // _JUDGED) or 1]))
         if is_last
         else None,
@@ -122,9 +126,10 @@ def load_stored(store: Store, manifest: Manifest) -> VariantModel:
     Raises:
         InputError: It needs torch, which is not installed, or it was stored by a version that did not describe models.
     """
-    if "description" not in manifest.facts:
-        raise InputError(f"model '{manifest.facts['model']}' was stored by an older version; train it again")
-    return load_model(ModelDescription.model_validate(manifest.facts["description"]), read_arrays(store, manifest.ref))
+    facts = ModelFacts.of(manifest)
+    if facts.description is None:
+        raise InputError(f"model '{facts.model}' was stored by an older version; train it again")
+    return load_model(ModelDescription.model_validate(facts.description), read_arrays(store, manifest.ref))
 
 
 def refuse_without_torch(who: str, instead: str) -> None:
@@ -141,10 +146,6 @@ def _done(shard: Shard, store: Store) -> Iterator[Manifest]:
         found = store.find("training", key)
         assert found is not None, "what this segment goes on from is committed before it runs"
         yield found
-
-
-def _what(manifest: Manifest) -> str:
-    return "models" if manifest.facts["kind"] == "model" else "model_states"
 
 
 def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[], Iterator[TrainingItem]]:
@@ -171,10 +172,10 @@ def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[Training
     return compare(paired, "joint error of validation variants", "cm", "variants")
 
 
-def _by_take(keys: Sequence[VariantKey]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+def _by_take(keys: Sequence[VariantKey]) -> dict[str, tuple[str, ...]]:
+    found: dict[str, tuple[str, ...]] = {}
     for key in keys:
-        found.setdefault(key.take_id, []).append(key.variant_id)
+        found[key.take_id] = (*found.get(key.take_id, ()), key.variant_id)
     return found
 
 

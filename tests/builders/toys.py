@@ -19,6 +19,7 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.facts import Facts, TakeFacts
 from tasks.graph import Graph
 from tasks.stage import (
     EarlyPlan,
@@ -127,7 +128,7 @@ def run_grow(shard: Shard, store: Store) -> ArtifactRef:
                 "value": values,
             }
         },
-        facts={"kind": "take", "take_id": shard.partition, "takes": [shard.partition]},
+        facts=TakeFacts(take_id=shard.partition, takes=(shard.partition,)),
         sources=[SourceCredit(name=shard.partition, licence=options.licence, credit="made for a test")],
     )
 
@@ -156,7 +157,7 @@ def run_bend(shard: Shard, store: Store) -> ArtifactRef:
                 "values": [values],
             }
         },
-        facts={"takes": merge_takes(store.manifest(shard.ref("log")))},
+        facts=Facts(takes=merge_takes(store.manifest(shard.ref("log")))),
         **({} if level is None else {"verdict": Verdict(level, "made for a test")}),
     )
 
@@ -187,7 +188,7 @@ def run_judge(shard: Shard, store: Store) -> ArtifactRef:
                 "high": [float("nan")],
             }
         },
-        facts={"takes": []},
+        facts=Facts(takes=()),
         attachments={"report.html": f"<h1>{shard.options(JudgeParameters).title}</h1>".encode()},
         verdict=Verdict(
             shard.options(JudgeParameters).level, "made for a test", "total", total, "m", 2 * total, "twice that"
@@ -210,7 +211,7 @@ def run_aside(shard: Shard, store: Store) -> ArtifactRef:
         "method": ["draws"] * size,
         "pair17_m": np.zeros((size, 2, 17, 3)),
     }
-    return commit(shard, store, tables={"in_betweens": columns}, facts={"takes": []})
+    return commit(shard, store, tables={"in_betweens": columns}, facts=Facts(takes=()))
 
 
 TOYS = Graph(

@@ -24,7 +24,8 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
-from tasks.augmentation import known_contacts, read_take
+from tasks.augmentation import read_take
+from tasks.facts import TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs, verdict_of
 from tests.builders.moving_pairs import swaying_people
@@ -239,7 +240,7 @@ def test_three_files_objects_and_contacts_make_a_take(tmp_path: Path) -> None:
     assert source.objects.names == ("hoop",)
     np.testing.assert_allclose(source.objects.ends_m[:, 0, 0, 1], 1.0 + np.arange(10, 60, 2) / 59.0, atol=1e-6)
     np.testing.assert_allclose(source.objects.radii_m, [0.05])
-    first, second = known_contacts(manifest)
+    first, second = TakeFacts.of(manifest).contacts
     assert (first.person_a, first.person_b, first.start_frame, first.stop_frame) == ("B", "C", 5, 20)
     assert (first.share_a, first.weight) == (1.0, 1.0)
     assert (second.object, second.start_frame, second.stop_frame) == ("hoop", 0, 5)
@@ -252,7 +253,7 @@ def test_a_contact_over_all_frames_of_a_file_lasts_as_long_as_the_take(tmp_path:
     study = section(take).model_copy(update={"rate_hz": rate_hz})
     ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=0), study)[0], store)
     manifest, source = store.manifest(ref), read_take(store, ref).source
-    (contact,) = known_contacts(manifest)
+    (contact,) = TakeFacts.of(manifest).contacts
     assert (contact.start_frame, contact.stop_frame) == (0, source.num_frames)
     assert source.objects is not None
     Augmenter(source, user_contacts=[contact])

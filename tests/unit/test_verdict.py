@@ -15,6 +15,7 @@ from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import Criterion, Items, figure_words, merge_verdicts
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
+from tasks.facts import Facts
 from tasks.stage import Parameters, Shard, commit
 from tasks.summary import judge, stage_verdict, summary_of
 
@@ -206,7 +207,7 @@ def test_parts_that_are_too_small_to_be_judged_are_judged_together() -> None:
 
 def made(store: Store, name: str, **judged: Verdict) -> Manifest:
     shard = Shard("views", 1, "hug", name, Parameters())
-    return store.manifest(commit(shard, store, tables={}, facts={}, verdict=judged["whole"]))
+    return store.manifest(commit(shard, store, tables={}, facts=Facts(), verdict=judged["whole"]))
 
 
 def test_a_stage_and_its_summary_and_table_say_the_same(tmp_path: Path) -> None:

@@ -24,9 +24,10 @@ from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
+from tasks.facts import Facts, TakeFacts
 from tasks.poses import read_poses
 from tasks.reconstruction import read_database
-from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, merge_takes, stream
 
 
 class UnseenViewsSettings(Parameters):
@@ -51,9 +52,9 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
     """Plan one shard per held-out take and condition, with the database parts that have not seen the take."""
     shards = []
     for take in inputs.of("poses") if settings.unseen_views_deg else ():
-        take_id = str(take.facts["take_id"])
-        parts = [part for part in inputs.of("projections") if take_id not in part.facts["takes"]]
-        if not (take.facts["is_held_out"] and parts):
+        take_id = TakeFacts.of(take).take_id
+        parts = [part for part in inputs.of("projections") if take_id not in Facts.of(part).takes]
+        if not (TakeFacts.of(take).is_held_out and parts):
             continue
         shards += [
             PARALLEL_VIEWS.shard(
@@ -99,9 +100,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 def _database(shard: Shard, store: Store) -> Searcher:
     """Return the database of the shard's parts."""
     parts = shard.refs("parts")
-    used = [store.manifest(part).facts for part in parts]
     take_id = shard.options(TakeParameters).take_id
-    refuse_overlap("the projection database", [name for one in used for name in one["takes"]], [take_id])
+    refuse_overlap("the projection database", merge_takes(*map(store.manifest, parts)), [take_id])
     database, _, _ = read_database(store, parts)
     # To compare with the paper, parallel rays see the database too, whatever the study's camera.
     return Searcher.of(replace(database, camera=DatabaseCamera()))
@@ -111,7 +111,7 @@ def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
     """Return the motion of every person of the shard's take at the database's rate."""
     take, options = shard.ref("take"), shard.options(TakeParameters)
     people = read_poses(store, take, "op14_m")["op14_m"]
-    from_hz = float(store.manifest(take).facts["rate_hz"])
+    from_hz = TakeFacts.of(store.manifest(take)).rate_hz
     return [
         UnseenMotion(
             options.take_id if people.shape[1] == 1 else f"{options.take_id} person {person}",

@@ -1,0 +1,276 @@
+"""The facts of artifacts: what each kind says of itself beside its tables, for planning and for people.
+
+A field that is not given is not written: a manifest says what its stage said, and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal, Self
+
+from pydantic import ConfigDict, Field, ValidationError
+
+from pasdedeux.augmentation import UserContact
+from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
+from pasdedeux.skeletons import BODY22
+from storage_schema import ArtifactRef, Manifest, Store
+
+Purpose = Literal["video", "random_views", "given"]
+
+
+class Facts(Settings):
+    """What every artifact may say: the takes that it shows or was made from, and what was skipped, in sentences."""
+
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)
+
+    kind: str = ""
+    takes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, manifest: Manifest) -> Self:
+        """Return the facts of an artifact; those that this kind does not have are passed over.
+
+        Raises:
+            InputError: A fact is missing or has another form: an earlier version wrote it.
+        """
+        try:
+            return cls.model_validate(manifest.facts, extra="ignore")
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = ".".join(map(str, first["loc"]))
+            raise InputError(
+                f"artifact {manifest.ref.stage}@{manifest.ref.key[:12]} was written by another version: its fact "
+                f"'{name}': {first['msg']}; run its study again"
+            ) from None
+
+    @classmethod
+    def read(cls, store: Store, refs: Iterable[ArtifactRef]) -> list[Self]:
+        """Return the facts of several artifacts."""
+        return [cls.of(store.manifest(ref)) for ref in refs]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what is given as JSON values."""
+        kind = {"kind": self.kind} if self.kind else {}
+        return kind | self.model_dump(mode="json", exclude_unset=True)
+
+
+class PeopleFacts(Facts):
+    """People in motion: how many, in how many frames."""
+
+    num_persons: int = 0
+    num_frames: int = 0
+    rate_hz: float = 0.0
+    is_held_out: bool = False
+
+
+class TakeFacts(PeopleFacts):
+    """A take with its poses, or one that was not let in."""
+
+    kind: Literal["take"] = "take"
+    take_id: str
+    is_prior: bool = False
+    is_built_in: bool = False
+    contacts: tuple[UserContact, ...] = ()
+
+
+class VariantFacts(PeopleFacts):
+    """A batch of variants of a take; `told` is how they were solved, for what solves more of them."""
+
+    kind: Literal["variants"] = "variants"
+    take_id: str
+    variants: tuple[str, ...] = ()
+    closest_m: float | None = None
+    told: dict[str, Any] = Field({})
+
+
+class Couple(Settings):
+    """Two people of a sequence who were taken for partners, in so many frames near each other."""
+
+    sequence_id: str
+    person_ids: tuple[int, int]
+    num_near_frames: int
+
+
+class DetectedSequence(Settings):
+    """How people were told apart in a sequence of a detector; couples by the ids of both."""
+
+    sequence_id: str
+    num_people: int
+    num_true_people: int
+    num_identity_switches: int
+    couples: tuple[tuple[int, int], ...]
+
+
+class SequenceFacts(PeopleFacts):
+    """Annotated sequences; `why_no_video` is why frames of some do not follow each other in time, by sequence."""
+
+    kind: Literal["sequences"] = "sequences"
+    sequence_ids: tuple[str, ...] = ()
+    is_virtual: bool = False
+    is_built_in: bool = False
+    purpose: Purpose | None = None
+    format: str = ""
+    layout: str = ""
+    num_skipped_frames: int = 0
+    skipped_files: tuple[str, ...] = ()
+    couples: tuple[Couple, ...] = ()
+    why_no_video: dict[str, str] = Field({})
+    num_merged_rows: int = 0
+    num_ghost_rows: int = 0
+    num_repaired_joints: int = 0
+    num_renamed_rows: int = 0
+    detected: tuple[DetectedSequence, ...] = ()
+
+
+class PriorFacts(Facts):
+    """Torso basis and joint limits."""
+
+    kind: Literal["priors"] = "priors"
+    num_poses: int
+    origin: str
+    explained_variance: float
+    valid_share: float | None
+
+
+class ViewFacts(Facts):
+    """Views of the annotations of an artifact."""
+
+    kind: Literal["views"] = "views"
+    learned_takes: tuple[str, ...]
+    torso_basis: str
+    sequence_ids: tuple[str, ...]
+    purpose: Purpose | None
+    is_held_out: bool
+    num_annotations: int
+    num_without_view: int
+    num_hypotheses: int
+    size_ratio: float
+
+
+class SeedFacts(Facts):
+    """One seed, or many that were lifted or grown; `starts` are the indices of those that chains start from."""
+
+    kind: Literal["seed", "lifted_seeds", "grown_seeds"]
+    seed_index: int = 0
+    take_id: str = ""
+    take_frame: int = 0
+    made_from: str = ""
+    starts: tuple[int, ...] = ()
+    num_grown: int = 0
+    num_refused: int = 0
+    num_left: int = 0
+    num_annotations_skipped: int = 0
+
+    @property
+    def start_indices(self) -> tuple[int, ...]:
+        """The indices of the seeds from which chains start."""
+        return (self.seed_index,) if self.kind == "seed" else self.starts
+
+
+class ChainFacts(Facts):
+    """The chains of one density and seed."""
+
+    kind: Literal["draws", "chain_info"] = "chain_info"
+    density: str
+    seed_index: int
+
+
+class DrawFacts(ChainFacts):
+    """A segment of a chain."""
+
+    kind: Literal["draws"] = "draws"
+    chain: int = 0
+    segment: int = 0
+    num_draws: int = 0
+    log_seed: float = 0.0
+    log_ceiling: float | None = None
+    sigma_l: float | None = None
+    num_annotations_skipped: int = 0
+    note: str = ""
+
+
+class LiftedFacts(Facts):
+    """Annotations of an artifact in 3D."""
+
+    kind: Literal["lifted_pairs"] = "lifted_pairs"
+    sequence_ids: tuple[str, ...]
+    purpose: Purpose | None
+    is_held_out: bool
+    num_draws: int
+    num_lifted: int
+    learned_takes: tuple[str, ...]
+
+
+class ProjectionFacts(Facts):
+    """A part of a projection database; `views` is what cameras see it, None in those of an earlier version."""
+
+    kind: Literal["projections"] = "projections"
+    origin: str = ""
+    num_poses: int = 0
+    rate_hz: float
+    views: dict[str, Any] | None = None
+
+
+class MotionFacts(Facts):
+    """The motions of a sequence; `camera_height_m` and `lens_factor` where the scene was estimated as a whole."""
+
+    kind: Literal["motions"] = "motions"
+    sequence_ids: tuple[str, ...] = ()
+    sequence_takes: tuple[str, ...] = ()
+    database_takes: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    num_persons: int = 0
+    camera_height_m: float | None = None
+    lens_factor: float | None = None
+    camera: str = ""
+    pitch_deg: float = 0.0
+    pitch_deviation_deg: float = 0.0
+    num_projections: int = 0
+
+
+class ModelFacts(Facts):
+    """A model after a segment of its training; `train`, `validation` and `test` are variants by take."""
+
+    kind: Literal["model", "model_state"] = "model"
+    split: str
+    model: str
+    class_name: str = Field(alias="class")
+    description: dict[str, Any] | None = None
+    skeleton: str = BODY22.name
+    segment: int = 0
+    shares_takes: bool
+    train: dict[str, tuple[str, ...]]
+    validation: dict[str, tuple[str, ...]]
+    test: dict[str, tuple[str, ...]]
+
+
+class SkippedFacts(Facts):
+    """What was not made, and why."""
+
+    kind: Literal["left_out", "nobody"] = "left_out"
+    model: str = ""
+
+
+class TopicFacts(Facts):
+    """What a topic of the evaluation says in words."""
+
+    captions: dict[str, str] = Field({})
+    notes: tuple[str, ...] = ()
+
+
+_COUNTED: dict[str, type[Facts]] = {
+    "take": TakeFacts,
+    "sequences": SequenceFacts,
+    "variants": VariantFacts,
+    "lifted_seeds": SeedFacts,
+    "grown_seeds": SeedFacts,
+    "draws": DrawFacts,
+    "lifted_pairs": LiftedFacts,
+}
+
+
+def facts_of(manifest: Manifest) -> Facts:
+    """Return the facts of an artifact as those of its kind, where it is one that people count."""
+    return _COUNTED.get(manifest.facts.get("kind", ""), Facts).of(manifest)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from pydantic import Field, ValidationError
 from pasdedeux.augmentation import (
     AugmentationSettings,
     Augmenter,
-    Source,
     UserContact,
     Variant,
     VariationSettings,
@@ -24,12 +22,10 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.figure import LEVELS
-from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
 from tasks.facts import PeopleFacts, SkippedFacts, TakeFacts, VariantFacts
-from tasks.poses import read_poses
 from tasks.stage import (
     VERDICT_FACT,
     EarlyPlan,
@@ -41,6 +37,7 @@ from tasks.stage import (
     artifact_fields,
     commit,
 )
+from tasks.takes import TakeMotion, read_take
 
 AUGMENTATION = StageName("augmentation", 22)
 
@@ -73,16 +70,6 @@ class NobodyParameters(Parameters):
 
     persons: tuple[str, ...]
     num_persons: int
-
-
-@dataclass(frozen=True)
-class TakeMotion:
-    """A take as the store holds it: its motion, its rest poses (P, 22, 3) and world rotations (T, P, 22, 4)."""
-
-    source: Source
-    rest_m: np.ndarray
-    world_unitquat: np.ndarray
-    time_s: np.ndarray
 
 
 def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
@@ -199,39 +186,6 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         writer.facts[VERDICT_FACT] = summary.to_json()
         writer.timings["solve_s"] = time.monotonic() - started
     return writer.ref
-
-
-def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
-    """Read a take of any number of people from its artifact.
-
-    Raises:
-        InputError: A frame is not finite.
-    """
-    facts = TakeFacts.of(store.manifest(ref))
-    takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
-    poses = read_poses(store, ref, "time_s", "body22_m", "body22_world_unitquat")
-    return TakeMotion(
-        source=Source(
-            poses["body22_m"],
-            facts.rate_hz,
-            f"take {facts.take_id}",
-            objects=_read_objects(store, ref),
-        ),
-        rest_m=takes["body22_rest_m"][np.argsort(takes["person"])].astype(np.float64),
-        world_unitquat=poses["body22_world_unitquat"],
-        time_s=poses["time_s"][:, 0],
-    )
-
-
-def _read_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
-    if "objects" not in store.manifest(ref).tables:
-        return None
-    rows = store.read(ref, "objects", columns=["object", "ends_m", "radius_m"])
-    names = tuple(dict.fromkeys(map(str, rows["object"])))
-    ends = rows["ends_m"].astype(np.float64).reshape(len(names), -1, 2, 3)
-    return MovingObjects(
-        names, np.ascontiguousarray(np.swapaxes(ends, 0, 1)), rows["radius_m"].reshape(len(names), -1)[:, 0]
-    )
 
 
 def _write(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:

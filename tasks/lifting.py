@@ -26,9 +26,8 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, reference_to
 from tasks.facts import LiftedFacts, SequenceFacts
-from tasks.priors import read_limits
+from tasks.priors import read_limits, read_torso_basis
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
-from tasks.torso_bases import read_torso_basis
 
 LIFTING = StageName("lifting", 7)
 

@@ -8,18 +8,23 @@ from collections.abc import Iterable
 import numpy as np
 
 from pasdedeux.cameras.torso import TorsoBasis, learn_torso_basis
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
+from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
-from storage_schema import ArtifactRef, Store
-from tasks.facts import PriorFacts, TakeFacts
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.facts import PriorFacts, SequenceFacts, TakeFacts, facts_of
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
-from tasks.torso_bases import default_origin, default_torso_basis
+from tasks.takes import read_motion
 
 PRIORS = StageName("priors", 4)
 
+BUILT_IN_DUETS = "built-in duets"
+BODY_PROPORTIONS = "body proportions"
+"""What a default torso basis is learned from."""
 MIN_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
 _FRAMES_PER_TAKE = 2000
@@ -84,6 +89,40 @@ def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, ori
     )
 
 
+def default_origin(shown: Iterable[Manifest]) -> str:
+    """Return what the default basis is learned from: the built-in duets, where these artifacts show none of them.
+
+    On the duets themselves it comes from body proportions alone, so that nothing is evaluated on what it was learned
+    from.
+    """
+    return (
+        BODY_PROPORTIONS
+        if any(facts.is_built_in for one in shown if isinstance(facts := facts_of(one), TakeFacts | SequenceFacts))
+        else BUILT_IN_DUETS
+    )
+
+
+def default_torso_basis(origin: str) -> TorsoBasis:
+    """Return the torso basis of studies that name no prior takes, learned from what `default_origin` gave."""
+    make = duet_torso_basis if origin == BUILT_IN_DUETS else proportions_torso_basis
+    return make()
+
+
+def read_torso_basis(store: Store, refs: Iterable[ArtifactRef]) -> TorsoBasis:
+    """Return the torso basis among these artifacts; the default for what they show where there is none."""
+    manifests = [store.manifest(ref) for ref in refs]
+    for manifest in manifests:
+        if "torso_basis" in manifest.tables:
+            table = store.read(manifest.ref, "torso_basis")
+            return TorsoBasis(
+                mean_m=np.asarray(table["torso_m"][0]),
+                components_m=np.asarray(table["torso_m"][1:]),
+                standard_deviation_m=np.asarray(table["standard_deviation_m"][1:]),
+                explained_variance=np.asarray(table["explained_variance"][1:]),
+            )
+    return default_torso_basis(default_origin(manifests))
+
+
 def read_limits(store: Store, refs: Iterable[ArtifactRef]) -> JointLimits:
     """Return the joint limits among these artifacts; the published ones where no stage wrote any."""
     for ref in refs:
@@ -100,11 +139,9 @@ def read_limits(store: Store, refs: Iterable[ArtifactRef]) -> JointLimits:
 
 def _read_poses(store: Store, ref: ArtifactRef) -> np.ndarray:
     """Return poses (row, 17, 3) of every person of a take, evenly spread over its frames."""
-    poses = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
-    frames = np.unique(np.asarray(poses["frame"]))
-    chosen = frames[evenly_spread(len(frames), _FRAMES_PER_TAKE)]
-    rows = np.flatnonzero(np.isin(np.asarray(poses["frame"]), chosen))
-    return np.asarray(poses["pair17_m"], dtype=np.float64)[rows]
+    poses = read_motion(store, ref, "pair17_m")["pair17_m"]
+    chosen = poses[evenly_spread(len(poses), _FRAMES_PER_TAKE)]
+    return chosen.swapaxes(0, 1).reshape(-1, *chosen.shape[2:])
 
 
 def _basis_columns(basis: TorsoBasis) -> dict[str, object]:

@@ -24,6 +24,7 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import DrawFacts, ProjectionFacts, TakeFacts, VariantFacts
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
+from tasks.takes import read_motion, read_rest
 
 PROJECTIONS = StageName("projections", 5)
 
@@ -106,7 +107,6 @@ class PoseShard(Parameters):
     origin: Literal["take", "draw", "variant"]
     rate_hz: float
     views: ViewsOfPoses
-    source_rate_hz: float | None = None
 
 
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
@@ -123,18 +123,13 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
             if origin == "draw":
                 if DrawFacts.of(manifest).density != _DENSITY:
                     continue
-                source_rate_hz, partition = None, manifest.partition
+                partition = manifest.partition
             else:
                 shown = TakeFacts.of(manifest) if origin == "take" else VariantFacts.of(manifest)
                 if shown.is_held_out:
                     continue
-                source_rate_hz, partition = shown.rate_hz, shown.take_id
-            options = PoseShard(
-                origin=origin,
-                rate_hz=_RATE_HZ,
-                views=parameters.views,
-                source_rate_hz=source_rate_hz,
-            )
+                partition = shown.take_id
+            options = PoseShard(origin=origin, rate_hz=_RATE_HZ, views=parameters.views)
             name = f"{origin}-{manifest.partition}-{manifest.name}"
             shards.append(PROJECTIONS.shard(inputs, partition, name, options, {"poses": [manifest]}))
     return shards
@@ -157,7 +152,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
     options = shard.options(PoseShard)
     ref = shard.ref("poses")
-    rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[options.origin](options, store, ref)
+    read_rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[options.origin]
+    rows = read_rows(store, ref, options.rate_hz)
     positions, unitquat = rows.pop("positions"), rows.pop("body22_unitquat")
     centred = centre_and_face(retarget_proportions(positions))
     heading = unitquat_from_rotmat(yaw_rotmat(-centred.heading_rad))
@@ -221,33 +217,22 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | No
     return np.concatenate(pairs)
 
 
-def _take_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
+def _take_rows(store: Store, ref: ArtifactRef, rate_hz: float) -> dict[str, Any]:
     """Return the poses of every person of a take at the database's rate."""
-    columns = ["take_id", "person", "frame", "time_s", "op14_m", "body22_m", "body22_world_unitquat"]
-    poses, takes = (
-        store.read(ref, "poses", columns=columns),
-        store.read(ref, "takes", columns=["person", "body22_rest_m"]),
-    )
-    rest_m = dict(zip(np.asarray(takes["person"]).tolist(), np.asarray(takes["body22_rest_m"], float), strict=True))
-    person, take_ids = np.asarray(poses["person"]), list(poses["take_id"])
-    from_hz = options.source_rate_hz or _rate_of(np.asarray(poses["time_s"])[person == person[0]])
+    take = TakeFacts.of(store.manifest(ref))
+    poses, rest_m = read_motion(store, ref, "op14_m", "body22_m", "body22_world_unitquat"), read_rest(store, ref)
+    rates = {"from_hz": take.rate_hz, "to_hz": rate_hz}
     parts = []
-    for one in np.unique(person):
-        chosen = np.flatnonzero(person == one)
-        chosen = chosen[np.argsort(np.asarray(poses["frame"])[chosen], kind="stable")]
-        moved = resample_positions(
-            np.asarray(poses["op14_m"], dtype=np.float64)[chosen], from_hz=from_hz, to_hz=options.rate_hz
-        )
-        whole = np.asarray(poses["body22_m"], dtype=np.float64)[chosen]
-        turned = np.asarray(poses["body22_world_unitquat"], dtype=np.float64)[chosen]
-        unitquat = rotations_from_t_pose(whole, normalise(turned), rest_m[int(one)])
-        unitquat = _resample_rotations(unitquat, from_hz=from_hz, to_hz=options.rate_hz)
-        parts.append(_one_motion(moved, unitquat, take_ids[chosen[0]], int(one)))
+    for person in range(take.num_persons):
+        op14, whole, turned = (np.ascontiguousarray(values[:, person]) for values in poses.values())
+        unitquat = rotations_from_t_pose(whole, normalise(turned), rest_m[person])
+        moved, turns = resample_positions(op14, **rates), _resample_rotations(unitquat, **rates)
+        parts.append(_one_motion(moved, turns, take.take_id, person))
     _set_partners(parts)
     return _joined(parts)
 
 
-def _draw_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
+def _draw_rows(store: Store, ref: ArtifactRef, rate_hz: float) -> dict[str, Any]:
     """Return both people of every draw; draws have no past, so each is a motion of its own."""
     draws = store.read(ref, "draws", columns=["pair17_m", "take_id"])
     pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17)
@@ -269,12 +254,13 @@ def _draw_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, 
     return _joined(parts)
 
 
-def _variant_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
+def _variant_rows(store: Store, ref: ArtifactRef, rate_hz: float) -> dict[str, Any]:
     """Return everybody of every variant at the database's rate."""
-    table = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "frame", "time_s", "body22_m"])
+    table = store.read(ref, "variants", columns=["variant_id", "person", "frame", "body22_m"])
     variant = np.array(list(table["variant_id"]), dtype=object)
-    take_ids = list(table["take_id"])
     poses = np.asarray(table["body22_m"], dtype=np.float64)
+    facts = VariantFacts.of(store.manifest(ref))
+    rates = {"from_hz": facts.rate_hz, "to_hz": rate_hz}
     parts: list[dict[str, Any]] = []
     names, number = np.unique(variant.astype(str), return_inverse=True)
     for one in range(len(names)):
@@ -282,11 +268,9 @@ def _variant_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[st
         for person in np.unique(table["person"]):
             chosen = np.flatnonzero((number == one) & (table["person"] == person))
             chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
-            from_hz = options.source_rate_hz or _rate_of(np.asarray(table["time_s"])[chosen])
-            rates = {"from_hz": from_hz, "to_hz": options.rate_hz}
             moved = resample_positions(op14_from_working(poses[chosen], BODY22), **rates)
             turned = _resample_rotations(rotations_from_t_pose(poses[chosen]), **rates)
-            people.append(_one_motion(moved, turned, take_ids[chosen[0]], int(person)))
+            people.append(_one_motion(moved, turned, facts.take_id, int(person)))
         _set_partners(people, first_row=sum(len(part["positions"]) for part in parts))
         parts += people
     return _joined(parts)
@@ -335,10 +319,6 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
         else np.concatenate([part[name] for part in parts])
         for name in ("take_id", "partner_row", "person", "frame", "is_sequence_start", "positions", "body22_unitquat")
     }
-
-
-def _rate_of(time_s: np.ndarray) -> float:
-    return float(1.0 / np.median(np.diff(np.sort(time_s)))) if len(time_s) > 1 else 1.0
 
 
 STAGE = Stage(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
@@ -220,7 +221,7 @@ def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
         "version": shard.version,
         "parameters": shard.values,
         "seed": shard.seed,
-        "inputs": (*shard.all_inputs, *_committed(shard, store)),
+        "inputs": (*shard.all_inputs, *(manifest.ref for manifest in followed(shard, store))),
         "files": [(Path(file.path).name, file.sha256) for file in shard.files],
         "replaces": shard.replaces,
     }
@@ -267,10 +268,20 @@ def verdicts_of_parts(manifest: Manifest) -> dict[str, Verdict]:
     return {name: Verdict.from_json(values) for name, values in manifest.facts.get(PARTS_FACT, {}).items()}
 
 
-def _committed(shard: Shard, store: Store) -> list[ArtifactRef]:
-    """Return the artifacts of the shards that this one follows, so that lineage and credits pass through them."""
-    found = [store.find(shard.stage, key) for key in shard.after]
-    return [manifest.ref for manifest in found if manifest is not None]
+def followed(shard: Shard, store: Store) -> list[Manifest]:
+    """Return the artifacts of the shards that this one comes after.
+
+    Raises:
+        InputError: One is not there.
+    """
+    found = []
+    for key in shard.after:
+        if (manifest := store.find(shard.stage, key)) is None:
+            raise InputError(
+                f"{shard.stage}@{key[:12]}, which {shard.partition} {shard.name} continues, is not in the store"
+            )
+        found.append(manifest)
+    return found
 
 
 def stream(seed: int, *labels: str | int) -> np.random.Generator:

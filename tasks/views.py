@@ -13,8 +13,8 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns
 from tasks.facts import SequenceFacts, ViewFacts
+from tasks.priors import default_origin, read_torso_basis
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes
-from tasks.torso_bases import default_origin, read_torso_basis
 
 VIEWS = StageName("views", 4)
 

@@ -35,13 +35,13 @@ from pasdedeux.learning import VariantRequest, Weights, read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
-from tasks.augmentation import read_take
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.shard_parameters import TakeParameters
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
 from tasks.stage import StageInputs, verdict_of
+from tasks.takes import read_take
 
 _MISFIT_M = 0.05
 """A body that is missed by more than this, in any distance, is warned of."""

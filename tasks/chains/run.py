@@ -29,12 +29,12 @@ from pasdedeux.sampling.proposals.proposal import Proposal, ProposalInputs
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
 from pasdedeux.sampling.warm_up import disperse, warm_up
 from pasdedeux.settings import Settings
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
 from tasks.facts import ChainFacts, DrawFacts
 from tasks.priors import read_limits
-from tasks.stage import Shard, commit, merge_takes, stream
+from tasks.stage import Shard, commit, followed, merge_takes, stream
 
 Refs = tuple[ArtifactRef, ...]
 _NUM_HYPOTHESES = 4
@@ -284,7 +284,7 @@ def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
 
 def _resume(shard: Shard, chart: PairChart, store: Store) -> tuple[np.random.Generator, ChainState]:
     """Return generator and state as the previous segment left them."""
-    table = store.read(_done(shard.after[0], store).ref, "chain_states")
+    table = store.read(followed(shard, store)[0].ref, "chain_states")
     parameters = np.array(table["parameters"][0], dtype=np.float64)
     evaluation = Evaluation(
         log_density=float(table["log_density"][0]),
@@ -297,16 +297,9 @@ def _resume(shard: Shard, chart: PairChart, store: Store) -> tuple[np.random.Gen
     return rng, ChainState(parameters, evaluation, context, log_scales)
 
 
-def _done(key: str, store: Store) -> Manifest:
-    manifest = store.find("chains", key)
-    if manifest is None:
-        raise InputError(f"the segment chains@{key[:12]} that this one continues is not in the store")
-    return manifest
-
-
 def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> ArtifactRef:
     """Diagnose all chains of one density and seed."""
-    done = [_done(key, store) for key in shard.after]
+    done = followed(shard, store)
     columns = ("pair17_m", "log_density", "num_accepted")
     tables = [store.read(manifest.ref, "draws", columns=list(columns)) for manifest in done]
     stacked = {

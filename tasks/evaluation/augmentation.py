@@ -21,10 +21,11 @@ from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.augmentation import batch_of, read_take
+from tasks.augmentation import batch_of
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.takes import read_take
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:

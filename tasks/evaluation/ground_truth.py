@@ -10,7 +10,7 @@ from pasdedeux.cameras.pinhole import PinholeCamera
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place
 from tasks.facts import SequenceFacts, TakeFacts
-from tasks.poses import read_poses
+from tasks.takes import read_motion
 
 TakeFrames = dict[tuple[str, int], tuple[str, int]]
 """The take and its frame behind every sequence and frame of virtual video."""
@@ -42,7 +42,7 @@ def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, Pinhole
 
 def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
     """Return one positions column of every take as (frame, person, joint, 3)."""
-    return {TakeFacts.of(store.manifest(ref)).take_id: read_poses(store, ref, column)[column] for ref in refs}
+    return {TakeFacts.of(store.manifest(ref)).take_id: read_motion(store, ref, column)[column] for ref in refs}
 
 
 def read_rates(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, float]:

@@ -19,10 +19,10 @@ from pasdedeux.learning.clips import clips_of
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
-from tasks.augmentation import read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.takes import read_take
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored, refuse_without_torch
 

@@ -20,7 +20,7 @@ from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
 from tasks.evaluation.topic import EVALUATION, ScoresOf, Topic
 from tasks.facts import Facts, TakeFacts, TopicFacts
-from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, verdict_of
+from tasks.stage import Parameters, Shard, StageInputs, commit, followed, merge_takes, verdict_of
 from tasks.summary import judge, summary_of
 
 PARTITION = "report"
@@ -64,8 +64,7 @@ def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) 
 
 def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRef:
     """Assemble the page and the card, and commit both with a table of all verdicts."""
-    found = [manifest for key in shard.after if (manifest := store.find(EVALUATION.name, key)) is not None]
-    assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
+    found = followed(shard, store)
     inputs = [store.manifest(ref) for ref in shard.refs("made")]
     settings = shard.options(PageParameters)
     scores = {topic.name: _scores(store, found, topic) for topic in topics}

@@ -12,8 +12,8 @@ from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts
-from tasks.poses import read_poses
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
+from tasks.takes import read_motion
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -28,7 +28,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     notes = []
     if verdict is not None and verdict.level is not Level.PASS:
         notes = [f"Take {facts.take_id}: {verdict.level}: {verdict.reason}."]
-    people = read_poses(store, shard.ref("take"), "body22_m")["body22_m"]
+    people = read_motion(store, shard.ref("take"), "body22_m")["body22_m"]
     name = f"take-{facts.take_id}.player.json"
     frames, rate_hz = shown_frames(len(people), facts.rate_hz)
     shown = people_panel(facts.take_id, BODY22, people[frames])

@@ -18,7 +18,6 @@ from pasdedeux.cameras.virtual_video import (
     passer_by,
     sample_views,
 )
-from pasdedeux.errors import InputError
 from pasdedeux.people.identity import identity_switches
 from pasdedeux.people.resolution import ResolvedSequence, SequenceRows, resolve_sequence
 from pasdedeux.sampling.annotations import is_left_out
@@ -28,8 +27,8 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
 from tasks.ingest.shard_parameters import VideoParameters
-from tasks.poses import read_poses
-from tasks.stage import Shard, commit, stream
+from tasks.stage import Shard, commit, followed, stream
+from tasks.takes import read_motion
 
 NEIGHBOURS = 2
 """Frames kept on either side of a randomly viewed pair, for velocity only (Yin et al. 2018, section 6)."""
@@ -59,13 +58,11 @@ Columns = dict[str, list[Any]]
 def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -> ArtifactRef:
     """See a take through virtual cameras: whole, or pairs from random views with two frames on either side."""
     take_id, count = parameters.take_id, parameters.count
-    manifest = store.find("ingest", shard.after[0])
-    if manifest is None:
-        raise InputError(f"take {take_id} is not in the store; run the whole stage")
+    (manifest,) = followed(shard, store)
     take = TakeFacts.of(manifest)
     if "poses" not in manifest.tables:
         return commit(shard, store, tables={}, facts=SequenceFacts(takes=(), skipped=take.skipped))
-    poses = read_poses(store, manifest.ref, "pair17_m", "op14_m")
+    poses = read_motion(store, manifest.ref, "pair17_m", "op14_m")
     pair17, op14 = poses["pair17_m"], poses["op14_m"]
     num_frames, num_persons = pair17.shape[:2]
 

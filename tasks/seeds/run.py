@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.errors import InputError
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import FARTHEST_M, Growth, grow
 from pasdedeux.sampling.parameters import gauge_fix
@@ -16,14 +15,14 @@ from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
-from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
+from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.annotated_pairs import PlacedPairs, gather
 from tasks.facts import SeedFacts, TakeFacts
-from tasks.priors import read_limits
+from tasks.priors import read_limits, read_torso_basis
 from tasks.seeds.files import FileSeed, credits_of, read_seed
 from tasks.seeds.parameters import ChosenSeed, FrameSeed, GrownSeeds, LiftedSeeds
-from tasks.stage import Shard, commit, merge_takes, stream
-from tasks.torso_bases import read_torso_basis
+from tasks.stage import Shard, commit, followed, merge_takes, stream
+from tasks.takes import read_motion
 
 MIN_GROWN_SHARE = 0.5
 """Share of the annotations asked for that must have grown to be no warning."""
@@ -35,7 +34,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Read or choose one seed, lift or grow many, and commit them, gauge-fixed."""
     match shard.parameters:
         case FrameSeed() as options:
-            pair = _read_pairs(store, shard.ref("poses"), np.array([options.frame]))[0]
+            pair = read_motion(store, shard.ref("poses"), "pair17_m")["pair17_m"][options.frame]
             return _commit_frame(shard, store, options, pair, options.take, options.frame)
         case ChosenSeed() as options:
             return _commit_frame(shard, store, options, *_choose(shard, store, options))
@@ -161,7 +160,7 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
 
 def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     """Grow pairs over the annotations from the seeds of the shards before this one."""
-    before = [_done(key, store) for key in shard.after]
+    before = followed(shard, store)
     roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
     placed = _annotated(shard, store)
     limits = read_limits(store, shard.refs("joint_limits"))
@@ -212,20 +211,13 @@ def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:
     return Verdict(level, reason, "pairs grown of those asked for", share, "%", count=possible or 1, thing="pairs")
 
 
-def _done(key: str, store: Store) -> Manifest:
-    manifest = store.find("seeds", key)
-    if manifest is None:
-        raise InputError(f"the seed seeds@{key[:12]} that others grow from is not in the store")
-    return manifest
-
-
 def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray, str, int]:
     """Return the pair, take and frame of an automatically chosen seed; the choice of earlier seeds is repeated."""
     pairs, take_of, frame_of, take_ids = [], [], [], []
     for take, ref in enumerate(shard.refs("poses")):
         facts = TakeFacts.of(store.manifest(ref))
         frames = evenly_spread(facts.num_frames, _NUM_LOOKED_AT)
-        pairs.append(_read_pairs(store, ref, frames))
+        pairs.append(read_motion(store, ref, "pair17_m")["pair17_m"][frames])
         take_of.append(np.full(len(frames), take))
         frame_of.append(frames)
         take_ids.append(facts.take_id)
@@ -233,16 +225,3 @@ def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray
     quality = seed_quality(every, read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     chosen = choose_seeds(every, takes, quality, options.seed_index + 1)[options.seed_index]
     return every[chosen], take_ids[int(takes[chosen])], int(np.concatenate(frame_of)[chosen])
-
-
-def _read_pairs(store: Store, ref: ArtifactRef, frames: np.ndarray) -> np.ndarray:
-    """Return the pairs (frame, 2, 17, 3) of some frames of a take."""
-    table = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
-    person, frame = np.asarray(table["person"]), np.asarray(table["frame"])
-    positions = np.asarray(table["pair17_m"], dtype=np.float64)
-    parts = []
-    for one in range(2):
-        own = np.flatnonzero(person == one)
-        own = own[np.argsort(frame[own], kind="stable")]
-        parts.append(positions[own[np.searchsorted(frame[own], frames)]])
-    return np.stack(parts, axis=1)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from threadpoolctl import ThreadpoolController
 
+from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, CorruptArtifact, StorageError, Store, lineage
 from storage_schema.store import SHARD_S
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
@@ -96,7 +97,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> tuple
 
 def _drop_damaged(shard: Shard, store: Store) -> str:
     """Remove what is damaged of all that a shard comes from, the nearest alone; gives its name, empty where none is."""
-    with suppress(StorageError, OSError):
+    with suppress(StorageError, InputError, OSError):
         for step in lineage(store, *artifact_fields(shard, store)["inputs"]):
             if step.manifest is not None and store.drop_damaged(step.manifest):
                 return f"{step.ref.stage}@{step.ref.key[:12]}"

@@ -11,8 +11,9 @@ from pasdedeux.augmentation import AugmentationSettings, Source
 from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest, mapped_item, mapped_source
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.augmentation import TakeMotion, batch_of, read_take
+from tasks.augmentation import batch_of
 from tasks.facts import TakeFacts, VariantFacts
+from tasks.takes import TakeMotion, read_take
 
 
 def interaction_of(take: Manifest) -> str:

@@ -28,7 +28,7 @@ from pasdedeux.learning import (
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import ModelFacts, SkippedFacts
-from tasks.stage import Shard, commit, stream
+from tasks.stage import Shard, commit, followed, stream
 from tasks.training.items import StoredVariants
 from tasks.training.parameters import LeftOutParameters, SegmentParameters
 from tasks.training.plan import split_variants
@@ -60,7 +60,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         raise InputError(f"split '{told.split}': every variant that it would learn from failed ({len(split.train)})")
     done = {"models": None, "model_states": None} | {
         next(name for name in ("models", "model_states") if name in found.tables): found
-        for found in _done(shard, store)
+        for found in followed(shard, store)
     }
     before, start = done["model_states"], done["models"]
     trained = kind.train(
@@ -139,13 +139,6 @@ def refuse_without_torch(who: str, instead: str) -> None:
             f"{who} needs torch, which is not installed where this ran: pip install 'pasdedeux[learning]', "
             f"or go without: --set {instead}"
         )
-
-
-def _done(shard: Shard, store: Store) -> Iterator[Manifest]:
-    for key in shard.after:
-        found = store.find("training", key)
-        assert found is not None, "what this segment goes on from is committed before it runs"
-        yield found
 
 
 def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[], Iterator[TrainingItem]]:

@@ -20,12 +20,13 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store
 from tasks import augmentation
-from tasks.augmentation import AugmentationParameters, batch_of, read_take
+from tasks.augmentation import AugmentationParameters, batch_of
 from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
 from tasks.summary import stage_verdict
+from tasks.takes import read_take
 from tasks.training import STAGE as TRAINING
 from tasks.training.parameters import TrainingParameters
 from tasks.training.run import load_stored, read_arrays

@@ -24,10 +24,10 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
-from tasks.augmentation import read_take
 from tasks.facts import TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs, verdict_of
+from tasks.takes import read_take
 from tests.builders.moving_pairs import swaying_people
 
 FRAMES = 16

@@ -18,9 +18,9 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.learning import NaiveFkModel, RidgeScaleModel, Weights, write_weights
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store, resolve
-from tasks.augmentation import read_take
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
+from tasks.takes import read_take
 from tests.builders.own_sources import write_walk
 from tests.builders.source_samples import bvh_text, figure_motion
 from tests.builders.stored_models import put_model

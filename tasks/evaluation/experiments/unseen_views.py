@@ -25,9 +25,9 @@ from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import Facts, TakeFacts
-from tasks.poses import read_poses
 from tasks.reconstruction import read_database
 from tasks.stage import Parameters, Shard, StageInputs, merge_takes, stream
+from tasks.takes import read_motion
 
 
 class UnseenViewsSettings(Parameters):
@@ -110,7 +110,7 @@ def _database(shard: Shard, store: Store) -> Searcher:
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
     """Return the motion of every person of the shard's take at the database's rate."""
     take, options = shard.ref("take"), shard.options(TakeParameters)
-    people = read_poses(store, take, "op14_m")["op14_m"]
+    people = read_motion(store, take, "op14_m")["op14_m"]
     from_hz = TakeFacts.of(store.manifest(take)).rate_hz
     return [
         UnseenMotion(

@@ -11,7 +11,7 @@ import pytest
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from tasks.evaluation.ground_truth import read_takes
-from tasks.poses import read_poses
+from tasks.takes import read_motion
 from tests.builders.storage_rows import put, take_rows
 
 FRAMES, PEOPLE = 5, 3
@@ -29,7 +29,7 @@ def test_rows_in_any_order_give_everybody_in_every_frame(tmp_path: Path) -> None
     store = Store(tmp_path)
     ref, columns = put_rows(store, np.random.default_rng(0).permutation(FRAMES * PEOPLE))
     expected = columns["body22_m"].reshape(PEOPLE, FRAMES, 22, 3).swapaxes(0, 1)
-    np.testing.assert_array_equal(read_poses(store, ref, "body22_m")["body22_m"], expected)
+    np.testing.assert_array_equal(read_motion(store, ref, "body22_m")["body22_m"], expected)
     np.testing.assert_array_equal(read_takes(store, [ref], "body22_m")["jig"], expected)
 
 
@@ -42,4 +42,4 @@ def test_poses_with_somebody_missing_or_twice_are_refused(tmp_path: Path, rows: 
     store = Store(tmp_path)
     ref, _ = put_rows(store, rows)
     with pytest.raises(InputError, match="do not have each of 3 people once in every frame; build it again"):
-        read_poses(store, ref, "body22_m")
+        read_motion(store, ref, "body22_m")

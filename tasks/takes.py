@@ -1,0 +1,80 @@
+"""Takes as stages read them: everybody's motion by frame and person, rest poses, and what moves with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pasdedeux.augmentation import Source
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.objects import MovingObjects
+from storage_schema import ArtifactRef, Store
+from tasks.facts import TakeFacts
+
+
+@dataclass(frozen=True)
+class TakeMotion:
+    """A take as the store holds it: its motion, its rest poses (P, 22, 3) and world rotations (T, P, 22, 4)."""
+
+    source: Source
+    rest_m: np.ndarray
+    world_unitquat: np.ndarray
+    time_s: np.ndarray
+
+
+def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.ndarray]:
+    """Return columns of a take's poses as (frame, person, ...), float64, by what the rows say of frame and person.
+
+    Raises:
+        InputError: Somebody is missing in a frame, or is there twice.
+    """
+    table = store.read(ref, "poses", columns=["person", "frame", *columns])
+    person, frame = np.asarray(table["person"]), np.asarray(table["frame"])
+    order = np.lexsort((person, frame))
+    take = TakeFacts.of(store.manifest(ref))
+    frames, count = np.unique(frame), take.num_persons
+    expected = np.repeat(frames, count), np.tile(np.arange(count), len(frames))
+    if not (np.array_equal(frame[order], expected[0]) and np.array_equal(person[order], expected[1])):
+        raise InputError(
+            f"the poses of take {take.take_id} do not have each of {count} people once in every frame; "
+            "build it again with --force"
+        )
+    return {
+        name: np.asarray(table[name], dtype=np.float64)[order].reshape(len(frames), count, *table[name].shape[1:])
+        for name in columns
+    }
+
+
+def read_rest(store: Store, ref: ArtifactRef) -> np.ndarray:
+    """Return everybody's rest pose (person, 22, 3), metres, root at the origin."""
+    takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
+    return np.asarray(takes["body22_rest_m"][np.argsort(takes["person"])], dtype=np.float64)
+
+
+def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
+    """Read a take of any number of people from its artifact.
+
+    Raises:
+        InputError: A frame is not finite.
+    """
+    facts = TakeFacts.of(store.manifest(ref))
+    poses = read_motion(store, ref, "time_s", "body22_m", "body22_world_unitquat")
+    objects = _read_objects(store, ref)
+    return TakeMotion(
+        source=Source(poses["body22_m"], facts.rate_hz, f"take {facts.take_id}", objects=objects),
+        rest_m=read_rest(store, ref),
+        world_unitquat=poses["body22_world_unitquat"],
+        time_s=poses["time_s"][:, 0],
+    )
+
+
+def _read_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
+    if "objects" not in store.manifest(ref).tables:
+        return None
+    rows = store.read(ref, "objects", columns=["object", "ends_m", "radius_m"])
+    names = tuple(dict.fromkeys(map(str, rows["object"])))
+    ends = rows["ends_m"].astype(np.float64).reshape(len(names), -1, 2, 3)
+    return MovingObjects(
+        names, np.ascontiguousarray(np.swapaxes(ends, 0, 1)), rows["radius_m"].reshape(len(names), -1)[:, 0]
+    )

@@ -14,6 +14,7 @@ from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_t
 from pasdedeux.settings import Settings
 from tasks.graph import Graph
 from tasks.stage import Parameters
+from tasks.sweep import SweptParameters
 
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")
@@ -157,6 +158,8 @@ def study_from_tree(
                 problems += [f"{stage.name}.{key}: one value serves every stage: say {name}.{key}" for key in moved]
                 values = {**values, **settings_of.model_dump(include=taken)}
         section = _validate(stage.parameters, values, stage.name, problems)
+        for name, swept in section.swept_values().items() if isinstance(section, SweptParameters) else ():
+            _validate(stage.parameters, swept, f"{stage.name}.sweep.{name}", problems)
         if section is not None:
             parameters[stage.name] = _with_absolute_paths(section, (stage.name,), tree)
     if head is not None and head.stages is not None:

@@ -37,6 +37,7 @@ from tasks.stage import (
     artifact_fields,
     commit,
 )
+from tasks.sweep import SweptParameters
 from tasks.takes import TakeMotion, read_take
 
 AUGMENTATION = StageName("augmentation", 22)
@@ -49,13 +50,16 @@ class SolvedParameters(VariationSettings, AugmentationSettings, Parameters):
     """What the section of a study and a batch of variants have in common: which variants there are, and how."""
 
 
-class AugmentationParameters(SolvedParameters):
-    """Which variants are made, and how."""
+class AugmentationParameters(SolvedParameters, SweptParameters):
+    """Which variants are made, and how; each sweep makes more of them."""
 
     contacts: dict[str, tuple[UserContact, ...]] = Field(
         {}, description="Contacts stated by take, in place of what is found between their bones, and of the take's own"
     )
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
+
+
+_OF_THE_PLAN = {"contacts", "variants_per_shard", "sweep"}
 
 
 class BatchParameters(SolvedParameters):
@@ -76,29 +80,51 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
     """Plan one shard per take and batch of variants; a take without anybody of those asked for has one that says so."""
     takes = {TakeFacts.of(take).take_id: take for take in inputs.of("poses")}
     _check_takes(parameters, takes)
-    common = parameters.model_dump(exclude={"contacts", "variants_per_shard"})
-    size, shards = parameters.variants_per_shard, []
+    sections = {"": parameters, **parameters.swept()}
+    shards = []
     for take_id, take in takes.items():
-        names = [variation.variant_id for variation in _variations(take, parameters)]
-        if not names:
-            asked = tuple(sorted({who for chosen in parameters.sets or (parameters,) for who in chosen.persons}))
+        found = variations(parameters, TakeFacts.of(take).num_persons)
+        if not any(found.values()):
+            asked = tuple(sorted({who for own in sections.values() for who in own.persons}))
             nobody = NobodyParameters(persons=asked, num_persons=TakeFacts.of(take).num_persons)
             shards.append(AUGMENTATION.shard(inputs, take_id, "nobody", nobody, {"take": [take]}))
-        for start in range(0, len(names), size):
-            batch = tuple(names[start : start + size])
-            stated = parameters.contacts.get(take_id, TakeFacts.of(take).contacts)
-            chosen = BatchParameters(**common, contacts=stated, variants=batch)
-            shards.append(AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", chosen, {"take": [take]}))
+        for name, own in sections.items():
+            stated = own.contacts.get(take_id, TakeFacts.of(take).contacts)
+            for start in range(0, len(found[name]), own.variants_per_shard):
+                batch = tuple(one.variant_id for one in found[name][start : start + own.variants_per_shard])
+                told = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
+                shards.append(AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", told, {"take": [take]}))
     return shards
 
 
-def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse contacts of a take that the study does not have, as far as its section `ingest` tells.
+def variations(parameters: AugmentationParameters, num_people: int) -> dict[str, list[Variation]]:
+    """Return the variations of a take of so many people, by the name of the sweep; those without one first.
 
     Raises:
-        InputError: Names the take.
+        InputError: Two of them make one variant: by its name nobody could tell how it was solved.
+    """
+    found: dict[str, list[Variation]] = {}
+    by_id: dict[str, str] = {}
+    for name, own in {"": parameters, **parameters.swept()}.items():
+        found[name] = make_variations(own, num_people)
+        for variation in found[name]:
+            if (other := by_id.setdefault(variation.variant_id, name)) != name:
+                raise InputError(
+                    f"augmentation.sweep.{name} makes {variation.variant_id}, which "
+                    f"{f'augmentation.sweep.{other}' if other else 'augmentation itself'} makes too; a sweep changes "
+                    "kinds, persons, groups or scales"
+                )
+    return found
+
+
+def check_study(sections: Mapping[str, Any]) -> None:
+    """Refuse two sweeps of one variant, and contacts of a take that the study does not have as far as `ingest` tells.
+
+    Raises:
+        InputError: Names the variant, or the take.
     """
     ingest = sections.get("ingest")
+    variations(sections["augmentation"], 2)
     if ingest is not None and all(family.takes is not None for family in ingest.pairs.values()):
         _check_takes(sections["augmentation"], ingest.take_ids())
 

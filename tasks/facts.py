@@ -174,7 +174,7 @@ class ChainFacts(Facts):
 
     kind: Literal["draws", "chain_info"] = "chain_info"
     density: str
-    seed_index: int
+    seed_index: int = 0
 
 
 class DrawFacts(ChainFacts):
@@ -204,13 +204,13 @@ class LiftedFacts(Facts):
 
 
 class ProjectionFacts(Facts):
-    """A part of a projection database; `views` is what cameras see it, None in those of an earlier version."""
+    """A part of a projection database; `views` is what cameras see it."""
 
     kind: Literal["projections"] = "projections"
     origin: str = ""
     num_poses: int = 0
     rate_hz: float
-    views: dict[str, Any] | None = None
+    views: dict[str, Any]
 
 
 class MotionFacts(Facts):

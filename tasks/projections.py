@@ -186,11 +186,9 @@ def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
     """Return how the poses of a database's parts are seen.
 
     Raises:
-        InputError: Parts do not tell, or differ.
+        InputError: Parts differ, or are of an earlier version and do not tell.
     """
     stated = [ProjectionFacts.of(part).views for part in parts]
-    if not stated or stated[0] is None or None in stated:
-        raise InputError("a projection database of an earlier version does not say what camera sees it; build it again")
     if any(views != stated[0] for views in stated):
         raise InputError("parts of the projection database differ in yaw steps or camera; build them with one study")
     return ViewsOfPoses(**stated[0])

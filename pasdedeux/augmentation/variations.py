@@ -47,8 +47,8 @@ PAPER_SCALES = (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
 """Without 1, the template itself (Li et al. 2024, section 4)."""
 
 
-class VariationSet(Settings):
-    """One set of variations; the scales are those of the stage."""
+class VariationSettings(Settings):
+    """Which variations are made."""
 
     kinds: tuple[Literal["uniform", "groups", "bones"], ...] = Field(
         ("uniform",), min_length=1, description="uniform, groups, bones"
@@ -60,13 +60,7 @@ class VariationSet(Settings):
         "have is left out",
     )
     groups: tuple[Group, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
-
-
-class VariationSettings(VariationSet):
-    """Which variations are made."""
-
     scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
-    sets: tuple[VariationSet, ...] = Field((), description="Several sets in place of the one of kinds, persons, groups")
 
 
 @dataclass(frozen=True)
@@ -135,18 +129,17 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
     Where a take has nobody of those asked for, there are none.
     """
     found: list[Variation] = []
-    for chosen in settings.sets or (settings,):
-        for kind in chosen.kinds:
-            for who in dict.fromkeys(_letters(persons, num_people) for persons in chosen.persons):
-                match kind:
-                    case _ if not who:
-                        pass
-                    case "uniform":
-                        found += uniform_variations(settings.scales, [who], num_people)
-                    case "groups":
-                        found += group_variations(settings.scales, [who], chosen.groups, num_people)
-                    case "bones":
-                        found += bone_variations(settings.scales, [who], num_people)
+    for kind in settings.kinds:
+        for who in dict.fromkeys(_letters(persons, num_people) for persons in settings.persons):
+            match kind:
+                case _ if not who:
+                    pass
+                case "uniform":
+                    found += uniform_variations(settings.scales, [who], num_people)
+                case "groups":
+                    found += group_variations(settings.scales, [who], settings.groups, num_people)
+                case "bones":
+                    found += bone_variations(settings.scales, [who], num_people)
     return list({variation.variant_id: variation for variation in found}.values())
 
 

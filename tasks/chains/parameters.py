@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -14,6 +12,7 @@ from pasdedeux.sampling.densities.density import PRIOR_ONLY, Density, TargetSett
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.settings import Settings
 from tasks.stage import Parameters
+from tasks.sweep import SweptParameters
 
 P = TypeVar("P", bound=Parameters)
 
@@ -68,8 +67,11 @@ def _with_settings_of(kinds: Sequence[Density[Any]]) -> Callable[[type[P]], type
 
 
 @_with_settings_of([*DENSITIES.values()])
-class ChainsParameters(Parameters, RunSettings, TargetSettings):
-    """What is sampled, how much, and with which steps; with the settings of every density."""
+class ChainsParameters(SweptParameters, RunSettings, TargetSettings):
+    """What is sampled, how much, and with which steps; with the settings of every density.
+
+    A sweep samples the first of its densities and keeps the draws under its own name.
+    """
 
     densities: tuple[DensityName, ...] = Field(
         ("ic", PRIOR_ONLY),
@@ -87,11 +89,6 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         description="Steps: unbiased, or velocity, wider where nearby annotations move (eq. 12); the latter for "
         "densities that read annotations",
     )
-    variants: dict[str, dict[str, Any]] = Field(
-        {},
-        description="Chains with other settings beside those of `densities`, by name: each has a `density` (default: "
-        "the first) and any other setting of this section",
-    )
 
     @model_validator(mode="after")
     def _settings_of_what_is_used(self) -> ChainsParameters:
@@ -102,11 +99,9 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         return self
 
     @model_validator(mode="after")
-    def _variants_are_settings(self) -> ChainsParameters:
-        for name in self.variants:
-            if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or name in DENSITIES:
-                raise ValueError(f"chains.variants: '{name}' is no name for a variant: small letters, and no density")
-            self.variant(name)
+    def _sweeps_have_own_names(self) -> ChainsParameters:
+        if taken := sorted(DENSITIES.keys() & self.sweep):
+            raise ValueError(f"chains.sweep: '{taken[0]}' is the name of a density")
         return self
 
     def settings_of(self, kind: Density[Any]) -> Settings:
@@ -120,37 +115,17 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         except ValidationError as error:
             raise ValueError(f"chains: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
 
-    def variant(self, name: str) -> ChainsParameters:
-        """Return the settings of a variant, with its one density.
-
-        Raises:
-            ValueError: One of its settings cannot be.
-        """
-        own = dict(self.variants[name])
-        unknown = sorted(set(own) - set(type(self).model_fields) - {"density"} | set(own) & {"variants", "densities"})
-        if unknown:
-            near = difflib.get_close_matches(unknown[0], type(self).model_fields, n=1, cutoff=0.5)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting{hint}")
-        density = own.pop("density", self.densities[0])
-        if density not in DENSITIES:
-            raise ValueError(
-                f"chains.variants.{name}.density={density}: there is no such density; there are: {', '.join(DENSITIES)}"
-            )
-        given = self.model_dump(exclude={"variants", "densities"})
-        try:
-            return type(self).model_validate({**given, "densities": (density,), **own})
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"])
-            said = first["msg"].removeprefix("Value error, ")
-            raise ValueError(f"chains.variants.{name}: {place}: {said}".replace(": : ", ": ")) from None
+    def named(self) -> dict[str, ChainsParameters]:
+        """Return the settings of all chains by the name that draws are kept under, each with one density."""
+        found = {name: self.model_copy(update={"densities": (name,)}) for name in self.densities}
+        swept = {name: own.model_copy(update={"densities": own.densities[:1]}) for name, own in self.swept().items()}
+        return found | swept
 
 
 class SegmentParameters(Parameters):
     """What decides the draws of one segment of a chain, and nothing else: asking for more draws extends."""
 
-    name: str = Field(description="Name that draws are kept under: the density's, or the variant's")
+    name: str = Field(description="Name that draws are kept under: that of the density, or of the sweep")
     density: str
     seed_index: int
     chain: int

@@ -25,10 +25,7 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
 
     A segment's key knows its chain and number but not how many draws are asked for, so asking for more extends.
     """
-    wanted: dict[str, ChainsParameters] = {
-        name: parameters.model_copy(update={"densities": (name,)}) for name in parameters.densities
-    }
-    wanted |= {name: parameters.variant(name) for name in parameters.variants}
+    wanted = parameters.named()
     read = {name: _read_by(own.densities[0], inputs) for name, own in wanted.items()}
     if inputs.of("seeds") and all(needed is None for needed in read.values()):
         densities = list(dict.fromkeys(own.densities[0] for own in wanted.values()))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import re
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from pydantic import Field, SerializeAsAny, ValidationError, create_model, model_validator
+from pydantic import Field, SerializeAsAny, create_model, model_validator
 
+from pasdedeux.errors import InputError
 from pasdedeux.learning import DEFAULT_MODELS, MODELS, SPLIT_NAMES, SplitName, model_class
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 from tasks.stage import Parameters
+from tasks.sweep import SweptParameters
 
 SkeletonName = Literal["body22", "expi18"]
 
@@ -27,15 +28,23 @@ def _with_settings_of_models(section: type[Parameters]) -> Any:
     return made
 
 
+class NamedModel(NamedTuple):
+    """A model to train: which one it is, its settings, and the name of the one that it starts from."""
+
+    kind: str
+    settings: Settings
+    start: str | None
+
+
 @_with_settings_of_models
-class TrainingParameters(Parameters):
+class TrainingParameters(SweptParameters):
     """Which models are trained on which splits, and how."""
 
     splits: tuple[SplitName, ...] = Field(("cross_scale",), description=f"Splits: {', '.join(SPLIT_NAMES)}")
     models: tuple[str, ...] = Field(
         DEFAULT_MODELS,
         min_length=1,
-        description=f"Models, or names of `forms`: {', '.join(MODELS)}",
+        description=f"Models: {', '.join(MODELS)}",
     )
     networks: bool = Field(
         True,
@@ -49,73 +58,49 @@ class TrainingParameters(Parameters):
         description="Takes the splits across interactions test on, with all of their interactions, beside held-out; "
         "swapped ones learn from them",
     )
-    forms: dict[str, dict[str, Any]] = Field(
-        {},
-        description="Models with other settings, by name: each has a `model` and any of that model's settings",
-    )
 
     @model_validator(mode="after")
-    def _forms_are_models(self) -> TrainingParameters:
-        for name in self.forms:
-            if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or name in MODELS:
-                raise ValueError(f"training.forms: '{name}' is no name for a form: small letters, and no model's name")
-            self.settings_of(name)
-        known = (*MODELS, *self.forms)
+    def _models_are_known(self) -> TrainingParameters:
         for name in self.models:
-            if name not in known:
-                raise ValueError(f"training.models: '{name}' is not known; known models: {', '.join(known)}")
-        for name in known:
-            self._with_starts(name, ())
-        free = [name for name, model in MODELS.items() if model.is_of_any_skeleton]
-        for name in self.in_order() if self.skeleton != BODY22.name else ():
-            if self.kind_of(name) not in free:
-                raise ValueError(
-                    f"training.models: '{name}' is of {BODY22.name} alone; of {self.skeleton} can be {', '.join(free)}"
-                )
+            if name not in MODELS:
+                raise ValueError(f"training.models: '{name}' is not known; known models: {', '.join(MODELS)}")
+        if taken := sorted(MODELS.keys() & self.sweep):
+            raise ValueError(f"training.sweep: '{taken[0]}' is the name of a model")
         return self
 
-    def kind_of(self, name: str) -> str:
-        """Return the registered model that a name of `models` stands for."""
-        return str(self.forms[name].get("model", "")) if name in self.forms else name
-
-    def settings_of(self, name: str) -> Settings:
-        """Return the settings of a model or of one of its forms.
+    def named(self) -> dict[str, NamedModel]:
+        """Return the models asked for and those they start from by the names they are kept under, starts first.
 
         Raises:
-            ValueError: A form names no model, or a setting that its model does not have or cannot have.
+            InputError: A sweep is not of one model, what a model starts from is not known, models start from each
+                other, or a model is not of the skeleton.
         """
-        kind = self.kind_of(name)
-        if kind not in MODELS:
-            raise ValueError(f"training.forms.{name}.model: '{kind}' is not known; known models: {', '.join(MODELS)}")
-        base: Settings = getattr(self, kind) if kind in type(self).model_fields else model_class(kind).settings()
-        if name not in self.forms:
-            return base
-        own = {key: value for key, value in self.forms[name].items() if key != "model"}
-        try:
-            return type(base).model_validate({**base.model_dump(), **own})
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"])
-            raise ValueError(f"training.forms.{name}.{place}: {first['msg']}") from None
-
-    def start_of(self, name: str) -> str | None:
-        """Return the name of the model that one builds on."""
-        return model_class(self.kind_of(name)).start(self.settings_of(name))
-
-    def in_order(self) -> list[str]:
-        """Return the models asked for and those they build on, each after what it builds on."""
-        found: list[str] = []
-        for name in sorted(self.models):
-            found += [one for one in self._with_starts(name, ()) if one not in found]
+        known = {name: self._model(name) for name in MODELS}
+        for name, own in self.swept().items():
+            if len(own.models) != 1:
+                raise InputError(f"training.sweep.{name}.models: {len(own.models)} are named; a sweep is of one model")
+            known[name] = own._model(own.models[0])
+        found: dict[str, NamedModel] = {}
+        for name in sorted({*self.models, *self.sweep}):
+            chain = [name]
+            while (start := known[chain[-1]].start) is not None:
+                if start in chain:
+                    raise InputError(f"training: {' -> '.join([*chain, start])} build on each other")
+                if start not in known:
+                    raise InputError(f"training: '{chain[-1]}' starts from '{start}', which is not known")
+                chain.append(start)
+            found |= {one: known[one] for one in reversed(chain) if one not in found}
+        free = [name for name, model in MODELS.items() if model.is_of_any_skeleton]
+        for name, model in found.items() if self.skeleton != BODY22.name else ():
+            if model.kind not in free:
+                raise InputError(
+                    f"training.models: '{name}' is of {BODY22.name} alone; of {self.skeleton} can be {', '.join(free)}"
+                )
         return found
 
-    def _with_starts(self, name: str, seen: tuple[str, ...]) -> tuple[str, ...]:
-        if name in seen:
-            raise ValueError(f"training: {' -> '.join((*reversed(seen), name))} build on each other")
-        if name not in MODELS and name not in self.forms:
-            raise ValueError(f"training: '{seen[0]}' starts from '{name}', which is not known")
-        start = self.start_of(name)
-        return (name,) if start is None else (*self._with_starts(start, (name, *seen)), name)
+    def _model(self, kind: str) -> NamedModel:
+        settings: Settings = getattr(self, kind) if kind in type(self).model_fields else model_class(kind).settings()
+        return NamedModel(kind, settings, model_class(kind).start(settings))
 
 
 class SegmentParameters(Parameters):
@@ -123,7 +108,7 @@ class SegmentParameters(Parameters):
 
     split: SplitName
     test_takes: tuple[str, ...]
-    name: str = Field(description="Name that the model is kept under: its own, or that of its form")
+    name: str = Field(description="Name that the model is kept under: its own, or that of its sweep")
     model: str
     settings: SerializeAsAny[Settings]
     segment: int

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from pasdedeux.augmentation import make_variations
 from pasdedeux.errors import InputError
 from pasdedeux.learning import Split, VariantKey, make_split, model_class
 from storage_schema import Manifest
-from tasks.augmentation import planned_variations
+from tasks.augmentation import planned_variations, variations
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
@@ -37,10 +36,10 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     for name in parameters.splits:
         split_variants(name, takes, variants, test_takes, inputs.seed)
     shards: list[Shard] = []
+    models = parameters.named()
     for name in parameters.splits:
         last: dict[str, str] = {}
-        for model in parameters.in_order():
-            kind, settings, start = parameters.kind_of(model), parameters.settings_of(model), parameters.start_of(model)
+        for model, (kind, settings, start) in models.items():
             if start is not None and start not in last:
                 continue
             if model_class(kind).needs_torch and not parameters.networks:
@@ -86,7 +85,8 @@ def check_study(sections: Mapping[str, Any]) -> None:
     ingest, parameters = sections["ingest"], sections["training"]
     duets = {duet.take_id: duet.name for duet in ingest.resolved_duets()}
     takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]
-    known = make_variations(sections["augmentation"])
+    parameters.named()
+    known = [one for part in variations(sections["augmentation"], 2).values() for one in part]
     keys = [
         VariantKey(take_id, one.variant_id, one.bone_scale, duets.get(take_id, ""))
         for take_id in takes

@@ -171,9 +171,9 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store, mo
 def test_batches_of_earlier_versions_are_read_and_what_is_no_longer_allowed_is_one_sentence(store: Store) -> None:
     (made,) = augment(store, [put_take(store, "pair")], scales=(0.8,))
     told = {**made.facts["told"], "mesh_smoothing_s": 0.25, "weights": {"stance": 1.0}}
-    assert augmentation.batch_of(replace(made, facts={"told": told})) == augmentation.batch_of(made)
+    assert augmentation.batch_of(replace(made, facts={**made.facts, "told": told})) == augmentation.batch_of(made)
     with pytest.raises(InputError, match=r"variants of take 'pair' were made by an earlier version.*solver.*'bulk'"):
-        augmentation.batch_of(replace(made, facts={"told": {**told, "solver": "descent"}}))
+        augmentation.batch_of(replace(made, facts={**made.facts, "told": {**told, "solver": "descent"}}))
 
 
 def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:
@@ -338,8 +338,11 @@ def test_adding_a_model_or_a_split_leaves_the_others_keys_alone(store: Store) ->
     more = plan_training(
         takes,
         variants,
-        models=("copy", "naive_fk", "near", "far"),
-        forms={name: {"model": "mesh_refine", "num_iterations": n} for name, n in (("near", 1), ("far", 9))},
+        models=("copy", "naive_fk"),
+        sweep={
+            name: {"models": ["mesh_refine"], "mesh_refine": {"num_iterations": n}}
+            for name, n in (("near", 1), ("far", 9))
+        },
         splits=("cross_scale", "cross_interaction"),
     )
     assert {shard.key for shard in some} < {shard.key for shard in more}
@@ -398,8 +401,8 @@ def test_what_is_planned_does_not_depend_on_whether_torch_is_there_and_its_lack_
 ) -> None:
     takes = [put_take(store, "one")]
     variants = augment(store, takes)
-    forms = {"refined": {"model": "mesh_refine", "start": "paper_cvae"}}
-    chosen: dict[str, Any] = {"models": ("copy", "refined"), "forms": forms}
+    sweep = {"refined": {"models": ["mesh_refine"], "mesh_refine": {"start": "paper_cvae"}}}
+    chosen: dict[str, Any] = {"models": ("copy",), "sweep": sweep}
     here = plan_training(takes, variants, **chosen)
     without = plan_training(takes, variants, networks=False, **chosen)
     monkeypatch.setattr("pasdedeux.learning.settings.find_spec", lambda name: None)
@@ -463,9 +466,7 @@ def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any])
         AugmentationParameters(**parameters)
     with pytest.raises(ValidationError, match="known models"):
         TrainingParameters(models=("oracle",))
-    with pytest.raises(ValidationError, match=r"training\.forms\.near\.num_iterations"):
-        TrainingParameters(forms={"near": {"model": "mesh_refine", "num_iterations": -1}})
-    with pytest.raises(ValidationError, match=r"training\.forms\.soft\.model: 'oracle' is not known"):
-        TrainingParameters(forms={"soft": {"model": "oracle"}})
-    with pytest.raises(ValidationError, match="no name for a form"):
-        TrainingParameters(forms={"copy": {"model": "ridge_scale"}})
+    with pytest.raises(InputError, match=r"training\.sweep\.both\.models: 2 are named"):
+        TrainingParameters(sweep={"both": {"models": ["copy", "naive_fk"]}}).named()
+    with pytest.raises(InputError, match=r"augmentation\.sweep\.again makes A-uniform-0\.80, which augm"):
+        augmentation.variations(AugmentationParameters(scales=(0.8,), sweep={"again": {"solver": "polished"}}), 2)

@@ -26,8 +26,8 @@ def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=5, num_grown=4, num_starts=1)
     options = {**QUICK, "num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
-    variants = {"grown": {"starts": "grown"}}
-    made = run(chains.plan(given, ChainsParameters(**options, variants=variants)), chains, store)
+    sweep = {"grown": {"starts": "grown"}}
+    made = run(chains.plan(given, ChainsParameters(**options, sweep=sweep)), chains, store)
     found = draws_from_first_seeds(store, tuple(one.ref for one in made))
     assert {name: len(pairs) for name, pairs in found.items()} == {"prior_only_first_seed": 8}
 

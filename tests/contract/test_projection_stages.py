@@ -165,7 +165,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
                 "body22_unitquat": np.zeros((16, 22, 4)),
             }
         },
-        {"takes": ["a"]},
+        {"take_id": "a", "takes": ["a"], "num_persons": 2, "num_frames": 4, "rate_hz": 48.0},
     )
     take, drawn, varied = build(store, [put_take(store, "a")], draws=draws, variants=[variants])
     assert take.facts["takes"] == ["a"]
@@ -324,5 +324,5 @@ def test_parts_of_other_views_or_of_none_make_no_database(store: Store, monkeypa
     other = build(store, [put_take(store, "b")])
     with pytest.raises(InputError, match="differ in yaw steps or camera"):
         projections.read_views([*built, *other])
-    with pytest.raises(InputError, match="build it again"):
+    with pytest.raises(InputError, match="run its study again"):
         projections.read_views([put_take(store, "c")])

@@ -89,10 +89,24 @@ def test_an_unknown_key_inside_a_list_is_named_with_its_full_path(tmp_path: Path
     assert any("load.people.0.meters_per_unit: unknown; did you mean metres_per_unit?" in p for p in found)
 
 
-def test_an_unknown_key_of_a_form_of_chains_is_named_with_its_nearest(tmp_path: Path) -> None:
-    path = write(tmp_path, '[chains.variants.hot]\nproposals = "velocity"\n')
-    with pytest.raises(StudyError, match=r"chains\.variants\.hot\.proposals: .*did you mean proposal\?"):
-        load_study(str(path), load_graph(), environment={})
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[chains.sweep.hot]\nproposals = "velocity"', r"chains\.sweep\.hot\.proposals: .*did you mean proposal\?"),
+        ("[chains.sweep.hot]\nsigma_l = -1.0", r"chains\.sweep\.hot\.sigma_l\."),
+        ("[chains.sweep.hot.sweep.hotter]", r"chains\.sweep: .*a sweep has no sweeps"),
+        ("[chains.sweep.ic]", r"chains\.sweep: 'ic' is the name of a density"),
+        (
+            "[training.sweep.near.mesh_refine]\nnum_iterations = -1",
+            r"training\.sweep\.near\.mesh_refine\.num_iterations: ",
+        ),
+        ('[training.sweep.soft]\nmodels = ["oracle"]', r"'oracle' is not known; known models"),
+        ("[training.sweep.copy]", r"training\.sweep: 'copy' is the name of a model"),
+    ],
+)
+def test_what_is_wrong_in_a_sweep_is_said_with_its_full_path(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(StudyError, match=message):
+        load_study(str(write(tmp_path, text)), load_graph(), environment={})
 
 
 def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:

@@ -1,0 +1,48 @@
+"""Sweeps: a section of a study once more with other keys, under a name."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+from pydantic import Field, StringConstraints, field_validator
+
+from tasks.stage import Parameters
+
+SweepName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+
+
+class SweptParameters(Parameters):
+    """A section of which a study may want more than one setting: the section itself, and one for each of `sweep`."""
+
+    sweep: dict[SweepName, dict[str, Any]] = Field(
+        {}, description="By a name of your own, keys of this section: it is computed once more with them"
+    )
+
+    @field_validator("sweep")
+    @classmethod
+    def _is_flat(cls, sweep: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        for name, own in sweep.items():
+            if "sweep" in own:
+                raise ValueError(f"'{name}' sets sweep, and a sweep has no sweeps")
+        return sweep
+
+    def swept_values(self) -> dict[str, dict[str, Any]]:
+        """Return all values of the section of each sweep, by its name; tables are merged, lists replaced."""
+        base = self.model_dump(exclude={"sweep"})
+        return {name: _merged(base, own) for name, own in self.sweep.items()}
+
+    def swept(self) -> dict[str, Self]:
+        """Return the section of each sweep by its name.
+
+        Raises:
+            ValidationError: A key or a value is not allowed; a study that is loaded has been checked.
+        """
+        return {name: type(self).model_validate(values) for name, values in self.swept_values().items()}
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for name, value in own.items():
+        before = merged.get(name)
+        merged[name] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
+    return merged

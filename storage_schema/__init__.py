@@ -1,10 +1,11 @@
 """What lies on disk: every table's columns, the artifact store, references, runs and datasets."""
 
-from storage_schema.ancestry import lineage, source_credits, source_files
+from storage_schema.ancestry import lineage, source_files
 from storage_schema.credits import SourceCredit
-from storage_schema.datasets import Dataset, create_dataset, list_datasets
+from storage_schema.datasets import Dataset, list_datasets
 from storage_schema.errors import CorruptArtifact, MissingArtifact, SchemaError, StorageError, UnknownReference
 from storage_schema.keys import artifact_key, canonical_json
+from storage_schema.licences import create_dataset, source_credits
 from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.references import (
     Reference,

@@ -8,35 +8,27 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from storage_schema.ancestry import source_credits
+from storage_schema.ancestry import walk_stored
 from storage_schema.credits import SourceCredit
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
 from storage_schema.errors import (
     BadName,
     CorruptArtifact,
-    DatasetExists,
-    MissingArtifact,
     OlderSchema,
-    StorageError,
     UnknownReference,
 )
 from storage_schema.keys import canonical_json
-from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older
+from storage_schema.manifest import ArtifactRef, Identity, refuse_newer, refuse_older
 from storage_schema.staging import StagingFolder
-from storage_schema.store import Store
+from storage_schema.store_reader import StoreReader
 from storage_schema.version import SCHEMA_VERSION
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 DATASET_FILE = "dataset.json"
-
-Place = tuple[str, str, str]
-"""Stage, key and content of an artifact."""
-Needed = Mapping[Place, Manifest | None]
 
 
 @dataclass(frozen=True)
@@ -69,50 +61,7 @@ class Dataset:
         return f"{self.name}@{self.version}"
 
 
-def create_dataset(
-    store: Store,
-    name: str,
-    refs: Sequence[ArtifactRef],
-    *,
-    version: str | None = None,
-    note: str = "",
-    attachments: Mapping[str, bytes] | None = None,
-) -> Dataset:
-    """Return a list of artifacts a name and a version that never change.
-
-    Args:
-        store: Store that holds the artifacts.
-        name: Name of the dataset.
-        refs: The artifacts.
-        version: Version; the next free number when None.
-        note: What to say about it.
-        attachments: Files to lie beside the list, such as a dataset card.
-
-    Raises:
-        DatasetExists: This name and version are taken.
-        MissingArtifact: An artifact, or one that it came from, is not in the store.
-        StorageError: The list is empty.
-        BadName: A name is not allowed.
-        FullDisk: There is no room left.
-    """
-    _check_names(name, version or "1", *(attachments or {}))
-    if not refs:
-        raise StorageError(f"dataset '{name}': a dataset needs at least one artifact")
-    sources = source_credits(store, *refs)
-    digest = digest_of(refs, sources)
-    store.prepare()
-    while True:
-        chosen = version or next_version(store, name)
-        path = store.root / "datasets" / f"{name}@{chosen}"
-        created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
-        if add_dataset(store, dataset, attachments or {}):
-            return dataset
-        if version is not None:
-            raise DatasetExists(f"dataset {dataset.label} was already made and never changes; name another version")
-
-
-def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
+def list_datasets(store: StoreReader, name: str = "*") -> list[Dataset]:
     """Return the datasets of a store, or the versions of one, but those of an older schema (`dataset_labels` has all).
 
     Raises:
@@ -125,7 +74,7 @@ def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
     return found
 
 
-def named_places(store: Store) -> set[tuple[str, str]]:
+def named_places(store: StoreReader) -> set[tuple[str, str]]:
     """Return stage and key of all that the datasets of a store name, also those of an older schema.
 
     Raises:
@@ -145,12 +94,12 @@ def named_places(store: Store) -> set[tuple[str, str]]:
     return found
 
 
-def dataset_labels(store: Store) -> list[str]:
+def dataset_labels(store: StoreReader) -> list[str]:
     """Return `name@version` of all datasets of a store, also of those that cannot be read."""
     return [path.name for path in _folders(store)]
 
 
-def newest_version(store: Store, name: str) -> Dataset | None:
+def newest_version(store: StoreReader, name: str) -> Dataset | None:
     """Return the numbered version of a dataset with the greatest number; None without one, or of an older schema.
 
     Raises:
@@ -162,7 +111,7 @@ def newest_version(store: Store, name: str) -> Dataset | None:
     return None
 
 
-def open_dataset(store: Store, label: str) -> Dataset:
+def open_dataset(store: StoreReader, label: str) -> Dataset:
     """Return the dataset `name@version`, or the newest version of `name`.
 
     Raises:
@@ -176,7 +125,7 @@ def open_dataset(store: Store, label: str) -> Dataset:
     return _read(named[-1])
 
 
-def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
+def datasets_with(store: StoreReader, ref: ArtifactRef) -> Iterator[Dataset]:
     """Return the datasets that name this content of an artifact or were computed from it.
 
     Those of an older schema need other artifacts.
@@ -187,32 +136,15 @@ def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
     for path in _folders(store):
         with suppress(OlderSchema):
             dataset, needed = _read_with_needs(store, path)
-            if _place(ref) in needed:
+            if ref.identity in needed:
                 yield dataset
 
 
-def needed_by(store: Store, dataset: Dataset) -> Needed:
-    """Return what a dataset names and all that it was computed from by stage, key, content; None for what is lost."""
-    waiting, found = list(dataset.refs), dict[Place, Manifest | None]()
-    while waiting:
-        ref = waiting.pop()
-        if _place(ref) not in found:
-            found[_place(ref)] = None
-            with suppress(MissingArtifact, CorruptArtifact):
-                found[_place(ref)] = manifest = store.manifest(ref)
-                waiting += manifest.inputs
-    return found
-
-
 @lru_cache(maxsize=64)
-def _read_with_needs(store: Store, path: Path) -> tuple[Dataset, frozenset[Place]]:
-    """Return a dataset and the places of what it needs, which never change."""
+def _read_with_needs(store: StoreReader, path: Path) -> tuple[Dataset, frozenset[Identity]]:
+    """Return a dataset and what it names or was computed from, which never changes."""
     dataset = _read(path)
-    return dataset, frozenset(needed_by(store, dataset))
-
-
-def _place(ref: ArtifactRef) -> Place:
-    return ref.stage, ref.key, ref.content_digest
+    return dataset, frozenset(step.ref.identity for step in walk_stored(store, dataset.refs))
 
 
 def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> str:
@@ -220,14 +152,14 @@ def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> s
     return hashlib.sha256(canonical_json([[asdict(one) for one in part] for part in (refs, sources)])).hexdigest()
 
 
-def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
+def add_dataset(store: StoreReader, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
     """Write the dataset's folder and give it its name in one rename; false when the name is taken.
 
     Raises:
         BadName: A name is not allowed.
         FullDisk: There is no room left.
     """
-    _check_names(dataset.name, dataset.version, *attachments)
+    check_names(dataset.name, dataset.version, *attachments)
     values = {**asdict(dataset), "schema_version": SCHEMA_VERSION}
     del values["path"]
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
@@ -275,13 +207,13 @@ def _read(path: Path) -> Dataset:
     return dataset_from_json((path / DATASET_FILE).read_bytes, path)
 
 
-def next_version(store: Store, name: str) -> str:
+def next_version(store: StoreReader, name: str) -> str:
     """Return the version that follows the numbered ones of a dataset."""
     numbers = [int(_version(path)) for path in _folders(store, name) if _version(path).isdecimal()]
     return str(max(numbers, default=0) + 1)
 
 
-def _folders(store: Store, name: str = "*") -> list[Path]:
+def _folders(store: StoreReader, name: str = "*") -> list[Path]:
     """Return the folders of datasets: by name, versions that are numbers by number, after those with names.
 
     Their lists, of 100,000 artifacts perhaps, are not read.
@@ -299,7 +231,8 @@ def _version(path: Path) -> str:
     return path.name.rpartition("@")[2]
 
 
-def _check_names(*names: str) -> None:
+def check_names(*names: str) -> None:
+    """Refuse what cannot name a dataset, its version or its files; BadName says which."""
     for name in names:
         if not _NAME.fullmatch(name) or name == DATASET_FILE:
             raise BadName(f"'{name}' cannot name a dataset, its version or its files: use letters, digits, . _ -")

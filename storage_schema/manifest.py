@@ -18,6 +18,8 @@ MANIFEST_NAME = "manifest.json"
 RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
 """Folders of a store that are not stages."""
 
+Identity = tuple[str, str, str]
+
 _SHARED: dict[tuple[tuple[str, str], ...], dict[str, str]] = {}
 """Package versions as manifests have them: one and the same in nearly all, so they are kept once."""
 _HEX_KEY = re.compile(r"[0-9a-f]{64}")
@@ -38,6 +40,11 @@ class ArtifactRef:
     stage: str
     key: str = field(compare=False)
     content_digest: str
+
+    @property
+    def identity(self) -> Identity:
+        """What tells it from every other artifact, also from those of the same content: stage, key and content."""
+        return self.stage, self.key, self.content_digest
 
     @property
     def place(self) -> tuple[str, str]:

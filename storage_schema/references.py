@@ -14,10 +14,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from storage_schema.ancestry import source_credits
 from storage_schema.credits import SourceCredit
 from storage_schema.datasets import open_dataset
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, UnknownReference
+from storage_schema.licences import source_credits
 from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.runs import latest_studies, read_latest
 from storage_schema.store import Store

@@ -17,6 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from storage_schema.ancestry import walk
 from storage_schema.bucket import AT_ONCE, RemoteStore
 from storage_schema.columns import is_plain_name
 from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
@@ -104,14 +105,9 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 
 def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]) -> Sequence[Manifest]:
     """Return the manifests of these artifacts and of all that they were computed from."""
-    found: dict[tuple[str, str], Manifest] = {}
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        waiting = {ref.place: ref for ref in refs}
-        while waiting:
-            found |= zip(waiting, pool.map(manifest_of, waiting.values()), strict=True)
-            read = [ref for place in waiting for ref in found[place].inputs]
-            waiting = {ref.place: ref for ref in read if ref.place not in found}
-    return list(found.values())
+        steps = walk(refs, lambda level: pool.map(manifest_of, level))
+        return [step.manifest for step in steps if step.manifest is not None]
 
 
 def _is_elsewhere(name: str) -> bool:

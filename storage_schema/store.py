@@ -22,6 +22,7 @@ from typing import Any, NotRequired, TypedDict, Unpack
 
 from storage_schema.artifact_writer import ArtifactWriter
 from storage_schema.credits import SourceCredit, merge_credits
+from storage_schema.datasets import datasets_with
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
 from storage_schema.errors import CorruptArtifact, MissingArtifact, NamedByDataset, StorageError
 from storage_schema.keys import content_digest, plain_json
@@ -270,8 +271,6 @@ class Store(StoreReader):
         if is_valid and not replaces:
             self._say_other_bytes(ref, found.ref)
             return True
-        from storage_schema.datasets import datasets_with  # here: datasets are made of what a store holds
-
         if self.mirror is not None:
             self.mirror.bring_datasets()
         if (dataset := next(datasets_with(self, found.ref), None)) is not None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from storage_schema.datasets import DATASET_FILE, Dataset, Needed, dataset_labels, needed_by, open_dataset
+from storage_schema.ancestry import LineageStep, walk_stored
+from storage_schema.datasets import DATASET_FILE, Dataset, dataset_labels, open_dataset
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
 from storage_schema.runs import read_latest
@@ -93,7 +94,7 @@ def verify(store: Store) -> Verification:
         except CorruptArtifact as error:
             problems.append(Problem(ProblemKind.UNREADABLE, "datasets", label, DATASET_FILE, str(error)))
         else:
-            needed = needed_by(store, dataset)
+            needed = list(walk_stored(store, dataset.refs))
             problems.extend(_check_dataset(store, dataset, needed))
             notes.extend(_outdated(store, dataset, needed))
     problems.extend(_check_records(store))
@@ -131,9 +132,9 @@ def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> 
     return None
 
 
-def _check_dataset(store: Store, dataset: Dataset, needed: Needed) -> Iterator[Problem]:
+def _check_dataset(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> Iterator[Problem]:
     named = {(ref.stage, ref.key) for ref in dataset.refs}
-    for (stage, key, _), manifest in needed.items():
+    for (stage, key), manifest in ((step.ref.place, step.manifest) for step in needed):
         if (manifest is None and not _is_older(store, stage, key)) or (manifest and not store.has_files(manifest)):
             how = "names this artifact" if (stage, key) in named else "was computed from this artifact"
             detail = f"dataset {dataset.label} {how}, which is missing, incomplete or of other content in the store"
@@ -150,10 +151,10 @@ def _is_older(store: Store, stage: str, key: str) -> bool:
     return False
 
 
-def _outdated(store: Store, dataset: Dataset, needed: Needed) -> Iterator[str]:
+def _outdated(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> Iterator[str]:
     """Say which release reads tables of a dataset whose columns are not those of this one."""
     releases: dict[str, set[str]] = {}
-    for manifest in filter(None, needed.values()):
+    for manifest in filter(None, (step.manifest for step in needed)):
         for table in store.outdated_tables(manifest):
             releases.setdefault(manifest.code_version, set()).add(table)
     for release, tables in releases.items():

@@ -398,13 +398,13 @@ FAULTS = (
     Fault("a changed licence is no new version", "flows/publishing.py", " and before.sources == sources", "",
           "unit/test_flows_licences.py::"
           "test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after"),
-    Fault("credits are those of the time when data were made", "storage_schema/ancestry.py",
+    Fault("credits are those of the time when data were made", "storage_schema/licences.py",
           "for one in _last_runs(store)]", "for one in ()]",
           "unit/test_storage_store.py::test_a_licence_that_a_study_says_anew_reaches_what_was_made_before"),
-    Fault("nothing that was computed has credits", "storage_schema/ancestry.py",
+    Fault("nothing that was computed has credits", "storage_schema/licences.py",
           "return merge_credits(*said)", "return ()",
           "unit/test_storage_store.py::test_credits_are_those_of_all_that_something_came_from_once"),
-    Fault("a source of one run has the credits of another", "storage_schema/ancestry.py",
+    Fault("a source of one run has the credits of another", "storage_schema/licences.py",
           "found = [one for one in found if one.ref.place in named] or found", "pass",
           "unit/test_storage_store.py::"
           "test_where_two_studies_say_different_licences_of_the_same_bytes_each_has_its_own"),

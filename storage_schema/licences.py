@@ -1,0 +1,122 @@
+"""Licences and credits of what artifacts came from, as they stand today, and datasets made with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+
+from storage_schema.ancestry import find_manifest
+from storage_schema.credits import SourceCredit, merge_credits
+from storage_schema.datasets import Dataset, add_dataset, check_names, datasets_with, digest_of, next_version
+from storage_schema.errors import DatasetExists, MissingArtifact, OlderSchema, StorageError
+from storage_schema.manifest import ArtifactRef, Manifest
+from storage_schema.runs import LatestRun, latest_studies, read_latest
+from storage_schema.store import Store
+
+
+def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]:
+    """Return the licence and credit of every source of these artifacts, as they stand today.
+
+    A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
+    the credits that the last runs say which have it on record, only those whose sources these are where some are.
+    Where none has, its sources have those that the last runs of all studies say of them, else those of the newest
+    dataset that they came with, else their own.
+
+    Raises:
+        MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
+    """
+    runs = [{ref: ref for stage in one.stages for ref in one.refs(stage)} for one in _last_runs(store)]
+    mine = [run for run in runs if any(ref in run and run[ref].place == ref.place for ref in refs)]
+    named = {ref.place for ref in refs}
+    waiting, seen = list(refs), set(named)
+    said: list[Iterable[SourceCredit]] = []
+    while waiting:
+        ref = waiting.pop()
+        # What has the same content in these runs may have come from elsewhere than what was there before.
+        found = _there(store, ref, mine)
+        found = [one for one in found if one.ref.place in named] or found
+        every: Sequence[Manifest | None] = found or [find_manifest(store, ref)]
+        for one in every:
+            if one is None:
+                raise MissingArtifact(
+                    f"artifact {ref.stage}@{ref.key[:12]}, which this comes from, is no longer whole in the store "
+                    f"{store}, so its licence is not known; run the study again"
+                )
+            if found or not one.sources:
+                said.append(one.sources)
+            else:
+                others = _there(store, ref, runs)
+                said += [other.sources for other in others] or [_as_it_came(store, one)]
+            waiting += [read for read in one.inputs if read.place not in seen]
+            seen.update(read.place for read in one.inputs)
+    return merge_credits(*said)
+
+
+def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
+    """Return what has this content in these runs, and is in the store."""
+    found = (find_manifest(store, run[ref]) for run in runs if ref in run)
+    return [one for one in found if one is not None]
+
+
+def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
+    """Return the credits of a source as the newest dataset that needs it says them, else as it says itself.
+
+    Where a source has another name there than it had, all that the dataset says: its own may be among them.
+    """
+    found = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
+    if not found:
+        return source.sources
+    names = {one.name for one in source.sources}
+    said = tuple(one for one in found[-1].sources if one.name in names)
+    return said if names == {one.name for one in said} else found[-1].sources
+
+
+def _last_runs(store: Store) -> Iterator[LatestRun]:
+    for study in latest_studies(store):
+        with suppress(OlderSchema):  # what is of an older schema has other content than all that is read here
+            if (latest := read_latest(store, study)) is not None:
+                yield latest
+
+
+def create_dataset(
+    store: Store,
+    name: str,
+    refs: Sequence[ArtifactRef],
+    *,
+    version: str | None = None,
+    note: str = "",
+    attachments: Mapping[str, bytes] | None = None,
+) -> Dataset:
+    """Return a list of artifacts a name and a version that never change.
+
+    Args:
+        store: Store that holds the artifacts.
+        name: Name of the dataset.
+        refs: The artifacts.
+        version: Version; the next free number when None.
+        note: What to say about it.
+        attachments: Files to lie beside the list, such as a dataset card.
+
+    Raises:
+        DatasetExists: This name and version are taken.
+        MissingArtifact: An artifact, or one that it came from, is not in the store.
+        StorageError: The list is empty.
+        BadName: A name is not allowed.
+        FullDisk: There is no room left.
+    """
+    check_names(name, version or "1", *(attachments or {}))
+    if not refs:
+        raise StorageError(f"dataset '{name}': a dataset needs at least one artifact")
+    sources = source_credits(store, *refs)
+    digest = digest_of(refs, sources)
+    store.prepare()
+    while True:
+        chosen = version or next_version(store, name)
+        path = store.root / "datasets" / f"{name}@{chosen}"
+        created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
+        dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
+        if add_dataset(store, dataset, attachments or {}):
+            return dataset
+        if version is not None:
+            raise DatasetExists(f"dataset {dataset.label} was already made and never changes; name another version")

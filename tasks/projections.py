@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,9 +14,15 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera, cameras_of
 from pasdedeux.projections.pairs import centre_pairs
-from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
-from pasdedeux.reconstruction.body import REFERENCE_REST_M, body_through, pose_body, rotations_from_t_pose
+from pasdedeux.reconstruction.body import (
+    REFERENCE_HIP_WIDTH_M,
+    REFERENCE_REST_M,
+    body_of,
+    pose_body,
+    rotations_from_t_pose,
+)
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
@@ -26,7 +31,7 @@ from tasks.facts import DrawFacts, ProjectionFacts, TakeFacts, VariantFacts
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
 from tasks.takes import read_motion, read_rest
 
-PROJECTIONS = StageName("projections", 5)
+PROJECTIONS = StageName("projections", 6)
 
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
@@ -152,15 +157,15 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
     options = shard.options(PoseShard)
     ref = shard.ref("poses")
-    read_rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[options.origin]
-    rows = read_rows(store, ref, options.rate_hz)
-    positions, unitquat = rows.pop("positions"), rows.pop("body22_unitquat")
+    groups = _READERS[options.origin](store, ref, options.rate_hz)
+    positions = np.concatenate([group.op14_m.reshape(-1, OP14.num_joints, 3) for group in groups])
+    unitquat = np.concatenate([group.body22_unitquat.reshape(-1, BODY22.num_joints, 4) for group in groups])
     centred = centre_and_face(retarget_proportions(positions))
     heading = unitquat_from_rotmat(yaw_rotmat(-centred.heading_rad))
     unitquat[:, BODY22.root] = multiply(heading, unitquat[:, BODY22.root])
     columns: dict[str, Any] = {
         "origin": [options.origin] * len(positions),
-        **rows,
+        **_rows(groups),
         "op14_m": centred.poses_m,
         "op14_unitquat": bone_rotations(centred.poses_m),
         "body22_unitquat": unitquat,
@@ -215,109 +220,87 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | No
     return np.concatenate(pairs)
 
 
-def _take_rows(store: Store, ref: ArtifactRef, rate_hz: float) -> dict[str, Any]:
+class _Group(NamedTuple):
+    """People who were there together: the take of each frame, and everybody's poses and rotations, frame by frame.
+
+    Draws are frames of one group that have no past: each begins a sequence.
+    """
+
+    take_ids: Sequence[str]
+    op14_m: np.ndarray
+    """(person, frame, 14, 3)"""
+    body22_unitquat: np.ndarray
+    """(person, frame, 22, 4)"""
+    has_past: bool = True
+
+
+def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
     """Return the poses of every person of a take at the database's rate."""
-    take = TakeFacts.of(store.manifest(ref))
-    poses, rest_m = read_motion(store, ref, "op14_m", "body22_m", "body22_world_unitquat"), read_rest(store, ref)
-    rates = {"from_hz": take.rate_hz, "to_hz": rate_hz}
-    parts = []
-    for person in range(take.num_persons):
-        op14, whole, turned = (np.ascontiguousarray(values[:, person]) for values in poses.values())
-        unitquat = rotations_from_t_pose(whole, normalise(turned), rest_m[person])
-        moved, turns = resample_positions(op14, **rates), _resample_rotations(unitquat, **rates)
-        parts.append(_one_motion(moved, turns, take.take_id, person))
-    _set_partners(parts)
-    return _joined(parts)
+    take, rest_m = TakeFacts.of(store.manifest(ref)), read_rest(store, ref)
+    poses = read_motion(store, ref, "op14_m", "body22_m", "body22_world_unitquat")
+    op14, body22, world = (np.ascontiguousarray(values.swapaxes(0, 1)) for values in poses.values())
+    turned = [rotations_from_t_pose(*one) for one in zip(body22, normalise(world), rest_m, strict=True)]
+    return [_resampled(take, op14, turned, rate_hz)]
 
 
-def _draw_rows(store: Store, ref: ArtifactRef, rate_hz: float) -> dict[str, Any]:
-    """Return both people of every draw; draws have no past, so each is a motion of its own."""
+def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
+    """Return both people of every draw."""
     draws = store.read(ref, "draws", columns=["pair17_m", "take_id"])
-    pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17)
-    rows = np.arange(len(pairs))
+    pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17).swapaxes(0, 1)
     take_ids = [take_id or "" for take_id in draws["take_id"]]
-    parts = []
-    for person in range(2):
-        parts.append(
-            {
-                "take_id": take_ids,
-                "person": np.full(len(rows), person),
-                "frame": rows,
-                "is_sequence_start": np.ones(len(rows), dtype=bool),
-                "positions": pairs[:, person],
-                "body22_unitquat": _bodies_of_op14(pairs[:, person]),
-            }
-        )
-    _set_partners(parts)
-    return _joined(parts)
+    return [_Group(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)]
 
 
-def _variant_rows(store: Store, ref: ArtifactRef, rate_hz: float) -> dict[str, Any]:
+def _of_variants(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
     """Return everybody of every variant at the database's rate."""
-    table = store.read(ref, "variants", columns=["variant_id", "person", "frame", "body22_m"])
-    variant = np.array(list(table["variant_id"]), dtype=object)
-    poses = np.asarray(table["body22_m"], dtype=np.float64)
     facts = VariantFacts.of(store.manifest(ref))
+    table = store.read(ref, "variants", columns=["variant_id", "person", "frame", "body22_m"])
+    order = np.lexsort((table["frame"], table["person"], table["variant_id"].astype(str)))
+    poses = np.asarray(table["body22_m"], dtype=np.float64)[order]
+    everybody = poses.reshape(-1, facts.num_persons, facts.num_frames, *poses.shape[1:])
+    return [
+        _resampled(facts, op14_from_working(people, BODY22), [rotations_from_t_pose(own) for own in people], rate_hz)
+        for people in everybody
+    ]
+
+
+def _resampled(
+    facts: TakeFacts | VariantFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarray], rate_hz: float
+) -> _Group:
+    """Return people at another rate."""
     rates = {"from_hz": facts.rate_hz, "to_hz": rate_hz}
-    parts: list[dict[str, Any]] = []
-    names, number = np.unique(variant.astype(str), return_inverse=True)
-    for one in range(len(names)):
-        people = []
-        for person in np.unique(table["person"]):
-            chosen = np.flatnonzero((number == one) & (table["person"] == person))
-            chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
-            moved = resample_positions(op14_from_working(poses[chosen], BODY22), **rates)
-            turned = _resample_rotations(rotations_from_t_pose(poses[chosen]), **rates)
-            people.append(_one_motion(moved, turned, facts.take_id, int(person)))
-        _set_partners(people, first_row=sum(len(part["positions"]) for part in parts))
-        parts += people
-    return _joined(parts)
+    moved = np.stack([resample_positions(own, **rates) for own in op14_m])
+    motions = [Motion(BODY22, REFERENCE_REST_M, np.zeros((len(one), 3)), one, facts.rate_hz) for one in unitquat]
+    turned = np.stack([motion.resample(rate_hz).local_unitquat for motion in motions])
+    return _Group([facts.take_id] * moved.shape[1], moved, turned)
 
 
-def _resample_rotations(unitquat: np.ndarray, *, from_hz: float, to_hz: float) -> np.ndarray:
-    """Return local rotations (frame, 22, 4) at another rate, at the times of `resample_positions`."""
-    motion = Motion(BODY22, REFERENCE_REST_M, np.zeros((len(unitquat), 3)), unitquat, from_hz)
-    return motion.resample(to_hz).local_unitquat
-
-
-def _bodies_of_op14(positions: np.ndarray) -> np.ndarray:
+def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
     """Return local rotations (row, 22, 4) for poses that say no more than op14: straight backs, feet square."""
-    poses = retarget_proportions(positions)
-    return pose_body(body_through(poses), poses)[1]
+    return pose_body(body_of(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M), retarget_proportions(op14_m))[1]
 
 
-def _one_motion(positions: np.ndarray, unitquat: np.ndarray, take_id: str, person: int) -> dict[str, Any]:
-    frame = np.arange(len(positions))
-    return {
-        "take_id": [take_id] * len(positions),
-        "person": np.full(len(positions), person),
-        "frame": frame,
-        "is_sequence_start": frame == 0,
-        "positions": positions,
-        "body22_unitquat": unitquat,
-    }
+def _rows(groups: Sequence[_Group]) -> dict[str, Any]:
+    """Return who and when each row is, person after person, and for two people where the other's row is."""
+    rows: dict[str, list[Any]] = {}
+    for group in groups:
+        num_people, num_frames = group.op14_m.shape[:2]
+        count, first = num_people * num_frames, len(rows.get("frame", ()))
+        frame = np.tile(np.arange(num_frames), num_people)
+        partner = first + (np.arange(count) + num_frames) % count if num_people == 2 else [None] * count
+        added = {
+            "take_id": [*group.take_ids] * num_people,
+            "person": np.repeat(np.arange(num_people), num_frames),
+            "partner_row": partner,
+            "frame": frame,
+            "is_sequence_start": (frame == 0) | (not group.has_past),
+        }
+        for name, values in added.items():
+            rows.setdefault(name, []).extend(values)
+    return rows
 
 
-def _set_partners(parts: list[dict[str, Any]], *, first_row: int = 0) -> None:
-    """Note for two people of a motion, whose rows will start at `first_row`, where the other's row is."""
-    lengths = [len(part["positions"]) for part in parts]
-    if len(parts) != 2:
-        for part, length in zip(parts, lengths, strict=True):
-            part["partner_row"] = [None] * length
-        return
-    for part, other, start in ((parts[0], 1, first_row + lengths[0]), (parts[1], 0, first_row)):
-        rows = range(len(part["positions"]))
-        part["partner_row"] = [start + row if row < lengths[other] else None for row in rows]
-
-
-def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        name: list(chain.from_iterable(part[name] for part in parts))
-        if name in ("take_id", "partner_row")
-        else np.concatenate([part[name] for part in parts])
-        for name in ("take_id", "partner_row", "person", "frame", "is_sequence_start", "positions", "body22_unitquat")
-    }
-
+_READERS = {"take": _of_take, "draw": _of_draws, "variant": _of_variants}
 
 STAGE = Stage(
     *PROJECTIONS,

@@ -248,6 +248,11 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     np.testing.assert_allclose(apart[1] - apart[0], true_apart, atol=0.5)
 
 
+def test_the_body_of_a_draw_does_not_depend_on_the_draws_beside_it() -> None:
+    poses = np.random.default_rng(1).normal(size=(6, 14, 3))
+    np.testing.assert_array_equal(projections.bodies_of_op14(poses)[:2], projections.bodies_of_op14(poses[:2]))
+
+
 def test_running_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None:
     other = Store(tmp_path / "other")
     digests = []

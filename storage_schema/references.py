@@ -168,11 +168,23 @@ def _one_row(
     row: int,
     columns: Sequence[str] | None,
 ) -> TableData:
+    part, at = find_row(reference, store, table, refs, row)
+    return store.read(part, table, columns=columns, rows=slice(at, at + 1))
+
+
+def find_row(
+    reference: Reference | str, store: Store, table: str, refs: Sequence[ArtifactRef], row: int
+) -> tuple[ArtifactRef, int]:
+    """Return the artifact that holds a row of these artifacts' parts of a table, and the row's number in it.
+
+    Raises:
+        UnknownReference: There are fewer rows.
+    """
     left = row
     for part in refs:
         num_rows = store.manifest(part).tables[table].rows
         if left < num_rows:
-            return store.read(part, table, columns=columns, rows=slice(left, left + 1))
+            return part, left
         left -= num_rows
     raise UnknownReference(f"'{reference}': there is no row {row}, the table has {row - left} rows here")
 

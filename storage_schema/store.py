@@ -269,7 +269,10 @@ class Store(StoreReader):
             # Into a bucket the parts have just come again.
             return has_same_keys and is_as_said and (self.mirror is not None or not self.damaged_files(found))
         if is_valid and not replaces:
-            self._say_other_bytes(ref, found.ref)
+            _log.warning(
+                "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",
+                *(ref.stage, ref.key[:12], ref.content_digest[:12], found.ref.content_digest[:12]),
+            )
             return True
         if self.mirror is not None:
             self.mirror.bring_datasets()
@@ -285,16 +288,6 @@ class Store(StoreReader):
         targets = list(targets)
         if self.mirror is not None:
             self.mirror.withdraw(targets)
-        self._remove_here(targets)
-
-    @staticmethod
-    def _say_other_bytes(ref: ArtifactRef, kept: ArtifactRef) -> None:
-        _log.warning(
-            "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",
-            *(ref.stage, ref.key[:12], ref.content_digest[:12], kept.content_digest[:12]),
-        )
-
-    def _remove_here(self, targets: Sequence[Path]) -> None:
         if not any(target.exists() for target in targets):
             return
         parents = set()

@@ -19,11 +19,11 @@ from storage_schema import (
     Manifest,
     SourceCredit,
     Store,
-    UnknownReference,
     parse_reference,
     resolve,
     source_credits,
 )
+from storage_schema.references import find_row
 from tasks.facts import Facts
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
@@ -131,15 +131,7 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     reference = parse_reference(text)
     if reference.table != "draws" or reference.row is None:
         raise InputError(f"'{text}' is not a draw; a draw is draws@key#row or draws:study/partition#row")
-    row = reference.row
-    for ref in resolve(reference, store):
-        count = store.manifest(ref).tables["draws"].rows
-        if row < count:
-            break
-        row -= count
-    else:
-        total = reference.row - row
-        raise UnknownReference(f"'{text}': there is no row {reference.row}, the table has {total} rows here")
+    ref, row = find_row(text, store, "draws", resolve(reference, store), reference.row)
     manifest = store.manifest(ref)
     draw = store.read(ref, "draws", rows=slice(row, row + 1))
     seed_index, density = int(draw["seed_index"][0]), str(draw["density"][0])
@@ -168,15 +160,15 @@ def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
-    found: list[tuple[int, PairFile]] = []
-    for ref in resolve(reference, store):
-        manifest = store.manifest(ref)
-        table = store.read(ref, "seeds", columns=["seed_index", "pair17_m"])
-        for row in range(table.num_rows):
+    refs = resolve(reference, store)
+    rows = {ref: range(store.manifest(ref).tables["seeds"].rows) for ref in refs}
+    if reference.row is not None:
+        ref, row = find_row(text, store, "seeds", refs, reference.row)
+        rows = {ref: range(row, row + 1)}
+    found = []
+    for ref, wanted in rows.items():
+        manifest, table = store.manifest(ref), store.read(ref, "seeds", columns=["seed_index", "pair17_m"])
+        for row in wanted:
             pair_m = np.array(table["pair17_m"][row], dtype=np.float64)
             found.append((int(table["seed_index"][row]), _pair_file(store, manifest, pair_m, f"seeds@{ref.key}#{row}")))
-    if reference.row is not None:
-        if reference.row >= len(found):
-            raise UnknownReference(f"'{text}': there is no row {reference.row}, the table has {len(found)} rows here")
-        found = found[reference.row : reference.row + 1]
     return found

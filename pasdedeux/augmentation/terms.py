@@ -1,4 +1,4 @@
-"""The energy of a variant: DESIGN.md section 6, quadratic but for girdle and clearance.
+"""The energy of a variant, after Ho, Komura and Tai 2010: quadratic but for girdle and clearance.
 
 With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (q: the source), the energy of a take is
 

@@ -36,7 +36,7 @@ from pasdedeux.skeletons import PAIR17
 Flags = npt.NDArray[np.bool_]
 
 MAX_INVALID_ANGLES = 8
-"""A person with more invalid angles than this is impossible (Yin et al. 2018, section 4.1)."""
+"""A pair with more invalid angles than this is impossible (Yin et al. 2018, section 4.1)."""
 _LEFT_OUT_PERCENT = 0.5
 """Share of captured angles at each end that ranges are not widened for."""
 

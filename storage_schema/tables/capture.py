@@ -70,19 +70,6 @@ TAKE_QUALITY = Table(
     ),
 )
 
-OBJECTS = Table(
-    name="objects",
-    meaning="One row per take, object and frame: what people handle, capsules that move as they were captured.",
-    sorted_by=("take_id", "object", "frame"),
-    columns=(
-        TAKE_ID,
-        text("object", "Name of the capsule"),
-        FRAME.with_meaning("Frame of the take at the study's rate, from 0"),
-        array("ends_m", "World positions of both ends of its axis", axes={"end": 2, "xyz": 3}, unit="m"),
-        float64("radius_m", "Its radius", unit="m"),
-    ),
-)
-
 POSES = Table(
     name="poses",
     meaning="One row per take, person and frame: the source's own rotations and the working skeletons' positions.",
@@ -102,6 +89,19 @@ POSES = Table(
             "body22",
             "World rotation (x, y, z, w) from the rest pose of the source joint that carries each body22 joint",
         ),
+    ),
+)
+
+OBJECTS = Table(
+    name="objects",
+    meaning="One row per take, object and frame: what people handle, capsules that move as they were captured.",
+    sorted_by=("take_id", "object", "frame"),
+    columns=(
+        TAKE_ID,
+        text("object", "Name of the capsule"),
+        FRAME.with_meaning("Frame of the take at the study's rate, from 0"),
+        array("ends_m", "World positions of both ends of its axis", axes={"end": 2, "xyz": 3}, unit="m"),
+        float64("radius_m", "Its radius", unit="m"),
     ),
 )
 

@@ -254,26 +254,14 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
     if not workers:
         said = "".join(f"; the last that left: {why}" for why in refusals(client)[-1:])
         raise ClusterError(f"the Dask scheduler at {address} has no workers{said}")
-    for worker in sorted(workers):
-        _refuse_threads(worker, workers[worker]["nthreads"])
     try:
-        can_write: Mapping[str, bool] = client.run(_can_write, store_root)
+        reasons: Mapping[str, str] = client.run(_why_unfit, installed(), store_root)
     except (ImportError, AttributeError) as error:
         raise ClusterError(
             f"the workers at {address} do not have this version of pasdedeux: {in_one_line(error)}"
         ) from None
-    without = sorted(worker for worker, can in can_write.items() if not can)
-    if without:
-        raise _no_store(without[0], store_root)
-    try:
-        found: Mapping[str, dict[str, str]] = client.run(installed)
-    except (ImportError, AttributeError) as error:
-        raise ClusterError(
-            f"the workers at {address} do not have this version of pasdedeux: {in_one_line(error)}"
-        ) from None
-    mine = installed()
-    for worker in sorted(found):
-        refuse_other(mine, found[worker], f"worker {worker}")
+    if unfit := sorted(worker for worker, why in reasons.items() if why):
+        raise ClusterError(reasons[unfit[0]])
 
 
 def refusals(client: Client) -> list[str]:
@@ -292,23 +280,27 @@ def pinned_instructions() -> dict[str, str]:
     return {name: os.environ[name] for name in _INSTRUCTIONS if name in os.environ}
 
 
-def refuse_other(mine: Mapping[str, str], theirs: Mapping[str, str], who: str) -> None:
-    """Refuse a worker that has other packages or other sources; ClusterError names the first."""
+def _why_unfit(mine: Mapping[str, str], store_root: str, dask_worker: Any) -> str:
+    """Return why this process, a worker, may compute nothing for a run; empty where it may.
+
+    A process computes one shard at a time, with the packages, sources and instructions of the run, into its store.
+    """
+    who, theirs = f"worker {dask_worker.address}", installed()
+    if dask_worker.state.nthreads != 1:
+        return (
+            f"{who} has {dask_worker.state.nthreads} threads, but a process computes one shard at a time; start "
+            "workers with --nthreads 1, and as many of them as there are cores"
+        )
+    if not Store(store_root).can_write():
+        needs = "it must reach the bucket" if store_root.startswith("s3://") else "it must be on a shared file system"
+        return f"{who} cannot write to the store {store_root}; {needs}"
     for name in sorted({*mine, *theirs}):
         if mine.get(name) != theirs.get(name):
-            raise ClusterError(
+            return (
                 f"{who} has {name} {theirs.get(name, 'not set')}, here it is {mine.get(name, 'not set')}: results "
                 "would differ; install and set the same everywhere (deploy/constraints.txt, deploy/instructions.env)"
             )
-
-
-def _refuse_threads(worker: str, num_threads: int) -> None:
-    """Refuse a worker that would be given several shards at once: a process computes one at a time."""
-    if num_threads != 1:
-        raise ClusterError(
-            f"worker {worker} has {num_threads} threads, but a process computes one shard at a time; start workers "
-            "with --nthreads 1, and as many of them as there are cores"
-        )
+    return ""
 
 
 def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
@@ -327,27 +319,13 @@ def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
 
 def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> None:
     # A function of the module: what is inside the plugin travels as a copy, and so would the list.
-    try:
-        refuse_other(mine, installed(), f"worker {worker.address}")
-        _refuse_threads(worker.address, worker.state.nthreads)
-        if not _can_write(store_root):
-            raise _no_store(worker.address, store_root)
-    except ClusterError as error:
-        is_refused.append(str(error))
-        worker.log_event(_REFUSALS, str(error))
+    if reason := _why_unfit(mine, store_root, worker):
+        is_refused.append(reason)
+        worker.log_event(_REFUSALS, reason)
         # Gracefully: what it was given counts as given back, not as a death under a shard.
         worker.loop.add_callback(worker.close_gracefully, reason="not fit for the run")
-
-
-def _no_store(worker: str, store_root: str) -> ClusterError:
-    needs = "it must reach the bucket" if store_root.startswith("s3://") else "it must be on a shared file system"
-    return ClusterError(f"worker {worker} cannot write to the store {store_root}; {needs}")
 
 
 def _peak_memory_bytes() -> int:
     unit = 1 if sys.platform == "darwin" else 1024  # getrusage counts bytes there, kibibytes elsewhere
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def _can_write(store_root: str) -> bool:
-    return Store(store_root).can_write()

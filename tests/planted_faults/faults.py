@@ -354,7 +354,7 @@ FAULTS = (
           "with _ONE_AT_A_TIME, _libraries", "with _libraries",
           "unit/test_tasks_shards.py::test_threads_of_a_process_compute_one_shard_after_the_other"),
     Fault("a worker of several threads is taken", "tasks/shards/cluster.py",
-          "if num_threads != 1:", "if num_threads < 1:",
+          "if dask_worker.state.nthreads != 1:", "if dask_worker.state.nthreads < 1:",
           "unit/test_tasks_shards.py::test_workers_with_several_threads_are_refused"),
     Fault("a product has any order of sums", "pasdedeux/augmentation/factor.py",
           "_multiply(inverse[k], work, product)", "np.dot(inverse[k], work, product)",

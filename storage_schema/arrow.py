@@ -63,7 +63,7 @@ def arrow_schema(table: Table) -> pa.Schema:
 
 @cache
 def schema_digest(table: Table) -> str:
-    """Return short digest of a table's columns, without the words: files written with other columns are told by it."""
+    """Return a short digest of a table's columns, without their words: files with other columns have another."""
     described = [
         [c.name, str(c.type), c.unit, c.shape, c.axes, c.joints, list(JOINT_NAMES.get(c.joints, ())), c.is_nullable]
         for c in table.columns

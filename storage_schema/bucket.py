@@ -1,7 +1,7 @@
 """Files in S3-compatible storage: asked for again where an answer fails or is slow, written once where names are taken.
 
 Address and credentials come from the environment alone (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and nothing of
-them is in what is written or said.
+them is in files or messages.
 """
 
 from __future__ import annotations

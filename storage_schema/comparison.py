@@ -46,7 +46,7 @@ _NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e-\d+")
 class Difference:
     """What a column of a table (or an attached file: no column) differs by, at its worst place.
 
-    `largest` and `allowed` are of numbers; where values cannot be told apart by a distance `largest` is infinite.
+    `largest` and `allowed` are of numbers; where values have no distance `largest` is infinite.
     A table or file that only one of the two has is missing.
     """
 

@@ -1,4 +1,4 @@
-"""Files that are either wholly there or not at all, also after a power cut, and a full disk said in one sentence."""
+"""Files that are either wholly there or not at all, also after a power cut, and a full disk is one clear error."""
 
 from __future__ import annotations
 

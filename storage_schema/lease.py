@@ -55,18 +55,18 @@ class Lease:
             except FileNotFoundError:
                 self._remote.create("lease", self._as_bytes())
                 continue
-            said = _said(there)
-            if said["holder"] == self._name:
+            found = _parsed(there)
+            if found["holder"] == self._name:
                 self._tag = tag
                 return
             is_unchanged = tag == first_tag and time.monotonic() - since > LEASE_S
-            if not said["holder"] or is_unchanged or _is_dead_here(said):
+            if not found["holder"] or is_unchanged or _is_dead_here(found):
                 self._remote.replace("lease", self._as_bytes(), tag)
                 continue
             if first_tag not in ("", tag):
                 raise StorageError(
-                    f"a run plans or builds in the store {self._remote.url} (process {said['pid']} on {said['host']}); "
-                    "try again when it has ended"
+                    f"a run plans or builds in the store {self._remote.url} "
+                    f"(process {found['pid']} on {found['host']}); try again when it has ended"
                 )
             if not first_tag:
                 first_tag, since = tag, time.monotonic()
@@ -85,7 +85,7 @@ class Lease:
                     return True
                 try:
                     there, self._tag = self._remote.read_tagged("lease")
-                    self.is_over = _said(there)["holder"] != self._name
+                    self.is_over = _parsed(there)["holder"] != self._name
                 except FileNotFoundError:
                     self.is_over = True
             return False
@@ -100,7 +100,7 @@ class Lease:
             raise self.lost()
 
     def lost(self) -> StorageError:
-        """Return what is said when another has it."""
+        """Return the error where another has it."""
         return StorageError(
             f"another run has taken over the store {self._remote.url}, as the lease of this one was not renewed for "
             f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
@@ -118,17 +118,17 @@ def each_beat(do: Callable[[], object], ended: threading.Event) -> None:
             do()
 
 
-def _said(lease: bytes) -> dict[str, Any]:
+def _parsed(lease: bytes) -> dict[str, Any]:
     """Return what a lease says; one that cannot be read is somebody's, and old when it does not change."""
-    said = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
+    found = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
     with suppress(ValueError, TypeError):
-        said |= json.loads(lease)
-    return said
+        found |= json.loads(lease)
+    return found
 
 
-def _is_dead_here(said: dict[str, Any]) -> bool:
+def _is_dead_here(found: dict[str, Any]) -> bool:
     """Tell whether a lease's process was one of this system and has ended."""
-    return said["system"] == _system() != "" and not Path(f"/proc/{said['pid']}").exists()
+    return found["system"] == _system() != "" and not Path(f"/proc/{found['pid']}").exists()
 
 
 @cache

@@ -30,7 +30,7 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     mine = [run for run in runs if any(ref in run and run[ref].place == ref.place for ref in refs)]
     named = {ref.place for ref in refs}
     waiting, seen = list(refs), set(named)
-    said: list[Iterable[SourceCredit]] = []
+    stated: list[Iterable[SourceCredit]] = []
     while waiting:
         ref = waiting.pop()
         # What has the same content in these runs may have come from elsewhere than what was there before.
@@ -44,13 +44,13 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
                     f"{store}, so its licence is not known; run the study again"
                 )
             if found or not one.sources:
-                said.append(one.sources)
+                stated.append(one.sources)
             else:
                 others = _there(store, ref, runs)
-                said += [other.sources for other in others] or [_as_it_came(store, one)]
+                stated += [other.sources for other in others] or [_as_it_came(store, one)]
             waiting += [read for read in one.inputs if read.place not in seen]
             seen.update(read.place for read in one.inputs)
-    return merge_credits(*said)
+    return merge_credits(*stated)
 
 
 def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
@@ -68,8 +68,8 @@ def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
     if not found:
         return source.sources
     names = {one.name for one in source.sources}
-    said = tuple(one for one in found[-1].sources if one.name in names)
-    return said if names == {one.name for one in said} else found[-1].sources
+    stated = tuple(one for one in found[-1].sources if one.name in names)
+    return stated if names == {one.name for one in stated} else found[-1].sources
 
 
 def _last_runs(store: Store) -> Iterator[LatestRun]:

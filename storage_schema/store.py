@@ -140,12 +140,12 @@ class Store(StoreReader):
                 parts, attachments = writer.finish()
             for ref in described["inputs"]:
                 self.manifest(ref)
-            said: dict[str, Any] = plain_json(writer.facts, "facts")
+            plain_facts: dict[str, Any] = plain_json(writer.facts, "facts")
             digests = {f"{table}.parquet": part.sha256 for table, part in parts.items()}
             digests |= {file_name: entry.sha256 for file_name, entry in attachments.items()}
             place = {"partition": described["partition"], "name": described["name"]}
             manifest = Manifest(
-                ref=ArtifactRef(stage, key, content_digest(**place, facts=said, files=digests)),
+                ref=ArtifactRef(stage, key, content_digest(**place, facts=plain_facts, files=digests)),
                 partition=described["partition"],
                 name=described["name"],
                 version=described["version"],
@@ -155,7 +155,7 @@ class Store(StoreReader):
                 files=tuple((file_name, digest) for file_name, digest in described["files"]),
                 tables=parts,
                 attachments=attachments,
-                facts=said,
+                facts=plain_facts,
                 sources=merge_credits(writer.sources),
                 schema_version=SCHEMA_VERSION,
                 code_version=code_version(),
@@ -265,9 +265,9 @@ class Store(StoreReader):
             if not replaces or not is_valid:
                 return is_valid
             has_same_keys = [one.key for one in found.inputs] == [one.key for one in new.inputs]
-            is_as_said = found.computed_digest == ref.content_digest
+            is_as_described = found.computed_digest == ref.content_digest
             # Into a bucket the parts have just come again.
-            return has_same_keys and is_as_said and (self.mirror is not None or not self.damaged_files(found))
+            return has_same_keys and is_as_described and (self.mirror is not None or not self.damaged_files(found))
         if is_valid and not replaces:
             _log.warning(
                 "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",

@@ -48,7 +48,7 @@ class StoreReader:
         self.root = self.mirror.root if self.mirror is not None else Path(root).absolute()
         self._is_checked = False
         # Texts, where a plan asks for 100,000 artifacts: paths take longer to make than files to open.
-        self._prefix, self._said = f"{self.root}/", f"{self.root}/{STORE_FILE}"
+        self._prefix, self._version_file = f"{self.root}/", f"{self.root}/{STORE_FILE}"
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self)!r})"
@@ -256,7 +256,7 @@ class StoreReader:
         return file_sha256(self.folder(ref.stage, ref.key) / name)
 
     def damaged_files(self, manifest: Manifest) -> list[str]:
-        """Return the files that are gone or whose bytes are others, twice read; one that cannot be read is not told."""
+        """Return the files that are gone or whose bytes are others, twice read; not those that cannot be read."""
 
         def is_damaged(name: str, entry: FileEntry) -> bool:
             try:
@@ -278,7 +278,7 @@ class StoreReader:
         if self._is_checked:
             return
         try:
-            with open(self._said, "rb") as file:  # noqa: PTH123
+            with open(self._version_file, "rb") as file:  # noqa: PTH123
                 found = json.load(file)["schema_version"]
         except FileNotFoundError:
             return

@@ -92,8 +92,10 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
             stated = own.contacts.get(take_id, TakeFacts.of(take).contacts)
             for start in range(0, len(found[name]), own.variants_per_shard):
                 batch = tuple(one.variant_id for one in found[name][start : start + own.variants_per_shard])
-                told = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
-                shards.append(AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", told, {"take": [take]}))
+                solved = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
+                shards.append(
+                    AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", solved, {"take": [take]})
+                )
     return shards
 
 
@@ -136,12 +138,12 @@ def _check_takes(parameters: AugmentationParameters, takes: Collection[str]) -> 
 
 
 def batch_of(manifest: Manifest) -> BatchParameters:
-    """Return what a batch of variants was told, but for the limits of its verdicts.
+    """Return the parameters of a batch of variants, but for the limits of its verdicts.
 
     Settings of earlier versions that are constants now are passed over.
 
     Raises:
-        InputError: What it was told is not allowed any more: names the setting.
+        InputError: They are not allowed any more: names the setting.
     """
     try:
         return BatchParameters.model_validate(VariantFacts.of(manifest).told, extra="ignore")

@@ -1,6 +1,6 @@
 """The facts of artifacts: what each kind says of itself beside its tables, for planning and for people.
 
-A field that is not given is not written: a manifest says what its stage said, and nothing else.
+A field that is not given is not written: a manifest holds what its stage gave, and nothing else.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Couple(Settings):
 
 
 class DetectedSequence(Settings):
-    """How people were told apart in a sequence of a detector; couples by the ids of both."""
+    """Identities of the people in a sequence of a detector; couples by the ids of both."""
 
     sequence_id: str
     num_people: int

@@ -107,7 +107,7 @@ class ProjectionsParameters(Parameters):
 
 
 class PoseShard(Parameters):
-    """What a shard of poses is told: where they come from, their rate, and how they are seen."""
+    """The parameters of a shard of poses: where they come from, their rate, and how they are seen."""
 
     origin: Literal["take", "draw", "variant"]
     rate_hz: float

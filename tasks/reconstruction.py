@@ -70,7 +70,7 @@ class ReconstructionParameters(SequenceSettings):
 
 
 class SequenceShard(SequenceSettings):
-    """What a shard is told: its sequence, and how."""
+    """The parameters of a shard: its sequence, and how."""
 
     sequence_id: str
 

@@ -26,10 +26,10 @@ P = TypeVar("P", bound="Parameters")
 
 
 class Parameters(Settings):
-    """Base of every stage's section in a study, and of what its shards are told."""
+    """Base of every stage's section in a study, and of the parameters of its shards."""
 
     def part(self, kind: type[S], **more: Any) -> S:
-        """Return the settings that `kind` has too, with what only the plan knows: what one kind of shard is told."""
+        """Return the parameters of a kind of shard: the settings that `kind` has too, and what only the plan knows."""
         shared = {name: getattr(self, name) for name in kind.model_fields if name in type(self).model_fields}
         return kind(**shared, **more)
 
@@ -150,7 +150,7 @@ class StageName(NamedTuple):
 
 @dataclass(frozen=True)
 class EarlyPlan:
-    """Shards of a stage that can be told before all that the stage reads is there; they may start at once.
+    """Shards of a stage that are known before all that the stage reads is there; they may start at once.
 
     What a stage consists of is always what its own plan says when all is there: this only says what to begin with.
 
@@ -178,8 +178,8 @@ class Stage:
         plan: Gives the shards for these inputs and parameters; reads manifests, never data.
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
-        needs: What it makes something of, with the keys that give it; told where it was asked for and made nothing.
-        check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
+        needs: What it makes something of, with the keys that give it: the message where it made nothing.
+        check: Refuses parameters that are wrong whatever the input, such as files that cannot be used:
             called before anything runs, also while the stage waits for what it reads.
         check_study: The same for what other stages' sections say, given by stage.
         early: What can be begun with before all that it reads is there.

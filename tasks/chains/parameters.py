@@ -1,4 +1,4 @@
-"""Settings of the stage `chains`, and what its shards are told."""
+"""Settings of the stage `chains`, and the parameters of its shards."""
 
 from __future__ import annotations
 

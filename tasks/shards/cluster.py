@@ -51,7 +51,7 @@ CONNECT_TIMEOUT_S = 30.0
 is_refused: list[str] = []
 """Why this process, a worker, may compute nothing for the run that it joined; empty where it may."""
 _REFUSALS = "pasdedeux-refusals"
-"""Under which the scheduler keeps what workers that left said."""
+"""Under which the scheduler keeps why workers left."""
 _GREETINGS = 3
 
 
@@ -123,7 +123,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
                 try:
                     yield client
                 except BaseException:
-                    logging.getLogger("asyncio").setLevel(logging.CRITICAL + 1)  # what was cancelled is no news
+                    logging.getLogger("asyncio").setLevel(logging.CRITICAL + 1)  # what was cancelled needs no message
                     _kill_workers(cluster)
                     raise
         finally:
@@ -133,8 +133,8 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
 def _client_of(scheduler: Any) -> Client:
     """Return a client of a scheduler's address or of a local cluster.
 
-    Distributed asserts that the scheduler's greeting comes alone; news for all clients that falls into the same two
-    milliseconds breaks that, and asking again mends it.
+    Distributed asserts that the scheduler's greeting comes alone; a message for all clients in the same 2 ms breaks
+    that, and asking again mends it.
     """
     from distributed import Client
 
@@ -252,8 +252,8 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
     """Refuse a cluster without workers, without this code, or without access to the store."""
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if not workers:
-        said = "".join(f"; the last that left: {why}" for why in refusals(client)[-1:])
-        raise ClusterError(f"the Dask scheduler at {address} has no workers{said}")
+        last = "".join(f"; the last that left: {why}" for why in refusals(client)[-1:])
+        raise ClusterError(f"the Dask scheduler at {address} has no workers{last}")
     try:
         reasons: Mapping[str, str] = client.run(_why_unfit, installed(), store_root)
     except (ImportError, AttributeError) as error:
@@ -266,7 +266,7 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
 
 def refusals(client: Client) -> list[str]:
     """Return why workers left that came to a cluster later, oldest first; also those of runs before this one."""
-    return [said for _, said in client.get_events(_REFUSALS) or ()]
+    return [reason for _, reason in client.get_events(_REFUSALS) or ()]
 
 
 def installed() -> dict[str, str]:
@@ -306,7 +306,7 @@ def _why_unfit(mine: Mapping[str, str], store_root: str, dask_worker: Any) -> st
 def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
     """Return a Dask worker plugin by which a worker that comes later leaves where it is not fit for the run.
 
-    Dask goes on with a worker whose plugin fails, so it is told to leave; shards that come in between go elsewhere.
+    Dask goes on with a worker whose plugin fails, so it has to leave; shards that come in between go elsewhere.
     """
     from distributed import WorkerPlugin
 

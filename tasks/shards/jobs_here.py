@@ -13,8 +13,8 @@ from dask_jobqueue.local import LocalCluster, LocalJob
 from distributed.core import Status
 
 _LOOK_AGAIN_S = 0.1
-_SAID_BYTES = 2000
-"""Of the end of what a job said that an error tells."""
+_QUOTED_BYTES = 2000
+"""Of the end of a job's output that an error quotes."""
 
 
 class _JobHere(LocalJob):
@@ -25,15 +25,15 @@ class _JobHere(LocalJob):
     """
 
     async def _submit_job(self, script_filename: str) -> str:
-        """Start the script and wait for its worker; RuntimeError with what it said where it ends without one."""
-        with tempfile.TemporaryFile() as said:
+        """Start the script and wait for its worker; RuntimeError with its output where it ends without one."""
+        with tempfile.TemporaryFile() as output:
             self._process = subprocess.Popen(
-                ["sh", script_filename], stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+                ["sh", script_filename], stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
             )
-            while b"Registered to:" not in _read(said.fileno()):
+            while b"Registered to:" not in _read(output.fileno()):
                 code = self._process.poll()
                 if code is not None:
-                    words = _read(said.fileno())[-_SAID_BYTES:].decode(errors="replace")
+                    words = _read(output.fileno())[-_QUOTED_BYTES:].decode(errors="replace")
                     raise RuntimeError(f"a job ended with code {code}; it said: {words}")
                 await asyncio.sleep(_LOOK_AGAIN_S)
         return str(self._process.pid)

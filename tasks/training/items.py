@@ -65,7 +65,7 @@ class StoredVariants:
             by_ref.setdefault(self._homes[take_id, variant_id].ref, set()).add(variant_id)
         for ref, names in by_ref.items():
             manifest = self._store.manifest(ref)
-            take_id, told = VariantFacts.of(manifest).take_id, batch_of(manifest)
+            take_id, batch = VariantFacts.of(manifest).take_id, batch_of(manifest)
             offset = 0
             sizes = self._store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
             for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):
@@ -78,8 +78,8 @@ class StoredVariants:
                     take_id=take_id,
                     source=self.takes[take_id].source,
                     bone_scale=self._homes[take_id, str(name)].bone_scale,
-                    solving=told.part(AugmentationSettings),
-                    contacts=told.contacts,
+                    solving=batch.part(AugmentationSettings),
+                    contacts=batch.contacts,
                 )
                 item = TrainingItem(str(name), request, motion.reshape(-1, 2, *motion.shape[1:]).astype(np.float64))
                 yield item if self._joints is None else self._on_other_skeleton(item, self._joints)

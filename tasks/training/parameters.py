@@ -1,4 +1,4 @@
-"""Settings of the stage `training`, and what its shards are told."""
+"""Settings of the stage `training`, and the parameters of its shards."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class SegmentParameters(Parameters):
     skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
 
 
-class LeftOutParameters(Parameters):
+class SkippedParameters(Parameters):
     """A model that needs torch in a study that goes without networks."""
 
     name: str

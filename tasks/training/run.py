@@ -30,7 +30,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import ModelFacts, SkippedFacts
 from tasks.stage import Shard, commit, followed, stream
 from tasks.training.items import StoredVariants
-from tasks.training.parameters import LeftOutParameters, SegmentParameters
+from tasks.training.parameters import SegmentParameters, SkippedParameters
 from tasks.training.plan import split_variants
 
 _JUDGED = 24
@@ -43,21 +43,21 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     Raises:
         InputError: Every variant to train on failed, training came to numbers that are not finite, or torch is missing.
     """
-    if isinstance(shard.parameters, LeftOutParameters):
+    if isinstance(shard.parameters, SkippedParameters):
         name = shard.parameters.name
         reason = f"{name} is left out: the study says training.networks = false"
         facts = SkippedFacts(model=name, skipped=(f"Model {reason}.",))
         return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
-    told = shard.options(SegmentParameters)
-    kind = model_class(told.model)
+    options = shard.options(SegmentParameters)
+    kind = model_class(options.model)
     if kind.needs_torch:
-        refuse_without_torch(told.name, "training.networks=false")
+        refuse_without_torch(options.name, "training.networks=false")
     takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))
-    split = split_variants(told.split, takes, variants_of, told.test_takes, shard.seed)
-    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), told.skeleton)
+    split = split_variants(options.split, takes, variants_of, options.test_takes, shard.seed)
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), options.skeleton)
     train, validation = variants.sound(split.train), variants.sound(split.validation)
     if not train and kind.is_trained:
-        raise InputError(f"split '{told.split}': every variant that it would learn from failed ({len(split.train)})")
+        raise InputError(f"split '{options.split}': every variant that it would learn from failed ({len(split.train)})")
     done = {"models": None, "model_states": None} | {
         next(name for name in ("models", "model_states") if name in found.tables): found
         for found in followed(shard, store)
@@ -67,9 +67,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         Training(
             items=_reader(variants, train),
             validation=_reader(variants, validation),
-            settings=told.settings,
-            generator=stream(shard.seed, "training", told.split, told.model, told.segment),
-            segment=told.segment,
+            settings=options.settings,
+            generator=stream(shard.seed, "training", options.split, options.model, options.segment),
+            segment=options.segment,
             state={} if before is None else read_arrays(store, before.ref, "model_states"),
             start=None if start is None else load_stored(store, start),
         )
@@ -80,32 +80,31 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         LogEntry(0, "num_validation", len(validation)),
         LogEntry(0, "num_test", len(split.test)),
     ]
-    is_last = told.segment == kind.num_segments(told.settings) - 1
+    is_last = options.segment == kind.num_segments(options.settings) - 1
     arrays = model_arrays(trained.model) if is_last else trained.state
+    judged = validation[:: -(-len(validation) // _JUDGED) or 1]
     return commit(
         shard,
         store,
         tables={
-            "models" if is_last else "model_states": _array_rows(told, arrays),
-            "training_log": _log_rows(told, log if told.segment == 0 else trained.log),
+            "models" if is_last else "model_states": _array_rows(options, arrays),
+            "training_log": _log_rows(options, log if options.segment == 0 else trained.log),
         },
         facts=ModelFacts(
             kind="model" if is_last else "model_state",
-            split=told.split,
-            model=told.name,
-            class_name=told.model,
+            split=options.split,
+            model=options.name,
+            class_name=options.model,
             **({"description": describe(trained.model).model_dump(mode="json")} if is_last else {}),
-            skeleton=told.skeleton,
-            segment=told.segment,
+            skeleton=options.skeleton,
+            segment=options.segment,
             takes=tuple(sorted({key.take_id for key in train})),
             shares_takes=split.shares_takes,
             train=_by_take(train),
             validation=_by_take(validation),
             test=_by_take(split.test),
         ),
-        verdict=_judge(told.name, trained.model, _reader(variants, validation[:: -(-len(validation) // _JUDGED) or 1]))
-        if is_last
-        else None,
+        verdict=_judge(options.name, trained.model, _reader(variants, judged)) if is_last else None,
     )
 
 
@@ -172,11 +171,11 @@ def _by_take(keys: Sequence[VariantKey]) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def _array_rows(told: SegmentParameters, arrays: Arrays) -> dict[str, list[Any]]:
+def _array_rows(options: SegmentParameters, arrays: Arrays) -> dict[str, list[Any]]:
     names, count = sorted(arrays), len(arrays)
     return {
-        "split": [told.split] * count,
-        "model": [told.name] * count,
+        "split": [options.split] * count,
+        "model": [options.name] * count,
         "array_name": names,
         "array_shape": [np.array(arrays[name].shape, np.int32) for name in names],
         "array_dtype": [arrays[name].dtype.name for name in names],
@@ -184,11 +183,11 @@ def _array_rows(told: SegmentParameters, arrays: Arrays) -> dict[str, list[Any]]
     }
 
 
-def _log_rows(told: SegmentParameters, log: Sequence[LogEntry]) -> dict[str, list[Any]]:
+def _log_rows(options: SegmentParameters, log: Sequence[LogEntry]) -> dict[str, list[Any]]:
     ordered = sorted(log, key=lambda entry: (entry.step, entry.quantity))
     return {
-        "split": [told.split] * len(ordered),
-        "model": [told.name] * len(ordered),
+        "split": [options.split] * len(ordered),
+        "model": [options.name] * len(ordered),
         "step": [entry.step for entry in ordered],
         "quantity": [entry.quantity for entry in ordered],
         "value": [float(entry.value) for entry in ordered],

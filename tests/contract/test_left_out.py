@@ -58,7 +58,7 @@ def nobody_is_scaled(store: Store) -> ArtifactRef:
 
 
 def model_without_torch(store: Store) -> ArtifactRef:
-    told = training_parameters.LeftOutParameters(name="paper_cvae")
+    told = training_parameters.SkippedParameters(name="paper_cvae")
     return training.run_shard(shard_of("training", "random", told), store)
 
 

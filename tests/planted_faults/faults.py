@@ -402,7 +402,7 @@ FAULTS = (
           "for one in _last_runs(store)]", "for one in ()]",
           "unit/test_storage_store.py::test_a_licence_that_a_study_says_anew_reaches_what_was_made_before"),
     Fault("nothing that was computed has credits", "storage_schema/licences.py",
-          "return merge_credits(*said)", "return ()",
+          "return merge_credits(*stated)", "return ()",
           "unit/test_storage_store.py::test_credits_are_those_of_all_that_something_came_from_once"),
     Fault("a source of one run has the credits of another", "storage_schema/licences.py",
           "found = [one for one in found if one.ref.place in named] or found", "pass",

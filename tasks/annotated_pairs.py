@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -129,10 +129,16 @@ def read_people(
         is_between: Whether frames that are there for velocity alone are wanted too.
         with_held_out: Whether annotations that are held out are wanted too.
     """
+    names = ["sequence_id", "frame", "person_id", "partner_id", "is_key", "is_held_out", "pair17_px"]
     people: dict[Place, People] = {}
-    for table, points in _read_tables(store, refs):
+    for ref in refs:
+        if "annotations" not in store.manifest(ref).tables:
+            continue
+        table = store.read(ref, "annotations", columns=names)
+        points = np.asarray(table["pair17_px"], dtype=np.float64)
         is_wanted = (np.asarray(table["is_key"]) | is_between) & (~np.asarray(table["is_held_out"]) | with_held_out)
-        _add_people(people, table, points, is_wanted)
+        for place, rows in pairs_by_place(table, is_wanted).items():
+            people.setdefault(place, {}).update({person: points[row] for person, row in rows.items()})
     return people
 
 
@@ -161,20 +167,6 @@ def read_seen_pairs(
     return found, len(people) - len(found)
 
 
-def _read_tables(store: Store, refs: Iterable[ArtifactRef]) -> Iterator[tuple[TableData, np.ndarray]]:
-    """Yield the annotations of each artifact that has some, with their joints (row, 17, 2), pixels."""
-    names = ["sequence_id", "frame", "person_id", "partner_id", "is_key", "is_held_out", "pair17_px"]
-    for ref in refs:
-        if "annotations" in store.manifest(ref).tables:
-            table = store.read(ref, "annotations", columns=names)
-            yield table, np.asarray(table["pair17_px"], dtype=np.float64)
-
-
-def _add_people(people: dict[Place, People], table: TableData, points: np.ndarray, is_wanted: np.ndarray) -> None:
-    for place, rows in pairs_by_place(table, is_wanted).items():
-        people.setdefault(place, {}).update({person: points[row] for person, row in rows.items()})
-
-
 def pair_of(people: Mapping[int, np.ndarray]) -> np.ndarray:
     """Return the joints (2, 17, 2) of two people, the smaller id first."""
     return np.stack([people[person] for person in sorted(people)])
@@ -188,12 +180,7 @@ def gather(
     Raises:
         InputError: No annotated pair has a view.
     """
-    keypoints: dict[Place, People] = {}
-    frames: dict[Place, People] = {}
-    for table, points in _read_tables(store, annotations):
-        is_shown = ~np.asarray(table["is_held_out"])
-        _add_people(frames, table, points, is_shown)
-        _add_people(keypoints, table, points, is_shown & np.asarray(table["is_key"]))
+    keypoints, frames = read_people(store, annotations), read_people(store, annotations, is_between=True)
     pairs, scales, directions, weights, which = [], [], [], [], []
     index: dict[Place, int] = {}
     for ref in views:

@@ -67,25 +67,25 @@ def verify(store: Store) -> Verification:
     store.clear_leftovers()
     folders = store.folders()
     problems: list[Problem] = []
-    older: list[OlderSchema] = []
+    older: dict[tuple[str, str], OlderSchema] = {}
     num_files = num_bytes = 0
     for folder in folders:
         stage, key = folder.parent.parent.name, folder.name
         try:
             manifest = store.load(stage, key)
         except OlderSchema as error:
-            older.append(error)
-            continue
+            older[stage, key] = error
         except MissingArtifact as error:
             problems.append(Problem(ProblemKind.MISSING, stage, key, MANIFEST_NAME, str(error)))
-            continue
         except CorruptArtifact as error:
             problems.append(Problem(ProblemKind.UNREADABLE, stage, key, MANIFEST_NAME, str(error)))
-            continue
-        num_files += len(manifest.data_files)
-        num_bytes += manifest.num_bytes
-        problems.extend(_check(store, folder, manifest))
-    notes = [f"{len(older)} artifacts were not looked through, such as this: {older[0]}"] if older else []
+        else:
+            num_files += len(manifest.data_files)
+            num_bytes += manifest.num_bytes
+            problems.extend(_check(store, folder, manifest))
+    notes = []
+    if older:
+        notes.append(f"{len(older)} artifacts were not looked through, such as this: {next(iter(older.values()))}")
     for label in dataset_labels(store):
         try:
             dataset = open_dataset(store, label)
@@ -95,7 +95,7 @@ def verify(store: Store) -> Verification:
             problems.append(Problem(ProblemKind.UNREADABLE, "datasets", label, DATASET_FILE, str(error)))
         else:
             needed = list(walk_stored(store, dataset.refs))
-            problems.extend(_check_dataset(store, dataset, needed))
+            problems.extend(_check_dataset(store, dataset, [one for one in needed if one.ref.place not in older]))
             notes.extend(_outdated(store, dataset, needed))
     problems.extend(_check_records(store))
     return Verification(len(folders), num_files, num_bytes, tuple(problems), tuple(notes))
@@ -135,20 +135,10 @@ def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> 
 def _check_dataset(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> Iterator[Problem]:
     named = {(ref.stage, ref.key) for ref in dataset.refs}
     for (stage, key), manifest in ((step.ref.place, step.manifest) for step in needed):
-        if (manifest is None and not _is_older(store, stage, key)) or (manifest and not store.has_files(manifest)):
+        if manifest is None or not store.has_files(manifest):
             how = "names this artifact" if (stage, key) in named else "was computed from this artifact"
             detail = f"dataset {dataset.label} {how}, which is missing, incomplete or of other content in the store"
             yield Problem(ProblemKind.MISSING, stage, key, MANIFEST_NAME, detail)
-
-
-def _is_older(store: Store, stage: str, key: str) -> bool:
-    try:
-        store.load(stage, key)
-    except OlderSchema:
-        return True
-    except (MissingArtifact, CorruptArtifact):
-        return False
-    return False
 
 
 def _outdated(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from pasdedeux.errors import InputError
@@ -20,7 +20,6 @@ from tasks.seeds.parameters import (
     FrameSeed,
     GrownSeeds,
     LiftedSeeds,
-    SeedFrame,
     SeedsParameters,
 )
 from tasks.stage import Shard, StageInputs, shares_takes
@@ -35,20 +34,19 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         InputError: A named frame or file cannot be a seed, or seeds are asked of takes or of annotations and there are
             none, or more starts than pairs that grow.
     """
-    shards = _from_takes(inputs, parameters)
-    shards += [_from_file(inputs, parameters, len(shards) + at, file) for at, file in enumerate(parameters.files)]
+    found = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
+    takes = {take.take_id: one for take, one in found if not take.is_held_out and take.num_persons == 2}
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
+    _check_sources(parameters, takes, has_annotations=bool(annotated and views))
+    shards = _from_takes(inputs, parameters, takes)
+    shards += [_from_file(inputs, parameters, len(shards) + at, file) for at, file in enumerate(parameters.files)]
     is_2d_alone = bool(not shards and annotated and views)
     num_lifted, num_grown = parameters.num_lifted, parameters.num_grown
     if num_lifted is None:
         num_lifted = LIFTED_OF_2D_ALONE if is_2d_alone else 0
     if num_grown is None:
         num_grown = GROWN_OF_2D_ALONE if is_2d_alone else 0
-    if (num_lifted or num_grown) and not (annotated and views):
-        raise InputError(
-            "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views"
-        )
     if parameters.num_starts > num_grown:
         raise InputError(
             f"seeds.num_starts is {parameters.num_starts}, but {num_grown} are grown here: say seeds.num_grown"
@@ -86,44 +84,47 @@ def check_study(sections: Mapping[str, Any]) -> None:
     if ingest is None or any(family.takes is None for family in ingest.pairs.values()):
         return  # what lies in a folder is read with its files
     takes = ingest.take_ids()
-    learnable = [take for take in takes if take not in ingest.held_out]
-    if own.num_seeds and not learnable:
-        raise InputError(
-            f"seeds.num_seeds asks for {own.num_seeds} frames of takes, but there is no take that is not held out; "
-            "seeds.num_lifted lifts seeds from 2D alone"
-        )
-    for frame in own.frames:
-        if frame.take not in learnable:
-            raise InputError(
-                f"seeds.frames: take '{frame.take}' is no take that may be learned from; known ones: "
-                f"{', '.join(sorted(learnable)) or 'none'}"
-            )
     video = ingest.virtual_video
-    has_annotations = ingest.annotations or (takes and (video.num_videos or video.num_random_views))
-    if (own.num_lifted or own.num_grown) and not has_annotations:
-        raise InputError(
-            "seeds.num_lifted and seeds.num_grown lift annotations, but the study has neither annotations "
-            "([[ingest.annotations]]) nor virtual video of takes (ingest.virtual_video)"
-        )
+    has_annotations = bool(ingest.annotations or (takes and (video.num_videos or video.num_random_views)))
+    _check_sources(own, [take for take in takes if take not in ingest.held_out], has_annotations=has_annotations)
 
 
-def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
-    """Plan a shard per named frame, or as many as are to be chosen."""
-    found = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
-    takes = {take.take_id: one for take, one in found if not take.is_held_out and take.num_persons == 2}
-    limits = inputs.of("joint_limits")
-    prior = parameters.part(PriorSettings).model_dump()
-    wanted: list[FrameSeed | ChosenSeed] = []
-    poses: list[list[Manifest]] = []
-    for index, frame in enumerate(parameters.frames):
-        _check_frame(frame, takes)
-        wanted.append(frame.part(FrameSeed, seed_index=index, **prior))
-        poses.append([takes[frame.take]])
+def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_annotations: bool) -> None:
+    """Refuse seeds of takes or of annotations that are not there; `takes` are those that may be learned from.
+
+    Raises:
+        InputError: Says which key asks for what is not there.
+    """
     if parameters.num_seeds and not takes:
         raise InputError(
             f"seeds.num_seeds asks for {parameters.num_seeds} frames of takes, but there is no take of two people that "
             "is not held out; seeds.num_lifted lifts seeds from 2D alone"
         )
+    for frame in parameters.frames:
+        if frame.take not in takes:
+            raise InputError(
+                f"seeds.frames: take '{frame.take}' is no take of two people that may be learned from; "
+                f"known ones: {', '.join(sorted(takes)) or 'none'}"
+            )
+    if (parameters.num_lifted or parameters.num_grown) and not has_annotations:
+        raise InputError(
+            "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views: "
+            "neither annotations ([[ingest.annotations]]) nor virtual video of takes (ingest.virtual_video)"
+        )
+
+
+def _from_takes(inputs: StageInputs, parameters: SeedsParameters, takes: Mapping[str, Manifest]) -> list[Shard]:
+    """Plan a shard per named frame, or as many as are to be chosen."""
+    limits = inputs.of("joint_limits")
+    prior = parameters.part(PriorSettings).model_dump()
+    wanted: list[FrameSeed | ChosenSeed] = []
+    poses: list[list[Manifest]] = []
+    for index, frame in enumerate(parameters.frames):
+        last = TakeFacts.of(takes[frame.take]).num_frames - 1
+        if frame.frame > last:
+            raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
+        wanted.append(frame.part(FrameSeed, seed_index=index, **prior))
+        poses.append([takes[frame.take]])
     if not parameters.frames and takes:
         count = NUM_CHOSEN if parameters.num_seeds is None else parameters.num_seeds
         wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(count)]
@@ -132,17 +133,6 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
         SEEDS.shard(inputs, f"seed{one.seed_index}", "seed", one, {"poses": own, "joint_limits": limits})
         for one, own in zip(wanted, poses, strict=True)
     ]
-
-
-def _check_frame(frame: SeedFrame, takes: Mapping[str, Manifest]) -> None:
-    if frame.take not in takes:
-        raise InputError(
-            f"seeds.frames: take '{frame.take}' is no take of two people that may be learned from; "
-            f"known ones: {', '.join(sorted(takes))}"
-        )
-    last = TakeFacts.of(takes[frame.take]).num_frames - 1
-    if frame.frame > last:
-        raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
 
 
 def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, file: SeedFile) -> Shard:

@@ -81,8 +81,8 @@ def test_seeds_that_no_take_has_are_refused_where_it_can_be_known(
     build_here(write(tmp_path, before_seeds), tmp_path / "store")
     study = write(tmp_path, SMALL)
     for frames, sentence in (
-        ('[{take="tango",frame=1}]', "seeds.frames: take 'tango' is no take that may be learned from"),
-        ('[{take="hug",frame=1}]', "seeds.frames: take 'hug' is no take that may be learned from"),
+        ('[{take="tango",frame=1}]', "seeds.frames: take 'tango' is no take of two people that may be learned from"),
+        ('[{take="hug",frame=1}]', "seeds.frames: take 'hug' is no take of two people that may be learned from"),
         ('[{take="waltz",frame=99}]', "seeds.frames: take 'waltz' has frames 0 to 23, found 99"),
     ):
         found = call_in_process(capsys, "run", study, "--store", tmp_path / "store", "--set", f"seeds.frames={frames}")

@@ -66,11 +66,14 @@ def test_the_stages_of_the_program_form_a_graph() -> None:
     [
         (["augmentation.scales=[0.9]"], "split 'cross_scale' has no training variant"),
         (["augmentation.contacts.nobody=[]"], "augmentation.contacts: take 'nobody' is not there; takes: hug, hug-001"),
-        (["seeds.frames=[{take='hug-001', frame=3}]"], "take 'hug-001' is no take that may be learned from"),
+        (
+            ["seeds.frames=[{take='hug-001', frame=3}]"],
+            "take 'hug-001' is no take of two people that may be learned from",
+        ),
         (["ingest.duets=[]", "ingest.held_out=[]"], "seeds.num_seeds asks for 2 frames of takes, but there is no take"),
         (
             ["ingest.virtual_video.num_videos=0", "ingest.virtual_video.num_random_views=0"],
-            "seeds.num_grown lift annotations, but the study has neither annotations",
+            "seeds.num_grown lift annotations, but there are no annotated pairs with views: neither",
         ),
     ],
 )

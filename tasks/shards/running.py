@@ -178,11 +178,6 @@ class Call:
     function: Callable[..., Any] = field(compare=False)
     arguments: tuple[Any, ...] = field(compare=False)
 
-    @property
-    def is_ready(self) -> bool:
-        """Tell whether all arguments are there."""
-        return all(one.done() for one in self.arguments if isinstance(one, Future))
-
     def make(self) -> tuple[ArtifactRef, float]:
         """Make the call; raises what futures among its arguments failed with."""
         result: tuple[ArtifactRef, float]
@@ -191,41 +186,31 @@ class Call:
 
 
 class HereClient:
-    """Computes where `work` is called, one call after the other; has of a Dask client what a pool uses."""
+    """Computes where `work` is called, one call after the other; has of a Dask client what a pool uses.
+
+    What a call waits for has a higher priority, so it has ended when the call is made.
+    """
 
     def __init__(self) -> None:
         self.waiting: queue.PriorityQueue[Call] = queue.PriorityQueue()
         self._count = itertools.count()
 
     def submit(self, function: Callable[..., Any], *arguments: Any, priority: int, **_: object) -> Future[Any]:
-        """Take a call, to be made when futures among its arguments have ended."""
+        """Take a call; futures among its arguments are those of calls of higher priorities."""
         call = Call((-priority, next(self._count)), Future(), function, arguments)
         self.waiting.put(call)
         return call.future
 
     def work(self) -> bool:
         """Make the call of the highest priority; tells whether there was one."""
-        if (call := self.next_call()) is None:
+        if self.waiting.empty():
             return False
+        call = self.waiting.get()
         try:
             call.future.set_result(call.make())
         except ShardError as error:
             call.future.set_exception(error)
         return True
-
-    def next_call(self) -> Call | None:
-        """Return the call of the highest priority that can be made, which waits no longer; None where there is none."""
-        later: list[Call] = []
-        found: Call | None = None
-        while found is None and not self.waiting.empty():
-            call = self.waiting.get()
-            if call.is_ready:
-                found = call
-            else:
-                later.append(call)
-        for call in later:
-            self.waiting.put(call)
-        return found
 
     def cancel(self, futures: Sequence[Future[Any]], *, force: bool) -> None:
         """Forget all calls that were not made."""

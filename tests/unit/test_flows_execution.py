@@ -59,6 +59,15 @@ class Workers(HereClient):
         call.future.set_exception(result) if isinstance(result, ShardError) else call.future.set_result(result)
         return True
 
+    def next_call(self) -> Call | None:
+        """Return the call of the highest priority whose arguments are there; None where there is none."""
+        waiting = sorted(self.waiting.get() for _ in range(self.waiting.qsize()))
+        ready = [one for one in waiting if all(part.done() for part in one.arguments if isinstance(part, Future))]
+        for call in waiting:
+            if call not in ready[:1]:
+                self.waiting.put(call)
+        return ready[0] if ready else None
+
     def _make(self, call: Call) -> Any:
         _, shard, _, *before = call.arguments
         for one in before:

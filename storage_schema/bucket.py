@@ -43,9 +43,7 @@ class RemoteError(StorageError):
 class RemoteStore:
     """Files in a bucket, below a prefix.
 
-    Args:
-        url: `s3://bucket/prefix`.
-        timeout: Longest time for one answer.
+    The address is `s3://bucket/prefix`, `timeout` the longest time for one answer.
 
     Raises:
         BadName: The address has another form.

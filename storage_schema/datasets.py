@@ -35,15 +35,9 @@ DATASET_FILE = "dataset.json"
 class Dataset:
     """A named, immutable list of artifacts.
 
-    Args:
-        name: Name of the dataset.
-        version: Its version; datasets made without one are numbered from 1.
-        refs: The artifacts, in order.
-        sources: Licence and credit of every source, as they stood when it was made: they never change either.
-        digest: sha256 over the artifacts' stages, keys and content digests, and the sources.
-        note: What the maker says about it.
-        created_at: When, in UTC.
-        path: Its folder; attached files such as the dataset card lie there.
+    Those made without a version are numbered from 1. Licences and credits are those of the time it was made, and never
+    change either. The digest is over the artifacts' stages, keys and content digests, and the sources. `created_at` is
+    in UTC; attached files such as the dataset card lie in `path`.
     """
 
     name: str

@@ -47,13 +47,8 @@ def artifact_key(
 
     Paths, times, hosts, study names and worker counts are never part of it.
 
-    Args:
-        stage: Name of the stage.
-        version: Version of the stage, raised by hand when its results change.
-        parameters: JSON values that the stage reads.
-        input_digests: Content digests of the inputs and sha256 of outside files, in the order they are read.
-        after: Keys of other shards of the same plan that this one reads.
-        seed: Seed of the study.
+    Inputs are content digests of artifacts and sha256 of outside files, in the order they are read; `after` are keys of
+    other shards of the same plan.
 
     Raises:
         StorageError: The parameters are not JSON values.
@@ -76,11 +71,7 @@ def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files
     Two artifacts of one stage with the same digest are the same to everything downstream, whatever their keys:
     times, versions, parameters and licences are not in it.
 
-    Args:
-        partition: Partition of the artifact.
-        name: Name of its shard.
-        facts: Its facts.
-        files: sha256 of its data files by file name.
+    Data files are given as their sha256 by file name.
 
     Raises:
         StorageError: The facts are not JSON values.

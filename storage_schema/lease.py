@@ -28,11 +28,7 @@ _WATCH_S = 0.5
 
 
 class Lease:
-    """The right of this process to build in a store, once it was taken.
-
-    Args:
-        remote: The bucket.
-    """
+    """The right of this process to build in a store, once it was taken."""
 
     def __init__(self, remote: RemoteStore) -> None:
         self._remote = remote

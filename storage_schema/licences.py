@@ -90,13 +90,7 @@ def create_dataset(
 ) -> Dataset:
     """Return a list of artifacts a name and a version that never change.
 
-    Args:
-        store: Store that holds the artifacts.
-        name: Name of the dataset.
-        refs: The artifacts.
-        version: Version; the next free number when None.
-        note: What to say about it.
-        attachments: Files to lie beside the list, such as a dataset card.
+    Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card.
 
     Raises:
         DatasetExists: This name and version are taken.

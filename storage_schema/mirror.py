@@ -52,9 +52,7 @@ _YOUNG = timedelta(hours=1)
 class Mirror:
     """The remote side of a store, and its folder here.
 
-    Args:
-        url: `s3://bucket/prefix`; address and credentials come from the environment.
-        root: Folder of the mirror.
+    Address and credentials of `s3://bucket/prefix` come from the environment.
     """
 
     def __init__(self, url: str, root: Path) -> None:

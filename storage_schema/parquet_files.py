@@ -80,11 +80,8 @@ def read_table(
 ) -> TableData:
     """Read rows of a table; only the row groups that hold them are read.
 
-    Args:
-        path: File of the table.
-        table: Its definition.
-        columns: Columns to read, all when None; they come in the order of the definition.
-        rows: Rows to read, all when None; as in Python, negative numbers count from the end and a long range is cut.
+    Without `columns` or `rows` all are read; columns come in the order of the definition, and rows as in Python:
+    negative numbers count from the end and a long range is cut.
 
     Raises:
         SchemaError: A column is not in the table, or the file was written with other columns.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from pydantic import create_model
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
@@ -32,6 +33,18 @@ class Parameters(Settings):
         """Return the parameters of a kind of shard: the settings that `kind` has too, and what only the plan knows."""
         shared = {name: getattr(self, name) for name in kind.model_fields if name in type(self).model_fields}
         return kind(**shared, **more)
+
+
+def with_fields(fields: Mapping[str, Any]) -> Callable[[type[P]], type[P]]:
+    """Return a decorator that adds fields, each as its type and `Field`, to parameters, but those that they have."""
+
+    def extended(parameters: type[P]) -> type[P]:
+        new = {name: field for name, field in fields.items() if name not in parameters.model_fields}
+        made = create_model(parameters.__name__, __base__=parameters, __module__=parameters.__module__, **new)
+        made.__doc__ = parameters.__doc__
+        return made
+
+    return extended
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Annotated, Any, Literal, TypeVar
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, create_model, model_validator
+from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, model_validator
 
 from pasdedeux.sampling.densities import DENSITIES
 from pasdedeux.sampling.densities.density import PRIOR_ONLY, Density, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.settings import Settings
-from tasks.stage import Parameters
+from tasks.stage import Parameters, with_fields
 from tasks.sweep import SweptParameters
-
-P = TypeVar("P", bound=Parameters)
 
 
 def _one_of(names: Iterable[str], what: str) -> Callable[[str], str]:
@@ -50,23 +48,14 @@ class RunSettings(Settings):
     )
 
 
-def _with_settings_of(kinds: Sequence[Density[Any]]) -> Callable[[type[P]], type[P]]:
-    """Return what adds the settings of kinds to a section; a name that several kinds have is one setting."""
-
-    def extended(section: type[P]) -> type[P]:
-        fields: dict[str, Any] = {}
-        for kind in kinds:
-            for name, field in kind.settings.model_fields.items():
-                if name not in section.model_fields:
-                    fields.setdefault(name, (field.annotation, field))
-        made = create_model(section.__name__, __base__=section, __module__=section.__module__, **fields)
-        made.__doc__ = section.__doc__
-        return made
-
-    return extended
+_SETTINGS_OF_DENSITIES = {
+    name: (field.annotation, field)
+    for density in DENSITIES.values()
+    for name, field in density.settings.model_fields.items()
+}
 
 
-@_with_settings_of([*DENSITIES.values()])
+@with_fields(_SETTINGS_OF_DENSITIES)
 class ChainsParameters(SweptParameters, RunSettings, TargetSettings):
     """What is sampled, how much, and with which steps; with the settings of every density.
 

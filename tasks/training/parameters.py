@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from pydantic import Field, SerializeAsAny, create_model, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.learning import DEFAULT_MODELS, MODELS, SPLIT_NAMES, SplitName, model_class
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
-from tasks.stage import Parameters
+from tasks.stage import Parameters, with_fields
 from tasks.sweep import SweptParameters
 
 SkeletonName = Literal["body22", "expi18"]
 
 
-def _with_settings_of_models(section: type[Parameters]) -> Any:
-    """Return a section with the settings of every model that has some, under its name."""
-    fields: dict[str, Any] = {
-        name: (model.settings, Field(model.settings(), description=f"Settings of {name}"))
-        for name, model in MODELS.items()
-        if model.settings.model_fields
-    }
-    made = create_model(section.__name__, __base__=section, __module__=section.__module__, **fields)
-    made.__doc__ = section.__doc__
-    return made
+_SETTINGS_OF_MODELS = {
+    name: (model.settings, Field(model.settings(), description=f"Settings of {name}"))
+    for name, model in MODELS.items()
+    if model.settings.model_fields
+}
 
 
 class NamedModel(NamedTuple):
@@ -36,7 +31,7 @@ class NamedModel(NamedTuple):
     start: str | None
 
 
-@_with_settings_of_models
+@with_fields(_SETTINGS_OF_MODELS)
 class TrainingParameters(SweptParameters):
     """Which models are trained on which splits, and how."""
 

@@ -1,4 +1,4 @@
-"""Smooth functions of time: blends, bumps, curves through keys; all have two continuous derivatives."""
+"""Smooth functions of time with two continuous derivatives, and directions and rotations from angles over time."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from pasdedeux.arrays import Array
+from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
+
+Numbers = Array | float
 
 
 def blend(time_s: Array, start_s: float, stop_s: float) -> Array:
@@ -78,3 +81,20 @@ def soft_minimum(values: Sequence[Array], softness: float) -> Array:
     stack = np.stack(np.broadcast_arrays(*values))
     least = stack.min(axis=0)
     return np.asarray(least - softness * np.log(np.exp(-(stack - least) / softness).sum(axis=0)))
+
+
+def facing(yaw_rad: Array | float, left_m: Array | float, up_m: Array | float, forward_m: Array | float) -> Array:
+    """Return the world vector (*batch, 3) of left, up and forward parts of somebody who faces `yaw_rad`."""
+    yaw, left, up, forward = np.broadcast_arrays(yaw_rad, left_m, up_m, forward_m)
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.stack([left * c + forward * s, up + 0.0 * c, -left * s + forward * c], axis=-1)
+
+
+def turn(yaw_rad: Array, pitch_rad: Array | float = 0.0, roll_rad: Array | float = 0.0) -> Array:
+    """Return the rotation (frame, 4): roll to the right, then pitch forward, then yaw to the left."""
+    yaw, pitch, roll = np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad)
+    zero = np.zeros(yaw.shape)
+    about_y = unitquat_from_rotvec(np.stack([zero, yaw, zero], axis=-1))
+    about_x = unitquat_from_rotvec(np.stack([pitch, zero, zero], axis=-1))
+    about_z = unitquat_from_rotvec(np.stack([zero, zero, roll], axis=-1))
+    return multiply(about_y, multiply(about_x, about_z))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import soft_minimum
+from pasdedeux.choreography.curves import Numbers, facing, soft_minimum
 from pasdedeux.choreography.reach import STRETCH, reach
 from pasdedeux.choreography.steps import FootPath
 from pasdedeux.kinematics import Motion
@@ -22,28 +24,12 @@ from pasdedeux.kinematics.rotations import (
 )
 from pasdedeux.skeletons import BODY22
 
-SIDES = ("left", "right")
+SIDES = {"left": 1.0, "right": -1.0}
+"""Both sides, and the sign of what points there."""
 _ELEVATION, _PROTRACTION = 0.20, 0.28
 """How far the shoulder girdle goes with the arm, radians per unit of the arm's direction (about a third of the
 humerus up to the horizontal: Inman, Saunders and Abbott 1944)."""
 _PELVIS_SOFTNESS_M = 0.010
-
-
-def facing(yaw_rad: Array | float, left_m: Array | float, up_m: Array | float, forward_m: Array | float) -> Array:
-    """Return the world vector (*batch, 3) of left, up and forward parts of somebody who faces `yaw_rad`."""
-    yaw, left, up, forward = np.broadcast_arrays(yaw_rad, left_m, up_m, forward_m)
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.stack([left * c + forward * s, up + 0.0 * c, -left * s + forward * c], axis=-1)
-
-
-def turn(yaw_rad: Array, pitch_rad: Array | float = 0.0, roll_rad: Array | float = 0.0) -> Array:
-    """Return the rotation (frame, 4): roll to the right, then pitch forward, then yaw to the left."""
-    yaw, pitch, roll = np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad)
-    zero = np.zeros(yaw.shape)
-    about_y = unitquat_from_rotvec(np.stack([zero, yaw, zero], axis=-1))
-    about_x = unitquat_from_rotvec(np.stack([pitch, zero, zero], axis=-1))
-    about_z = unitquat_from_rotvec(np.stack([zero, zero, roll], axis=-1))
-    return multiply(about_y, multiply(about_x, about_z))
 
 
 @dataclass(frozen=True)
@@ -66,6 +52,15 @@ class Trunk:
     unitquat: Array
     spine_rotvec: Array
     head_rotvec: Array
+
+    @classmethod
+    def at(
+        cls, where_m: Array, height_m: Numbers, unitquat: Array, spine: Sequence[Numbers], head: Sequence[Numbers]
+    ) -> Self:
+        """Return a trunk above (frame, x and z) or (frame, 3); parts of rotation vectors are numbers or (frame,)."""
+        x, z = where_m[:, 0], where_m[:, -1]
+        parts = [np.stack(np.broadcast_arrays(*parts, x)[:3], axis=-1) for parts in (spine, head)]
+        return cls(x, z, np.broadcast_to(height_m, x.shape), unitquat, *parts)
 
 
 @dataclass
@@ -134,7 +129,7 @@ class Figure:
             elbow_pole: Where the elbow points (frame, 3), world.
             palm: Where the palm looks (frame, 3), world; the forearm turns towards it, at most 85 degrees either way.
         """
-        sign = 1.0 if side == "left" else -1.0
+        sign = SIDES[side]
         chest, collar, shoulder, elbow, wrist = BODY22.indices(
             ["spine3", f"{side}_collar", f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist"]
         )
@@ -197,7 +192,7 @@ class Figure:
     def _place_leg(self, side: str, foot: FootPath) -> None:
         hip, knee, ankle, toe = BODY22.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle", "toe")])
         self._follow(hip, self.unitquat[:, 0])
-        sign = 1.0 if side == "left" else -1.0
+        sign = SIDES[side]
         ahead = rotate(self.unitquat[:, 0], np.broadcast_to([0.12 * sign, 0.0, 1.0], foot.ankle_m.shape))
         pole = ahead * [1.0, 0.0, 1.0] + facing(foot.yaw_rad, 0.0, 0.0, 1.0)
         upper, lower = self.body.length_m(f"{side}_knee"), self.body.length_m(f"{side}_ankle")

@@ -9,10 +9,10 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import mix, moves, window
+from pasdedeux.choreography.curves import facing, mix, moves, turn, window
 from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
-from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
-from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
+from pasdedeux.choreography.figure import SIDES, Figure, Trunk
+from pasdedeux.choreography.steps import FootPath, plan_foot, walk_foot
 
 _ARRIVE_S, _HOLD_S, _LEAVE_S = 2.5, 3.3, 3.0
 """When both have arrived; when the arms are closed; how long before the end the arms begin to open."""
@@ -90,23 +90,20 @@ def _walk(person: int, bodies: tuple[Body, ...], plan: _Plan, time_s: Array) -> 
     lean = 0.10 + bow
     walking = 0.05 * (1.0 - closed)
     nod = 0.05 * np.sin(2.0 * np.pi * time_s / plan.sway_s) * closed
-    trunk = Trunk(
-        x_m=where[:, 0],
-        z_m=where[:, 2],
-        height_m=body.standing_m("pelvis") - 0.009 * height + 0.0 * time_s,
-        unitquat=turn(yaw + 0.06 * step * np.sin(2.0 * np.pi * (time_s - 0.2) / 1.3), walking + lean * closed, 0.0),
-        spine_rotvec=np.stack(
-            [walking * 0.4 + 0.6 * lean * closed, -0.02 * closed, 1.1 * sign * sway / height], axis=-1
-        ),
-        head_rotvec=np.stack([-0.05 - (0.9 * lean + 0.1) * closed + nod, 0.30 * closed, -0.20 * closed], axis=-1),
+    trunk = Trunk.at(
+        where,
+        body.standing_m("pelvis") - 0.009 * height,
+        turn(yaw + 0.06 * step * np.sin(2.0 * np.pi * (time_s - 0.2) / 1.3), walking + lean * closed),
+        (walking * 0.4 + 0.6 * lean * closed, -0.02 * closed, 1.1 * sign * sway / height),
+        (-0.05 - (0.9 * lean + 0.1) * closed + nod, 0.30 * closed, -0.20 * closed),
     )
-    feet = tuple(_foot(side, body, plan, yaw, left, time_s) for side in SIDES)
-    return Figure(body=body, trunk=trunk, feet=(feet[0], feet[1]))
+    left_foot, right_foot = (_foot(side, body, plan, yaw, left, time_s) for side in SIDES)
+    return Figure(body=body, trunk=trunk, feet=(left_foot, right_foot))
 
 
 def _foot(side: str, body: Body, plan: _Plan, yaw: float, left_m: float, time_s: Array) -> FootPath:
     """Walk up in three steps (right, left, right), stand through the embrace, and step back (left, right)."""
-    sign = 1.0 if side == "left" else -1.0
+    sign = SIDES[side]
     far, near = -0.5 * plan.start_m, -0.5 * plan.embrace_m
     back = near + 0.5 * (far - near)
     leave = plan.open_s + 1.0
@@ -119,10 +116,9 @@ def _foot(side: str, body: Body, plan: _Plan, yaw: float, left_m: float, time_s:
             (2.1, leave + 0.66, near),
             (leave + 1.26, 1e3, back),
         ]
-    plants = []
-    for land_s, lift_s, ahead in stops:
-        at = facing(yaw, left_m + sign * _TRACK * body.height_m, 0.0, ahead - 0.02 * body.height_m)
-        plants.append(Plant(float(at[0]), float(at[2]), yaw + sign * 0.14, land_s, lift_s))
+    lands, lifts, aheads = np.array(stops).T
+    at = facing(yaw, left_m + sign * _TRACK * body.height_m, 0.0, aheads - 0.02 * body.height_m)
+    plants = plan_foot(at, np.full(len(stops), yaw + sign * 0.14), lands, lifts)
     return walk_foot(time_s, body, plants, heel=1.15)
 
 
@@ -138,8 +134,7 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
         # Arms of equal people go over the shoulders; a taller one's may stay lower.
         alike = float(np.clip(1.0 - (height / other.body.height_m - 1.0) / 0.10, 0.0, 1.0))
         up = 0.02 + 0.07 * alike if is_over else -0.11
-        for side in SIDES:
-            sign = 1.0 if side == "left" else -1.0
+        for side, sign in SIDES.items():
             shoulder = figure.on_bone(f"{side}_shoulder", 1.0)
             swing = 0.05 * height * np.sin(2.0 * np.pi * (time_s - 0.25) / 1.3) * window(time_s, 0.2, 0.8, 1.4, 2.0)
             hang = shoulder + figure.chest_vector(sign * 0.030 * height, -0.305 * height, 0.03 * height - sign * swing)

@@ -9,11 +9,11 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import mix, moves, window
+from pasdedeux.choreography.curves import facing, mix, moves, turn, window
 from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
-from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
-from pasdedeux.choreography.steps import FootPath, Plant, walk_feet, walk_foot
-from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotvec
+from pasdedeux.choreography.figure import SIDES, Figure, Trunk
+from pasdedeux.choreography.steps import FootPath, Plant, plan_foot, walk_feet, walk_foot
+from pasdedeux.kinematics.rotations import normalise
 
 _HOLD_S, _OPEN_S = 1.6, 8.3
 """When both hands of both lie on the partner, and when they let go."""
@@ -127,13 +127,12 @@ def _lifter(body: Body, plan: _Plan, time_s: Array) -> Figure:
     up = plan.up(time_s)
     taken = window(time_s, 0.9, _RISE_S - 0.1, _DOWN_S, 9.2)
     bent = taken * (1.0 - plan.upright * up)
-    trunk = Trunk(
-        x_m=where[:, 0],
-        z_m=where[:, 2],
-        height_m=body.standing_m("pelvis") - body.height_m * (0.012 + 0.028 * bent),
-        unitquat=turn(yaw, plan.lean_rad * bent - 0.03 * up),
-        spine_rotvec=np.stack([(0.02 + plan.lean_rad) * bent - 0.02 * up, 0 * up, 0 * up], axis=-1),
-        head_rotvec=np.stack([-0.5 * plan.lean_rad * bent - 0.08 * up, 0 * up, 0 * up], axis=-1),
+    trunk = Trunk.at(
+        where,
+        body.standing_m("pelvis") - body.height_m * (0.012 + 0.028 * bent),
+        turn(yaw, plan.lean_rad * bent - 0.03 * up),
+        ((0.02 + plan.lean_rad) * bent - 0.02 * up, 0.0, 0.0),
+        (-0.5 * plan.lean_rad * bent - 0.08 * up, 0.0, 0.0),
     )
     feet = walk_feet(time_s, body, _plants("left", body, plan), _plants("right", body, plan), heel=0.7)
     return Figure(body=body, trunk=trunk, feet=feet)
@@ -141,16 +140,13 @@ def _lifter(body: Body, plan: _Plan, time_s: Array) -> Figure:
 
 def _plants(side: str, body: Body, plan: _Plan) -> list[Plant]:
     """Plan a foot of A: it lands where the pelvis will be; the foot on the inside of the turn leads."""
-    sign = 1.0 if side == "left" else -1.0
+    sign = SIDES[side]
     wait_s = 0.0 if sign * plan.turn_rad > 0.0 or (plan.turn_rad == 0.0 and sign > 0.0) else 0.55
     lifts = [start + wait_s for start, _ in _STEPS]
     where, yaw = plan.place(np.array([0.0, *(stop for _, stop in _STEPS)]))
     where = where + facing(yaw, sign * _TRACK * body.height_m, 0.0, -0.02 * body.height_m)
     lands = [-1.0, *(lift + 0.55 for lift in lifts)]
-    return [
-        Plant(float(at[0]), float(at[2]), float(direction + sign * 0.2), land_s, lift_s)
-        for at, direction, land_s, lift_s in zip(where, yaw, lands, [*lifts, 1e6], strict=True)
-    ]
+    return plan_foot(where, yaw + sign * 0.2, lands, [*lifts, 1e6])
 
 
 def _lifted(body: Body, plan: _Plan, time_s: Array) -> Figure:
@@ -159,40 +155,32 @@ def _lifted(body: Body, plan: _Plan, time_s: Array) -> Figure:
     where = where + facing(yaw, 0.0, 0.0, plan.apart_m)
     up = plan.up(time_s)
     stoop = plan.stoop_rad * window(time_s, 0.9, _RISE_S - 0.1, _DOWN_S, 9.2)
-    trunk = Trunk(
-        x_m=where[:, 0],
-        z_m=where[:, 2],
-        height_m=body.standing_m("pelvis") - 0.010 * body.height_m + plan.lift_m * up,
-        unitquat=turn(yaw + np.pi, 0.3 * stoop),
-        spine_rotvec=np.stack([stoop, 0 * up, 0 * up], axis=-1),
-        head_rotvec=np.stack([0.10 * up - 0.5 * stoop, 0 * up, 0 * up], axis=-1),
+    trunk = Trunk.at(
+        where,
+        body.standing_m("pelvis") - 0.010 * body.height_m + plan.lift_m * up,
+        turn(yaw + np.pi, 0.3 * stoop),
+        (stoop, 0.0, 0.0),
+        (0.10 * up - 0.5 * stoop, 0.0, 0.0),
     )
-    feet = tuple(_hanging(side, body, plan, where, yaw + np.pi, up, time_s) for side in SIDES)
-    return Figure(body=body, trunk=trunk, feet=(feet[0], feet[1]))
+    left, right = (_hanging(side, body, plan, where, yaw + np.pi, up, time_s) for side in SIDES)
+    return Figure(body=body, trunk=trunk, feet=(left, right))
 
 
 def _hanging(side: str, body: Body, plan: _Plan, where: Array, yaw: Array, up: Array, time_s: Array) -> FootPath:
     """Return a foot of B: it stands, hangs below the hips with the toes down, and stands where A came to."""
-    sign = 1.0 if side == "left" else -1.0
+    sign = SIDES[side]
     aside, ahead = sign * 0.055 * body.height_m, -0.02 * body.height_m
     stands = np.array([0.0, _DOWN_S])
     places, yaws = plan.place(stands)
     places = places + facing(yaws, 0.0, 0.0, plan.apart_m) + facing(yaws + np.pi, aside, 0.0, ahead)
     turned = sign * 0.12
-    plants = tuple(
-        Plant(float(at[0]), float(at[2]), float(direction + np.pi + turned), land_s, lift_s)
-        for at, direction, (land_s, lift_s) in zip(places, yaws, ((-1.0, _RISE_S), (_DOWN_S, 1e6)), strict=True)
-    )
+    plants = plan_foot(places, yaws + np.pi + turned, (-1.0, _DOWN_S), (_RISE_S, 1e6))
     standing = walk_foot(time_s, body, plants[:1])
     drawn = (0.010 + 0.014 * (sign > 0)) * body.height_m * up
     ankle = where + facing(yaw, aside, plan.lift_m * up + drawn, ahead - 0.045 * body.height_m * up)
     ankle[:, 1] += standing.ankle_m[:, 1]
-    zero = np.zeros(len(time_s))
-    unitquat = multiply(
-        unitquat_from_rotvec(np.stack([zero, yaw + turned, zero], axis=-1)),
-        unitquat_from_rotvec(np.stack([0.55 * up, zero, zero], axis=-1)),
-    )
-    return FootPath(ankle_m=ankle, unitquat=unitquat, yaw_rad=yaw + turned, plants=plants)
+    unitquat = turn(yaw + turned, 0.55 * up)
+    return FootPath(ankle_m=ankle, unitquat=unitquat, yaw_rad=yaw + turned, plants=tuple(plants))
 
 
 def _hold(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list[Contact]:
@@ -203,8 +191,7 @@ def _hold(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list[Co
         # B's arms lie on A's: they come first and leave last.
         early_s = 0.3 * person
         closed = window(time_s, 0.6 - early_s, _HOLD_S - early_s, _OPEN_S + early_s, 9.3 + early_s)
-        for side in SIDES:
-            sign = 1.0 if side == "left" else -1.0
+        for side, sign in SIDES.items():
             # The partner faces us: our left is the right side of the partner.
             bone = plan.waist[0] if person == 0 else f"{'right' if side == 'left' else 'left'}_elbow"
             share = plan.waist[1] if person == 0 else plan.sleeve

@@ -7,8 +7,9 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.curves import facing, turn
 from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
-from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
+from pasdedeux.choreography.figure import Figure, Trunk
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 from pasdedeux.kinematics.rotations import normalise
 
@@ -69,14 +70,12 @@ def _stand(person: int, body: Body, apart_m: float, push: Array, phase: Array, t
     )
     where = middle + facing(yaw, 0.004 * body.height_m * np.sin(phase), 0.0, forward - 0.01 * body.height_m)
     waist = 0.24 * np.sin(phase + 0.3) + 0.10
-    still = np.zeros_like(phase)
-    trunk = Trunk(
-        x_m=where[:, 0],
-        z_m=where[:, 2],
-        height_m=body.standing_m("pelvis") - body.height_m * (0.052 + 0.006 * np.cos(phase)),
-        unitquat=turn(yaw + 0.16 + 0.30 * waist, 0.04 + 0.25 * forward, still),
-        spine_rotvec=np.stack([0.05 + 0.35 * forward, 0.55 * waist, 0.03 * np.sin(phase)], axis=-1),
-        head_rotvec=np.stack([still + 0.05, -0.12 - 0.7 * waist, still], axis=-1),
+    trunk = Trunk.at(
+        where,
+        body.standing_m("pelvis") - body.height_m * (0.052 + 0.006 * np.cos(phase)),
+        turn(yaw + 0.16 + 0.30 * waist, 0.04 + 0.25 * forward),
+        (0.05 + 0.35 * forward, 0.55 * waist, 0.03 * np.sin(phase)),
+        (0.05, -0.12 - 0.7 * waist, 0.0),
     )
     return Figure(body=body, trunk=trunk, feet=feet)
 

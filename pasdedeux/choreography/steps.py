@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import blend, bump
-from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
+from pasdedeux.choreography.curves import blend, bump, curve_through, facing, turn
+from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.skeletons import BODY22
 
 _PEEL = 0.22
@@ -20,6 +22,12 @@ _CLEARANCE = 0.018
 """Height of the arc of a step, fraction of body height."""
 _STANDING_GAP, _PASSING_GAP = 0.085, 0.062
 """Least distance of the ankles where a foot lands, and when one passes the other, fractions of body height."""
+
+
+_DOUBLE_SUPPORT = 0.16
+"""Share of a beat during which both feet stand."""
+_MID_STANCE = 0.54
+"""Beats from landing until the weight is over the foot."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,66 @@ class FootPath:
     plants: tuple[Plant, ...]
 
 
+@dataclass(frozen=True)
+class Walk:
+    """Somebody who steps on beats: both feet, the middle of the body (frame, x and z) and its facing (frame,)."""
+
+    feet: tuple[FootPath, FootPath]
+    where_m: Array
+    yaw_rad: Array
+
+
+def plan_foot(where_m: Array, yaw_rad: Array, land_s: Iterable[Any], lift_s: Iterable[Any]) -> list[Plant]:
+    """Return plants at (n, x and z) or (n, 3), with directions (n,), when the foot lands and lifts off (n,)."""
+    rows = zip(where_m[:, 0], where_m[:, -1], yaw_rad, land_s, lift_s, strict=True)
+    return [Plant(*map(float, row)) for row in rows]
+
+
+def walk_on_beats(
+    time_s: Array,
+    body: Body,
+    stations: tuple[Array, Array],
+    beats: npt.NDArray[np.int_],
+    beat_s: float,
+    is_left: npt.NDArray[np.bool_],
+    *,
+    track: float,
+    out_rad: float,
+    sway: float,
+) -> Walk:
+    """Step on every beat with one foot, the body leaning over it some time after it has landed.
+
+    Args:
+        time_s: Times (frame,).
+        body: Who.
+        stations: Where (beat, x and z) and in which direction (beat,) the body is at each beat.
+        beats: Numbers of the beats (beat,), well before the first time to well after the last.
+        beat_s: Time of a beat.
+        is_left: Which beats the left foot steps on (beat,).
+        track: Distance of each foot from the middle of the body, fraction of height.
+        out_rad: How far the feet point outward.
+        sway: How far the body leans over the standing foot, fraction of height.
+    """
+    where, yaw = stations
+    left, right = (
+        plan_foot(
+            (where + facing(yaw, sign * track * body.height_m, 0.0, -0.01 * body.height_m)[:, [0, 2]])[mask],
+            yaw[mask] + sign * out_rad,
+            beats[mask] * beat_s,
+            (beats[mask] + 1.0 + _DOUBLE_SUPPORT) * beat_s,
+        )
+        for sign, mask in ((1.0, is_left), (-1.0, ~is_left))
+    )
+    over = where + facing(yaw, sway * body.height_m * np.where(is_left, 1.0, -1.0), 0.0, 0.0)[:, [0, 2]]
+    middle, facing_rad = (over_beats(time_s, keys, beats, beat_s) for keys in (over, yaw))
+    return Walk(walk_feet(time_s, body, left, right), middle, facing_rad)
+
+
+def over_beats(time_s: Array, keys: Array, beats: npt.NDArray[np.int_], beat_s: float) -> Array:
+    """Pass through keys (beat, ...), each when the weight is over the foot that has landed on its beat."""
+    return curve_through(time_s, float(beats[0] + _MID_STANCE) * beat_s, beat_s, keys)
+
+
 def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float = 1.0) -> FootPath:
     """Walk a foot from plant to plant.
 
@@ -84,10 +152,7 @@ def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float
         pitch += (
             heel * (0.08 + 0.3 * min(length, 0.5) + 0.8 * float(np.clip(forward, 0.0, 0.5))) * bump(fraction, fall=4)
         )
-    unitquat = multiply(
-        unitquat_from_rotvec(np.stack([0 * yaw, yaw, 0 * yaw], axis=-1)),
-        unitquat_from_rotvec(np.stack([pitch, 0 * yaw, 0 * yaw], axis=-1)),
-    )
+    unitquat = turn(yaw, pitch)
     ankle = position - rotate(unitquat, np.broadcast_to(ankle_to_toe, position.shape))
     return FootPath(ankle_m=ankle, unitquat=unitquat, yaw_rad=yaw, plants=tuple(plants))
 

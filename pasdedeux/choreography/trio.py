@@ -10,17 +10,13 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import curve_through
+from pasdedeux.choreography.curves import turn
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, finish
-from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
-from pasdedeux.choreography.steps import Plant, walk_feet
+from pasdedeux.choreography.figure import Figure, Trunk
+from pasdedeux.choreography.steps import over_beats, walk_on_beats
 
 _TRACK = 0.068
 """Distance of each foot from the middle of the body, fraction of body height."""
-_DOUBLE_SUPPORT = 0.16
-"""Share of a beat during which both feet stand."""
-_MID_STANCE = 0.54
-"""Beats from landing until the weight is over the foot."""
 _ROUND = 8
 """Beats in which the ring closes and opens once."""
 
@@ -53,8 +49,7 @@ def make_trio(style: TrioStyle) -> Duet:
         _dancer(person, body, angle - 2.0 * np.pi * person / len(bodies), radius_m, beats, beat_s, time_s)
         for person, body in enumerate(bodies)
     )
-    first_s = float(beats[0] + _MID_STANCE) * beat_s
-    raised_m = mean_m * (style.rise * curve_through(time_s, first_s, beat_s, closed) - 0.10)
+    raised_m = mean_m * (style.rise * over_beats(time_s, closed, beats, beat_s) - 0.10)
     contacts = [
         _clasp(figures, person, (person + 1) % len(figures), raised_m, style.duration_s)
         for person in range(len(figures))
@@ -70,41 +65,18 @@ def _dancer(
     B steps with the other foot, and everybody looks round and bends at another time.
     """
     is_left = (beats + person) % 2 == 1
-    where = radius_m[:, None] * np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
-    yaw = angle - 0.5 * np.pi
-    left, right = (
-        [
-            Plant(
-                x_m=float(x),
-                z_m=float(z),
-                yaw_rad=float(direction + sign * 0.10),
-                land_s=float(beat * beat_s),
-                lift_s=float((beat + 1.0 + _DOUBLE_SUPPORT) * beat_s),
-            )
-            for beat, direction, (x, z) in zip(
-                beats[is_mine],
-                yaw[is_mine],
-                (where + facing(yaw, sign * _TRACK * body.height_m, 0.0, -0.01 * body.height_m)[:, [0, 2]])[is_mine],
-                strict=True,
-            )
-        ]
-        for sign, is_mine in ((1.0, is_left), (-1.0, ~is_left))
-    )
-    first_s = float(beats[0] + _MID_STANCE) * beat_s
-    sway = 0.016 * body.height_m * np.where(is_left, 1.0, -1.0)
-    x, z = curve_through(time_s, first_s, beat_s, where + facing(yaw, sway, 0.0, 0.0)[:, [0, 2]]).T
+    stations = radius_m[:, None] * np.stack([np.cos(angle), -np.sin(angle)], axis=-1), angle - 0.5 * np.pi
+    walk = walk_on_beats(time_s, body, stations, beats, beat_s, is_left, track=_TRACK, out_rad=0.10, sway=0.016)
     phase = np.pi * (time_s / beat_s + person)
     look = 0.25 * phase + 2.0 * np.pi * person / 3.0
-    still = np.zeros_like(phase)
-    trunk = Trunk(
-        x_m=x,
-        z_m=z,
-        height_m=body.standing_m("pelvis") - body.height_m * (0.02 - 0.006 * np.cos(2.0 * phase)),
-        unitquat=turn(curve_through(time_s, first_s, beat_s, yaw), 0.02, 0.02 * np.sin(phase)),
-        spine_rotvec=np.stack([0.06 + 0.10 * np.sin(0.5 * look), 0.16 * np.sin(look), 0.03 * np.sin(phase)], axis=-1),
-        head_rotvec=np.stack([still + 0.05, 0.5 * np.sin(look), still], axis=-1),
+    trunk = Trunk.at(
+        walk.where_m,
+        body.standing_m("pelvis") - body.height_m * (0.02 - 0.006 * np.cos(2.0 * phase)),
+        turn(walk.yaw_rad, 0.02, 0.02 * np.sin(phase)),
+        (0.06 + 0.10 * np.sin(0.5 * look), 0.16 * np.sin(look), 0.03 * np.sin(phase)),
+        (0.05, 0.5 * np.sin(look), 0.0),
     )
-    return Figure(body=body, trunk=trunk, feet=walk_feet(time_s, body, left, right))
+    return Figure(body=body, trunk=trunk, feet=walk.feet)
 
 
 def _clasp(figures: tuple[Figure, ...], one: int, other: int, raised_m: Array, duration_s: float) -> Contact:

@@ -10,10 +10,10 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import curve_through
+from pasdedeux.choreography.curves import facing, turn
 from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
-from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
-from pasdedeux.choreography.steps import Plant, walk_feet
+from pasdedeux.choreography.figure import Figure, Trunk
+from pasdedeux.choreography.steps import walk_on_beats
 from pasdedeux.skeletons import BODY22
 
 _TRAVEL = np.array([0.50, 0.95, 1.0])
@@ -22,10 +22,6 @@ _TURN = np.array([0.36, 0.80, 1.0])
 """Share of a bar's turn, likewise."""
 _TRACK = 0.055
 """Distance of each foot from the middle of the body, fraction of body height."""
-_DOUBLE_SUPPORT = 0.16
-"""Share of a beat during which both feet stand."""
-_MID_STANCE = 0.54
-"""Beats from landing until the weight is over the foot."""
 
 
 class WaltzStyle(DuetStyle):
@@ -117,57 +113,26 @@ def _dancer(
     lean_rad: float,
 ) -> Figure:
     """Place trunk and feet of one dancer."""
-    where, yaw = path.place(person, beats)
-    is_left = (beats % 2 == 1) if person == 0 else (beats % 2 == 0)
-    left, right = (
-        _plants(body, beats[mask], beat_s, where[mask], yaw[mask], sign)
-        for sign, mask in ((1.0, is_left), (-1.0, ~is_left))
-    )
-    feet = walk_feet(time_s, body, left, right)
-    # The pelvis leans over the standing foot, and the weight is there some time after the foot has landed.
-    sway = 0.018 * body.height_m * np.where(is_left, 1.0, -1.0)
-    over = where + facing(yaw, sway, 0.0, 0.0)[:, [0, 2]]
-    first_s = float(beats[0] + _MID_STANCE) * beat_s
-    x, z = np.moveaxis(curve_through(time_s, first_s, beat_s, over), -1, 0)
-    facing_yaw = curve_through(time_s, first_s, beat_s, yaw)
+    is_left = beats % 2 == 1 - person
+    stations = path.place(person, beats)
+    walk = walk_on_beats(time_s, body, stations, beats, beat_s, is_left, track=_TRACK, out_rad=0.08, sway=0.018)
     bar = time_s / (3.0 * beat_s)
     phase = 2.0 * np.pi * (bar - 0.62)
     swing = np.sin(2.0 * np.pi * bar / 2.0)
     side = np.cos(phase) * np.sin(np.pi * bar) * 0.03
-    up = body.standing_m("pelvis") + body.height_m * (-0.015 + rise * np.cos(phase))
     sign = 1.0 if person == 0 else -1.0
-    trunk = Trunk(
-        x_m=x,
-        z_m=z,
-        height_m=up,
-        unitquat=turn(facing_yaw, 0.03, side),
-        spine_rotvec=np.stack(
-            [
-                lean_rad - 0.02 + 0.02 * np.cos(phase),
-                0.05 * swing * sign + (0.12 if person == 0 else -0.04),
-                -0.05 * np.cos(phase - 0.5) * sign,
-            ],
-            -1,
+    trunk = Trunk.at(
+        walk.where_m,
+        body.standing_m("pelvis") + body.height_m * (-0.015 + rise * np.cos(phase)),
+        turn(walk.yaw_rad, 0.03, side),
+        (
+            lean_rad - 0.02 + 0.02 * np.cos(phase),
+            0.05 * swing * sign + (0.12 if person == 0 else -0.04),
+            -0.05 * np.cos(phase - 0.5) * sign,
         ),
-        head_rotvec=np.stack([0.02 + 0.0 * bar, 0.38 + 0.10 * np.sin(phase + 1.0), -0.04 + 0.0 * bar], -1),
+        (0.02, 0.38 + 0.10 * np.sin(phase + 1.0), -0.04),
     )
-    return Figure(body=body, trunk=trunk, feet=feet)
-
-
-def _plants(
-    body: Body, beats: npt.NDArray[np.int_], beat_s: float, where: Array, yaw: Array, sign: float
-) -> list[Plant]:
-    aside = facing(yaw, sign * _TRACK * body.height_m, 0.0, -0.01 * body.height_m)[:, [0, 2]]
-    return [
-        Plant(
-            x_m=float(x),
-            z_m=float(z),
-            yaw_rad=float(direction + sign * 0.08),
-            land_s=float(beat * beat_s),
-            lift_s=float((beat + 1.0 + _DOUBLE_SUPPORT) * beat_s),
-        )
-        for beat, (x, z), direction in zip(beats, where + aside, yaw, strict=True)
-    ]
+    return Figure(body=body, trunk=trunk, feet=walk.feet)
 
 
 def _hold(figures: tuple[Figure, Figure], path: _PairPath, span_s: tuple[float, float]) -> list[Contact]:

@@ -1,6 +1,6 @@
-"""A figure is declared once, where it is measured: its column, its words, its limits and what is said past them follow.
+"""A figure is declared once, where it is measured: its column, its words, its limits and its complaints follow.
 
-Whatever measures holds its figures in a dataclass, and each field says what it is:
+What is measured is held in a dataclass, each field of which declares its figure:
 
     drop_m: float = figure("Greatest drop of a joint", (0.1, 0.5))
 
@@ -27,7 +27,7 @@ LEVELS = (Level.PASS, Level.WARN, Level.FAIL)
 _UNITS = {"_m_s3": "m/s^3", "_m_s": "m/s", "_m": "m", "_rad": "rad", "_s": "s"}
 """Units by the ending of a name."""
 _SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
-"""Units as sentences say them, and how many of them one of the figure's is."""
+"""Units in sentences, and the factor from the figure's unit to them."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Figure:
         limits: Past the first (above it; below where larger is better) it is a warning, past the second a failure; None
             where it is not judged.
         words: What people call it.
-        complaint: What is said past a limit, with fields of the dataclass in braces; else its value and the limit.
+        complaint: Sentence past a limit, with fields of the dataclass in braces; else its value and the limit.
         kind: Type of its column: float, int or str.
         is_nullable: Whether the column may be null.
     """
@@ -70,7 +70,7 @@ class Figure:
 
 
 def figure(meaning: str = "", limits: tuple[float, float] | None = None, **more: str) -> Any:
-    """Declare a field of a dataclass as a `Figure`, with better, words and complaint where they are said.
+    """Declare a field of a dataclass as a `Figure`, with better, words and complaint where they are given.
 
     Else the words, and always the unit, are those of the field's name, and what limits go away from is better.
     """
@@ -117,7 +117,7 @@ def complete_limits(figures: Mapping[str, Figure], given: Limits) -> dict[str, t
 
 
 def complaints(measured: Any, figures: Mapping[str, Figure], limits: Limits) -> Iterator[tuple[Figure, Level, str]]:
-    """Yield each figure of what was measured that is past a limit, how bad that is, and a sentence that says it."""
+    """Yield each figure of what was measured that is past a limit, how bad that is, and a sentence on it."""
     for name, both in limits.items():
         one, value = figures[name], getattr(measured, name)
         if count := int(one.num_past(value, both)):

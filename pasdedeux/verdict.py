@@ -49,7 +49,7 @@ class Paired:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Paired:
-        """Return what `dataclasses.asdict` gave, after a way through JSON."""
+        """Return what `dataclasses.asdict` gave, read back from JSON."""
         rows: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in values.items()}
         return cls(**{**rows, "sums": {name: tuple(found) for name, found in values["sums"].items()}})
 
@@ -61,7 +61,7 @@ class Verdict:
     Args:
         level: pass, not judged, warn or fail.
         reason: Why, in words; empty where it passes and there is nothing to say.
-        figure: Name of the one figure that matters, as people say it ("contact drift"); empty without one.
+        figure: Name of the one figure that matters, in words ("contact drift"); empty without one.
         value: That figure, a mean where it is over several things; NaN without one.
         unit: Its unit.
         baseline: The same figure of the baseline; NaN without one.
@@ -69,7 +69,7 @@ class Verdict:
         count: How many things the figure is over.
         thing: What these are, in the plural ("variants").
         tally: Where this stands for several results: levels, reasons, and how many results have them.
-        paired: What the level was told from, where methods were compared on the same items.
+        paired: What the level rests on, where methods were compared on the same items.
 
     Raises:
         ValueError: Something other than pass has no reason.

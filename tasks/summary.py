@@ -49,7 +49,7 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     return Summary(
         made=[made for thing, parts in counted.items() if (made := _made(thing, parts)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
-        left_out=folded(sorted({sentence for one in found for sentence in _left_out(one)})),
+        skipped=folded(sorted({sentence for one in found for sentence in _skipped(one)})),
         verdicts=dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank)),
     )
 
@@ -67,22 +67,22 @@ def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
     return merge_verdicts(verdict for one in manifests for verdict in _verdicts(one).values())
 
 
-def _left_out(manifest: Manifest) -> list[str]:
-    """Say in sentences what an artifact, or the stage that made it, left out and why."""
+def _skipped(manifest: Manifest) -> list[str]:
+    """Return sentences on what an artifact, or the stage that made it, skipped and why."""
     facts = facts_of(manifest)
     found = list(facts.skipped)
     match facts:
         case TakeFacts(num_persons=count) if "poses" in manifest.tables and count != 2:
             who = "one person" if count == 1 else f"{count} people"
-            found.append(f"Take {facts.take_id}: {who}; the stages that need pairs passed it over.")
+            found.append(f"Take {facts.take_id}: {who}; the stages that need pairs skipped it.")
         case SequenceFacts(num_skipped_frames=count) if count:
             found.append(
-                f"{manifest.partition}: {count} unreadable frames were left out ({', '.join(facts.skipped_files)}); "
+                f"{manifest.partition}: {count} unreadable frames were skipped ({', '.join(facts.skipped_files)}); "
                 "`on_unreadable` of its source says whether they stop the run."
             )
         case DrawFacts(num_annotations_skipped=count) | SeedFacts(num_annotations_skipped=count) if count:
             found.append(
-                f"Chains: {count} annotations without all joints of two people, or without a view, were left out."
+                f"Chains: {count} annotations without all joints of two people, or without a view, were skipped."
             )
     return found
 

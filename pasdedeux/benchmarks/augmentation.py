@@ -13,7 +13,7 @@ from pasdedeux.augmentation.problem import Problem, Targets
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, rate
 from pasdedeux.fitting import FitSettings
 from pasdedeux.kinematics import place_bones
 from pasdedeux.skeletons import BODY22
@@ -57,16 +57,16 @@ def bulk_solver() -> BenchmarkResult:
     solver = BulkSolver(problem)
     scales, few = _scales(_VARIANTS), _scales(2)
     one = build_targets(problem, few)
-    fast = measure_rate(lambda: solver.solve(build_targets(problem, scales)), count=_FRAMES * _VARIANTS)
-    plain = measure_rate(lambda: _descend(problem, one), count=_FRAMES, repeats=1)
     return BenchmarkResult(
-        name="augmentation: batch of variants",
-        unit="frames of a variant",
-        fast_name=f"ADMM, {_VARIANTS} variants at once",
-        fast_per_s=fast,
-        plain_name="guaranteed descent, one at a time",
-        plain_per_s=plain,
-        note=f"{_FRAMES} frames of 2 x {BODY22.num_joints} joints, scales 0.75 to 1.25",
+        "augmentation: batch of variants",
+        "frames of a variant",
+        *rate(
+            f"ADMM, {_VARIANTS} variants at once",
+            lambda: solver.solve(build_targets(problem, scales)),
+            count=_FRAMES * _VARIANTS,
+        ),
+        *rate("guaranteed descent, one at a time", lambda: _descend(problem, one), count=_FRAMES, repeats=1),
+        f"{_FRAMES} frames of 2 x {BODY22.num_joints} joints, scales 0.75 to 1.25",
     )
 
 

@@ -1,15 +1,20 @@
 """What a benchmark reports: work per second of the fast form and of its plain baseline, measured in the same run.
 
-A room offers benchmarks as `BENCHMARKS: dict[str, Callable[[], BenchmarkResult]]` in its module `benchmarks`.
+A module here offers `BENCHMARKS` by name: functions that make inputs and return a `BenchmarkResult` of a name, what is
+counted, the fast form, the plain form, each with its rate as `rate` gives it, and the sizes of the inputs in words.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from pasdedeux.errors import InputError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,7 @@ class BenchmarkResult:
     note: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse rates that say nothing."""
+        """Refuse rates that are not positive."""
         if not (self.fast_per_s > 0 and self.plain_per_s > 0):
             raise InputError(f"benchmark {self.name}: rates are {self.fast_per_s} and {self.plain_per_s}, not positive")
 
@@ -70,3 +75,14 @@ def measure_rate(work: Callable[[], object], *, count: int = 1, min_s: float = 0
         elapsed = time.process_time() - started
         best = max(best, calls * count / elapsed)
     return best
+
+
+def rate(name: str, work: Callable[[], object], *, count: int = 1, repeats: int = 3) -> tuple[str, float]:
+    """Return the name of a form and its rate, of `count` pieces of work a call."""
+    return name, measure_rate(work, count=count, repeats=repeats)
+
+
+def in_turn(work: Callable[[T], object], inputs: Iterable[T]) -> Callable[[], object]:
+    """Return work on one input after another, from the first again after the last."""
+    turns = itertools.cycle(inputs)
+    return lambda: work(next(turns))

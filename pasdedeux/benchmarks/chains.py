@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, in_turn, rate
 from pasdedeux.benchmarks.synthetic import (
     random_annotations,
     random_bank,
@@ -67,15 +66,12 @@ def _likelihood() -> BenchmarkResult:
     """The published likelihood, without prior; none is cut short by a level to reach."""
     likelihood = InteractionLikelihood(*_problem()[1:])
     same = [abs(likelihood.log_likelihood(pair) - likelihood.plain(pair)) < 1e-6 for pair in _samples()[:50]]
-    turns, slow_turns = itertools.cycle(_samples()), itertools.cycle(_samples())
     return BenchmarkResult(
-        name="likelihood",
-        unit="evaluations",
-        fast_name="only who has a chance",
-        fast_per_s=measure_rate(lambda: [likelihood.log_likelihood(next(turns)) for _ in range(50)], count=50),
-        plain_name="all candidates",
-        plain_per_s=measure_rate(lambda: likelihood.plain(next(slow_turns))),
-        note=f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}",
+        "likelihood",
+        "evaluations",
+        *rate("only who has a chance", in_turn(likelihood.log_likelihood, _samples())),
+        *rate("all candidates", in_turn(likelihood.plain, _samples())),
+        f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}",
     )
 
 
@@ -84,22 +80,18 @@ def _density() -> BenchmarkResult:
     target, prior, likelihood = default_target(standing_pair(), max_invalid_angles=2 * NUM_ANGLES)
     chart = target.chart
     parameters = random_parameters(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
-    turns, slow_turns = itertools.cycle(parameters), itertools.cycle(parameters)
 
-    def plain() -> None:
-        own = next(slow_turns)
+    def plain(own: np.ndarray) -> None:
         pair = chart.positions(own)
         prior.terms(own, pair)
         likelihood.plain(pair)
 
     return BenchmarkResult(
-        name="density, prior included",
-        unit="evaluations",
-        fast_name="compiled",
-        fast_per_s=measure_rate(lambda: [target(next(turns)) for _ in range(50)], count=50),
-        plain_name="numpy, prior compiled",
-        plain_per_s=measure_rate(plain),
-        note=f"{_SIZE}; no floor and no limit of invalid angles ends one early",
+        "density, prior included",
+        "evaluations",
+        *rate("compiled", in_turn(target, parameters)),
+        *rate("numpy, prior compiled", in_turn(plain, parameters)),
+        f"{_SIZE}; no floor and no limit of invalid angles ends one early",
     )
 
 
@@ -116,30 +108,22 @@ def _chain() -> BenchmarkResult:
         prior.terms(parameters, pair)
         likelihood.plain(pair)
 
-    return BenchmarkResult(
-        name="chain",
-        unit="steps",
-        fast_name="compiled, level drawn first",
-        fast_per_s=measure_rate(
-            lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed), count=100
-        ),
-        plain_name="numpy",
-        plain_per_s=measure_rate(plain_step),
-        note=_SIZE,
-    )
+    def steps() -> None:
+        run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed)
+
+    fast = rate("compiled, level drawn first", steps, count=100)
+    return BenchmarkResult("chain", "steps", *fast, *rate("numpy", plain_step), _SIZE)
 
 
 def _triangulation() -> BenchmarkResult:
     """Planar Delaunay triangulations of 34 joints."""
     points = random_pairs(np.random.default_rng(4), 200)[..., :2].reshape(200, 34, 2)
     return BenchmarkResult(
-        name="triangulation",
-        unit="triangulations",
-        fast_name="numba, incremental",
-        fast_per_s=measure_rate(lambda: delaunay_edges_fast(points), count=len(points)),
-        plain_name="scipy (Qhull)",
-        plain_per_s=measure_rate(lambda: [delaunay_edges(one) for one in points], count=len(points)),
-        note="34 points",
+        "triangulation",
+        "triangulations",
+        *rate("numba, incremental", lambda: delaunay_edges_fast(points), count=len(points)),
+        *rate("scipy (Qhull)", in_turn(delaunay_edges, points)),
+        "34 points",
     )
 
 
@@ -148,13 +132,11 @@ def _coverage() -> BenchmarkResult:
     truth = random_pairs(np.random.default_rng(5), 200)
     draws = random_pairs(np.random.default_rng(6), 100)
     return BenchmarkResult(
-        name="coverage",
-        unit="comparisons",
-        fast_name="numba, both measures at once",
-        fast_per_s=measure_rate(lambda: Coverage(truth).add(draws), count=len(truth) * len(draws)),
-        plain_name="numpy",
-        plain_per_s=measure_rate(lambda: plain_coverage(truth[:4], draws[:4]), count=16),
-        note="200 real pairs, 100 draws, tetrahedra of the draws and of the real pairs included",
+        "coverage",
+        "comparisons",
+        *rate("numba, both measures at once", lambda: Coverage(truth).add(draws), count=len(truth) * len(draws)),
+        *rate("numpy", lambda: plain_coverage(truth[:4], draws[:4]), count=16),
+        "200 real pairs, 100 draws, tetrahedra of the draws and of the real pairs included",
     )
 
 

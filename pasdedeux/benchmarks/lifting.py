@@ -1,13 +1,12 @@
-"""What retrieval costs: `pasdedeux bench completion` shows it beside brute force, with whether answers are the same."""
+"""Retrieval of draws by image: `pasdedeux bench lifting` compares the index with brute force, answers included."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, in_turn, rate
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
@@ -54,32 +53,22 @@ def plain_nearest(pairs_m: np.ndarray, image_m: np.ndarray, directions: np.ndarr
 def _retrieval(count: int) -> BenchmarkResult:
     draws, images, views = retrieval_problem()
     index = DrawIndex(draws)
-    same = [
-        np.array_equal(
-            index.nearest(images[at], views[at : at + 1], count=count).draw,
-            plain_nearest(draws, images[at], views[at : at + 1], count=count).draw,
-        )
-        for at in range(8)
-    ]
-    turns, slow_turns = itertools.cycle(range(len(images))), itertools.cycle(range(len(images)))
 
-    def fast() -> None:
-        at = next(turns)
-        index.nearest(images[at], views[at : at + 1], count=count)
+    def fast(at: int) -> Nearest:
+        return index.nearest(images[at], views[at : at + 1], count=count)
 
-    def plain() -> None:
-        at = next(slow_turns)
-        plain_nearest(draws, images[at], views[at : at + 1], count=count)
+    def plain(at: int) -> Nearest:
+        return plain_nearest(draws, images[at], views[at : at + 1], count=count)
 
-    rate = measure_rate(fast)
+    same = [np.array_equal(fast(at).draw, plain(at).draw) for at in range(8)]
+    name, per_s = rate("index", in_turn(fast, range(len(images))))
     return BenchmarkResult(
-        name=f"retrieval of {count}",
-        unit="annotations",
-        fast_name="index",
-        fast_per_s=rate,
-        plain_name="numpy over all draws",
-        plain_per_s=measure_rate(plain),
-        note=f"{NUM_DRAWS:,} draws, one view, {1e3 / rate:.1f} ms each; same answers: {sum(same)} of 8",
+        f"retrieval of {count}",
+        "annotations",
+        name,
+        per_s,
+        *rate("numpy over all draws", in_turn(plain, range(len(images)))),
+        f"{NUM_DRAWS:,} draws, one view, {1e3 / per_s:.1f} ms each; same answers: {sum(same)} of 8",
     )
 
 

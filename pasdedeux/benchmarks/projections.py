@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, rate
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
 from pasdedeux.projections.camera import DatabaseCamera, pitch_of_height
@@ -140,20 +140,14 @@ def _query(num_projections: int = 30 * _NUM_POSES, *, own_rad: float = 0.0) -> B
     index = build_index(database)
     build_s = time.process_time() - started
     waits = _waits_ms(index.search, queries)
-    plain = measure_rate(lambda: search_brute_force(database, queries[:5]), count=5, repeats=2)
+    plain = rate("brute force numpy", lambda: search_brute_force(database, queries[:5]), count=5, repeats=2)
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    return BenchmarkResult(
-        name="exact projection query, 50 best",
-        unit="queries",
-        fast_name="box tree",
-        fast_per_s=1e3 / float(np.mean(waits)),
-        plain_name="brute force numpy",
-        plain_per_s=plain,
-        note=(
-            f"{database.num_projections:,} projections, built in {build_s:.1f} s of processor time with at most "
-            f"{peak_gb:.1f} GB; one query a call: {_in_words(waits)}"
-        ),
+    note = (
+        f"{database.num_projections:,} projections, built in {build_s:.1f} s of processor time with at most "
+        f"{peak_gb:.1f} GB; one query a call: {_in_words(waits)}"
     )
+    fast_per_s = 1e3 / float(np.mean(waits))
+    return BenchmarkResult("exact projection query, 50 best", "queries", "box tree", fast_per_s, *plain, note)
 
 
 def _live() -> BenchmarkResult:
@@ -176,19 +170,20 @@ def _live() -> BenchmarkResult:
         "clean-up": _best_waits_ms(lambda: LiveCleanUp(24.0).step, motions[0]),
     }
     track = Track(px[:, 0], np.ones(px.shape[::2]), 24.0, Lens.assumed(1920, 1080, px))
-    plain = measure_rate(lambda: reconstruct_track(searcher, track, Method.FIT), count=_LIVE_FRAMES, repeats=1)
     in_parts = ", ".join(f"{name} {np.median(one):.3f}" for name, one in parts.items())
     return BenchmarkResult(
-        name="whole live chain, a frame of a person",
-        unit="frames",
-        fast_name="identities, search, yaw, Viterbi, window fit, filter, clean-up",
-        fast_per_s=2e3 / float(np.mean(waits)),
-        plain_name="whole track at once, fit, without identities and clean-up",
-        plain_per_s=plain,
-        note=(
-            f"{_LIVE_FRAMES} frames of two people, per person {_in_words(waits / 2.0)} of processor time; "
-            f"medians of parts, ms: {in_parts}"
+        "whole live chain, a frame of a person",
+        "frames",
+        "identities, search, yaw, Viterbi, window fit, filter, clean-up",
+        2e3 / float(np.mean(waits)),
+        *rate(
+            "whole track at once, fit, without identities and clean-up",
+            lambda: reconstruct_track(searcher, track, Method.FIT),
+            count=_LIVE_FRAMES,
+            repeats=1,
         ),
+        f"{_LIVE_FRAMES} frames of two people, per person {_in_words(waits / 2.0)} of processor time; medians "
+        f"of parts, ms: {in_parts}",
     )
 
 

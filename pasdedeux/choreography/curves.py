@@ -61,7 +61,7 @@ def curve_through(time_s: Array, start_s: float, step_s: float, keys: Array) -> 
 
 
 def moves(time_s: Array, start: Array | float, steps: Sequence[tuple[float, float, Array | float]]) -> Array:
-    """Rest at `start` and go to a new value from one time to another, as often as told: (start_s, stop_s, value)."""
+    """Rest at `start` and go to a new value from one time to another, for each step: (start_s, stop_s, value)."""
     at = np.asarray(start, dtype=np.float64)
     value = np.broadcast_to(at, (*time_s.shape, *at.shape)).copy()
     for start_s, stop_s, goal in steps:

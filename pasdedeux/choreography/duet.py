@@ -1,4 +1,4 @@
-"""A duet: the motions of two people or more, and what is known to be true of them because it was built that way."""
+"""A duet: the motions of two people or more, and contacts and stances that are known by construction."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CLOTH_M = 0.004
 
 
 class DuetStyle(Settings):
-    """What every duet may be told; each duet adds its own."""
+    """Parameters of every duet; each duet adds its own."""
 
     num_people: ClassVar[int] = 2
 
@@ -33,7 +33,7 @@ class DuetStyle(Settings):
     heights_m: tuple[float, ...] = Field(
         (1.82, 1.65),
         min_length=2,
-        description="Standing heights of person A, B, ...; of a trio's C the mean if not told",
+        description="Standing heights of person A, B, ...; of a trio's C the mean if not given",
     )
     variation: int = Field(
         0, ge=0, description="0 for the duet as written; another number gives another take with slightly other style"
@@ -43,7 +43,7 @@ class DuetStyle(Settings):
     @model_validator(mode="after")
     def _has_these_people(self) -> Self:
         if len(self.heights_m) > self.num_people:
-            raise ValueError(f"{len(self.heights_m)} heights are told for {self.num_people} people")
+            raise ValueError(f"{len(self.heights_m)} heights are given for {self.num_people} people")
         return self
 
     @property
@@ -53,7 +53,7 @@ class DuetStyle(Settings):
 
     @property
     def mean_m(self) -> float:
-        """Mean height of those told."""
+        """Mean of the given heights."""
         return float(np.mean(self.heights_m))
 
     @property
@@ -63,7 +63,7 @@ class DuetStyle(Settings):
         return tuple(map(make_body, (*self.heights_m, *missing)))
 
     def vary(self, count: int) -> Array:
-        """Return `count` numbers in -1..1 that tell this variation from others; zeros for variation 0."""
+        """Return `count` numbers in -1..1 of this variation; zeros for variation 0."""
         if self.variation == 0:
             return np.zeros(count)
         return np.random.default_rng(np.random.SeedSequence(self.variation)).uniform(-1.0, 1.0, count)

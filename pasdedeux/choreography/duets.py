@@ -95,7 +95,7 @@ def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> 
 
 
 def style_of(name: str, **style: object) -> DuetStyle:
-    """Return the style of a built-in duet, with its defaults for what is not told.
+    """Return the style of a built-in duet, with defaults for what is not given.
 
     Raises:
         InputError: As `make_duet` does.
@@ -114,8 +114,10 @@ def style_of(name: str, **style: object) -> DuetStyle:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        said = f"{place} is {first['input']}: {first['msg']}" if place else first["msg"].removeprefix("Value error, ")
-        raise InputError(f"duet '{name}': {said}") from None
+        message = (
+            f"{place} is {first['input']}: {first['msg']}" if place else first["msg"].removeprefix("Value error, ")
+        )
+        raise InputError(f"duet '{name}': {message}") from None
 
 
 @lru_cache

@@ -202,9 +202,9 @@ def _plants(person: int, side: str, body: Body, form: _Form) -> list[Plant]:
 class _Hold:
     """A hand on the partner's back: where, how its elbow points, and by which detour it goes there.
 
-    `bone`, `share` and `angle_deg` (from the front over the left) tell the place; `pole` and `detour` are left, up and
+    `bone`, `share` and `angle_deg` (from the front over the left) are the place; `pole` and `detour` are left, up and
     forward of B's chest, the detour as a share of B's height.  `haste_s` is how much sooner it is there, and how much
-    later it leaves, than the contact says.
+    later it leaves, than the contact's times.
     """
 
     bone: str

@@ -174,7 +174,7 @@ def _ball(plant: Plant, ankle_to_toe: Array) -> Array:
 
 
 def spread_feet(body: Body, left: Sequence[Plant], right: Sequence[Plant]) -> tuple[list[Plant], list[Plant]]:
-    """Move plants outward where a foot would land too near the one that stands, each looked at against the one before.
+    """Move plants outward where a foot would land too near the one that stands, each checked against the one before.
 
     Args:
         body: Whose feet.

@@ -25,7 +25,7 @@ _TRACK = 0.055
 
 
 class WaltzStyle(DuetStyle):
-    """Style of the waltz; lengths are fractions of the mean height unless told otherwise."""
+    """Style of the waltz; lengths are fractions of the mean height unless stated otherwise."""
 
     tempo_bpm: float = Field(88.0, ge=60.0, le=100.0, description="Beats per minute, a step each")
     turn_per_bar_rad: float = Field(

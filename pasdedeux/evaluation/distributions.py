@@ -14,7 +14,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.evaluation.scores import FEWEST_UNITS
 
 KID_FACTOR = 1000.0
-"""Kernel distances are told times this."""
+"""Kernel distances are given times this."""
 _NEIGHBOURS = 5
 _NORMAL_95 = 1.96
 
@@ -54,18 +54,18 @@ def kernel_interval(
 ) -> tuple[float, float]:
     """Return ends of a 95 % interval of `kernel_distance`, by the jackknife over units; NaN of fewer than 5 of either.
 
-    Features of one unit, such as a variant, are left out together (Quenouille 1956, Arvesen 1969 for two samples);
+    Features of one unit, such as a variant, leave the sample together (Quenouille 1956, Arvesen 1969 for two samples);
     draws with repetition would have pairs of a clip with itself, which the distance leaves out.
     """
     if min(len(set(one_units)), len(set(other_units))) < FEWEST_UNITS:
         return float("nan"), float("nan")
     # What the other set has within itself is the same whatever is left out, and no part of the variance.
-    variance = _variance_left_out(one, other, one_units) + _variance_left_out(other, one, other_units)
+    variance = _jackknife_variance(one, other, one_units) + _jackknife_variance(other, one, other_units)
     middle, reach = kernel_distance(one, other), _NORMAL_95 * float(np.sqrt(variance))
     return middle - reach, middle + reach
 
 
-def _variance_left_out(found: Array, other: Array, units: Sequence[str]) -> float:
+def _jackknife_variance(found: Array, other: Array, units: Sequence[str]) -> float:
     """Return the jackknife variance of the kernel distance over units of `found`, from sums over pairs made once."""
     unit = np.unique(np.asarray(units), return_inverse=True)[1]
     is_of = np.eye(unit.max() + 1)[unit]

@@ -1,4 +1,4 @@
-"""Augmentation models over test variants: E_r, E_b, JPD and PWD (Li et al. 2024, section 5.1) as scores and curves.
+"""Figures of augmentation models on test variants: E_r, E_b, JPD and PWD (Li et al. 2024, section 5.1), and quality.
 
 The paper gives them in words: l2 distances, per joint, averaged over both people.  Here E_r is the mean distance
 between predicted and true joints in the world (nothing is aligned or centred), E_b the mean difference of bone lengths,
@@ -7,22 +7,30 @@ by hand per take, as joints; here they are points of bones, those known of the t
 otherwise those found that last longest.  JPD is leaked by construction, as the solver pins those pairs.  PWD (ours) is
 the mean difference of the distances between all joints of one and of the other, each weighted by 1 / d^2 of the true
 distance, which is taken for 10 cm where it is less.
+
+These are distances from the solver's own answer.  Visible quality is measured as that of variants is
+(`augmentation.quality`), against the source and without that answer, which therefore has figures of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.augmentation.quality import FIGURES
+from pasdedeux.augmentation.energy import fit_terms, total_energy
+from pasdedeux.augmentation.problem import Problem
+from pasdedeux.augmentation.quality import FIGURES, QualityMeter
+from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths
+from pasdedeux.augmentation.terms import build_targets
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.figures import Curve, curve_figure
-from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.scores import Score, bootstrap_interval
-from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.interaction.contacts import Contacts, stated_contacts
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning import DEFAULT_MODELS, VariantModel, VariantRequest
+from pasdedeux.learning.mesh_refine import window_problems
 from pasdedeux.skeletons import BODY22, Skeleton
 
 Errors = Mapping[str, float]
@@ -41,11 +49,12 @@ UNITS: Mapping[str, str] = {
 """Every figure of a model with its unit.  Beside the paper's distances: mean and 95th percentile of how far contacts
 come from the distance they should have; energy over that of the converged variant, both on exact bones; those of its
 quality.  And E_r in percent of the best baseline's."""
+SOLVER = "solver"
+"""Name under which the converged variant has its own figures."""
 GENERATED = "generated"
 """Item of figures of motions for scales that a model drew itself, and of baselines at these scales."""
 _NEAREST_M = 0.1
 """Distances below this weigh alike."""
-_SCALE_STEP = 0.05
 
 
 def key_contacts(contacts: Contacts, *, max_pairs: int = 3) -> Contacts:
@@ -140,85 +149,129 @@ def _weighted_distance_error(predicted_m: Array, true_m: Array) -> float:
     return float((weights * np.abs(predicted - true)).sum() / weights.sum())
 
 
-def model_scores(
-    errors: Mapping[str, Sequence[Errors]],
-    *,
-    baselines: Sequence[str],
-    split: str,
-    item: str,
-    takes: Sequence[str] | None = None,
-) -> list[Score]:
-    """Return the mean of each figure of each model over test variants, with its bootstrap interval over these.
+def generated(
+    models: Mapping[str, VariantModel], request: VariantRequest, streams: Callable[[str], np.random.Generator]
+) -> dict[str, list[tuple[Array, Array]]]:
+    """Return scales (2, 22) and a motion (T, 2, 22, 3), metres, that each model draws for a take.
 
-    Figures that are NaN everywhere are left out.  Where the takes of the variants are told, the interval is over takes.
+    Each draws from a stream of its own, by its name, so that none changes with which others there are.  Baselines
+    and closed forms have a motion at the scales of each of them; models that draw nothing have none, as all where none
+    draws.
     """
-    scores = []
-    for model, found in errors.items():
-        for metric in {name: None for error in found for name in error}:
-            values = np.array([error.get(metric, np.nan) for error in found])
-            rows = np.flatnonzero(np.isfinite(values))
-            values = values[rows]
-            if len(values):
-                low, high = bootstrap_interval(
-                    values, units=None if takes is None else [takes[row] for row in rows.tolist()]
-                )
-                scores.append(
-                    Score(
-                        metric=metric,
-                        method=model,
-                        value=float(values.mean()),
-                        unit=UNITS[metric],
-                        is_baseline=model in baselines,
-                        split=split,
-                        item=item,
-                        count=len(values),
-                        low=low,
-                        high=high,
-                    )
-                )
-    return scores
+    drawn = {name: model.generate(request.source, streams(name)) for name, model in models.items()}
+    made = {name: [found] for name, found in drawn.items() if found is not None}
+    scales = [scale for found in made.values() for scale, _ in found]
+    beside = [name for name in DEFAULT_MODELS if scales and name in models]
+    return made | {
+        name: [(scale, models[name].predict(replace(request, bone_scale=scale))) for scale in scales] for name in beside
+    }
 
 
-def share_scores(
-    errors: Mapping[str, Sequence[Errors]],
-    *,
-    baselines: Sequence[str],
-    split: str,
-    takes: Sequence[str] | None = None,
-) -> list[Score]:
-    """Return E_r of each model in percent of that of the best baseline, with the interval as `model_scores` has it."""
-    values = {name: np.array([error["E_r"] for error in found]) for name, found in errors.items() if found}
-    rivals = {name: found for name, found in values.items() if name in baselines}
-    if not rivals:
-        return []
-    best = min(rivals.values(), key=lambda found: float(found.mean()))
-    scores = []
-    for model, found in values.items():
-        if model not in rivals:
-            low, high = (100.0 * end for end in bootstrap_interval(found, best, units=takes))
-            share = 100.0 * float(found.mean() / max(best.mean(), 1e-12))
-            scores.append(Score(SHARE, model, share, UNITS[SHARE], split=split, count=len(found), low=low, high=high))
-    return scores
+class ModelMeter:
+    """Measures predictions for one take; what belongs to the take is made once.
 
+    Args:
+        request: Any request for the take: its source, how it is solved, its known contacts.
 
-def model_figure(
-    scales: Sequence[float],
-    errors: Mapping[str, Sequence[Errors]],
-    *,
-    baselines: Sequence[str],
-    split: str,
-) -> bytes:
-    """Draw E_r of each model against the test variants' scale furthest from 1 (means of steps of 0.05); SVG bytes."""
-    at = np.round(np.array(scales) / _SCALE_STEP) * _SCALE_STEP
-    known = np.unique(np.round(at, 6))
-    curves = []
-    for model, found in errors.items():
-        values = np.array([error["E_r"] for error in found])
-        means = np.array([values[np.isclose(at, scale)].mean() for scale in known])
-        curves.append(Curve(in_words(model), known, means, is_baseline=model in baselines))
-    return curve_figure(
-        curves,
-        title=f"models on {split.replace('_', ' ')} test variants",
-        x_label="scale furthest from 1, of anybody's bones",
-        y_label="mean joint error E_r (cm)",
-    )
+    On another skeleton than `body22` there are neither contacts nor surfaces: figures are E_r, E_b and PWD alone.
+    """
+
+    def __init__(self, request: VariantRequest) -> None:
+        self._request = request
+        self._is_body22 = request.source.skeleton == BODY22
+
+    @cached_property
+    def _quality(self) -> QualityMeter:
+        return QualityMeter(self._request.source, user_contacts=self._request.contacts)
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Contacts of the take: those known of it where some are, otherwise those found."""
+        source, request = self._request.source, self._request
+        known = [one for one in request.contacts if one.weight > 0.0 and not one.is_of_floor]
+        if known:
+            return stated_contacts(known, source.num_frames, BODY22, source.objects)
+        return source.contacts()
+
+    @cached_property
+    def keys(self) -> Contacts | None:
+        """Key contacts of the take, those that last longest; None on another skeleton."""
+        return key_contacts(self.contacts) if self._is_body22 else None
+
+    def key_names(self) -> str:
+        """Return the key pairs of bones in words; empty where nothing is ever in contact."""
+        names = [
+            " and ".join(f"{'AB'[bone // 22]}'s {BODY22.joint_names[bone % 22].replace('_', ' ')}" for bone in pair)
+            for pair in (self.keys.bones()[0].tolist() if self.keys else ())
+        ]
+        return ", ".join(names)
+
+    def measure(
+        self, bone_scale: Array, predicted_m: Mapping[str, Array], true_m: Array
+    ) -> dict[str, dict[str, float]]:
+        """Return the figures of predictions by their names, and those of the converged variant itself as `solver`.
+
+        Args:
+            bone_scale: Scales of the variant (2, 22).
+            predicted_m: Motions (T, 2, 22, 3), metres, by model.
+            true_m: The converged variant (T, 2, 22, 3), metres.
+
+        Returns:
+            Figures in `UNITS` by name; the solver has no distances to itself.
+        """
+        source = self._request.source
+        if not self._is_body22:
+            return {
+                name: {} if name == SOLVER else model_errors(motion, true_m, skeleton=source.skeleton)
+                for name, motion in {**predicted_m, SOLVER: true_m}.items()
+            }
+        scales = complete_scales(source, bone_scale[None])
+        lengths = scaled_lengths(source, scales)[0]
+        reference = points_of(reference_motion(source, scales)[0])
+        asked = VariantRequest(self._request.take_id, source, bone_scale, self._request.solving, self._request.contacts)
+        windows, problems = self._problems
+        terms = [fit_terms(problem, build_targets(problem, scales), 0) for problem in problems]
+
+        def energy(motion_m: Array) -> float:
+            points = points_of(asked.with_exact_bones(motion_m))
+            return sum(total_energy(one, points[window]) for window, one in zip(windows, terms, strict=True))
+
+        before = self._distances(points_of(source.positions_m))
+        least = energy(true_m)
+        found: dict[str, dict[str, float]] = {}
+        for name, motion in {**predicted_m, SOLVER: true_m}.items():
+            points = points_of(motion)
+            quality = self._quality.measure(
+                points,
+                reference=reference,
+                bone_scale=scales[0],
+                lengths_m=lengths,
+                squared_residual=np.zeros(len(points)),
+            ).quality
+            errors = {} if name == SOLVER else model_errors(motion, true_m, self.keys)
+            drift = np.abs(self._distances(points) - before)
+            found[name] = errors | {
+                "contact_error": _MM * float(drift.mean()) if len(drift) else np.nan,
+                "contact_error_p95": _MM * float(np.percentile(drift, 95.0)) if len(drift) else np.nan,
+                "energy_gap": 100.0 * (energy(motion) / max(least, 1e-12) - 1.0),
+                **{one.metric: (_MM if one.unit else 1.0) * getattr(quality, one.name) for one in OF_QUALITY},
+            }
+        return found
+
+    def measure_generated(
+        self, models: Mapping[str, VariantModel], streams: Callable[[str], np.random.Generator]
+    ) -> dict[str, dict[str, float]]:
+        """Return E_b and JPD of `generated`, means where there are several; see `generated_errors`."""
+        source, found = self._request.source, {}
+        for name, made in generated(models, self._request, streams).items():
+            template = (source.positions_m, self.keys, source.skeleton)
+            rows = [generated_errors(motion, scale, *template) for scale, motion in made]
+            found[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
+        return found
+
+    def _distances(self, points: Array) -> Array:
+        return np.asarray(np.linalg.norm(self.contacts.vectors(points)[self.contacts.is_held], axis=-1))
+
+    @cached_property
+    def _problems(self) -> tuple[list[slice], list[Problem]]:
+        return window_problems(self._request)

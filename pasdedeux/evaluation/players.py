@@ -21,8 +21,7 @@ PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
 """Colours of person A, B, ... in every picture; a sixth person has the first one again."""
 COLOUR_NAMES = ("orange", "blue", "purple", "ochre", "teal")
 """What these are called."""
-TRUTH_COLOUR = "#8c8c8c"
-_LINK_COLOUR, _OBJECT_COLOUR = "#111111", "#777777"
+_TRUTH_COLOUR, _LINK_COLOUR, _OBJECT_COLOUR = "#8c8c8c", "#111111", "#777777"
 _SHADES = {"left_": 0.62, "right_": 1.0}
 """Brightness of left and right limbs."""
 _SHADE_BETWEEN = 0.85
@@ -59,12 +58,20 @@ class Panel:
 
 
 def people_panel(
-    title: str, skeleton: Skeleton, people_m: Array, links_m: Array | None = None, objects_m: Array | None = None
+    title: str,
+    skeleton: Skeleton,
+    people_m: Array,
+    links_m: Array | None = None,
+    objects_m: Array | None = None,
+    *,
+    truth_m: Array | None = None,
 ) -> Panel:
-    """Return the panel of people (frame, person, joint, 3) in everybody's colour."""
-    figures = tuple(
-        Figure(skeleton, people_m[:, person], colour)
-        for person, colour in zip(range(people_m.shape[1]), cycle(PERSON_COLOURS), strict=False)
+    """Return the panel of people (frame, person, joint, 3) in everybody's colour, over the thin grey ground truth."""
+    behind = [] if truth_m is None else [truth_m[:, person] for person in range(truth_m.shape[1])]
+    colours = zip(range(people_m.shape[1]), cycle(PERSON_COLOURS), strict=False)
+    figures = (
+        *(Figure(skeleton, one, _TRUTH_COLOUR, is_thin=True) for one in behind),
+        *(Figure(skeleton, people_m[:, person], colour) for person, colour in colours),
     )
     return Panel(title, figures, links_m, objects_m)
 
@@ -101,7 +108,7 @@ def pack_player(
     Args:
         panels: Panels of the same number of frames.
         rate_hz: Frames per second.
-        labels: What is said of each frame; its time where there are none.
+        labels: A label for each frame; its time where there are none.
         has_floor: The floor, y = 0, is drawn.
     """
     num_frames = len(panels[0].figures[0].positions_m) if panels and panels[0].figures else 0

@@ -1,4 +1,4 @@
-"""How far a reconstructed motion is from the truth, as the projection-database paper measures it."""
+"""Errors of a reconstructed motion against ground truth (Yiannakides et al. 2019, section 6.2)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
 
 _STANDING_M = 0.05
-"""How far over its lowest place in the truth an ankle still counts as standing."""
+"""Height over its lowest true position below which an ankle counts as standing."""
 _STILL_M_S = 0.2
-"""How fast a standing ankle may be in the truth."""
+"""Speed below which a true ankle counts as standing."""
 
 
 def _centred(positions_m: Array) -> Array:
@@ -62,13 +62,13 @@ def jitter_m(positions_m: Array) -> float:
 
 
 def foot_slide_m(found_m: Array, true_m: Array, *, rate_hz: float) -> float:
-    """Return the mean horizontal way per frame of the ankles while they stand in the truth; 0 where they never do.
+    """Return the mean horizontal displacement of standing ankles in a frame; 0 where they never stand.
 
-    The truth says when, so that all methods are judged in the same frames: a motion that wobbles or sinks would
+    Frames are those in which the true ankles stand, the same for all methods: a motion that wobbles or sinks would
     otherwise choose its own.
 
     Args:
-        found_m: op14 positions (frame, 14, 3), upright axes, with the root's motion; NaN frames say nothing.
+        found_m: op14 positions (frame, 14, 3), upright axes, with the root's motion; NaN frames do not count.
         true_m: The true ones.
         rate_hz: Frames per second.
     """
@@ -78,6 +78,6 @@ def foot_slide_m(found_m: Array, true_m: Array, *, rate_hz: float) -> float:
         return 0.0
     is_low = true[..., 1] < true[..., 1].min(axis=0) + _STANDING_M
     is_still = np.linalg.norm(np.diff(true, axis=0), axis=-1) * rate_hz < _STILL_M_S
-    way = np.linalg.norm(np.diff(found, axis=0)[..., [0, 2]], axis=-1)
-    stands = is_low[1:] & is_low[:-1] & is_still & np.isfinite(way)
-    return float(way[stands].mean()) if stands.any() else 0.0
+    displacement = np.linalg.norm(np.diff(found, axis=0)[..., [0, 2]], axis=-1)
+    stands = is_low[1:] & is_low[:-1] & is_still & np.isfinite(displacement)
+    return float(displacement[stands].mean()) if stands.any() else 0.0

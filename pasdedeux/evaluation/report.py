@@ -24,7 +24,7 @@ PLAYER = ".player.json"
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure (.svg) or moving people (.player.json), told by its file name, with a caption.
+    """A figure (.svg) or moving people (.player.json), by its file name, with a caption.
 
     Of a section with many the first are shown, and others folded away.
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,46 +39,94 @@ def shown_as(unit: str) -> tuple[str, float]:
     return _HUNDREDTHS.get(unit, (unit, 1.0))
 
 
+def format_interval(value: float, low: float, high: float, unit: str) -> tuple[str, str]:
+    """Return a figure with its unit, and the ends of its interval as "low to high"."""
+    ends = (format_value(end, unit).split(" ")[0] for end in (low, high))
+    return format_value(value, unit), " to ".join(ends)
+
+
 def format_score(score: Score) -> str:
     """Return the figure of a score with its unit, and its interval where it has one."""
-    shown = format_value(score.value, score.unit)
-    if not np.isfinite([score.low, score.high]).all():
-        return shown
-    low, high = (format_value(value, score.unit).split(" ")[0] for value in (score.low, score.high))
-    return f"{shown} ({low} to {high})"
+    value, ends = format_interval(score.value, score.low, score.high, score.unit)
+    return f"{value} ({ends})" if np.isfinite([score.low, score.high]).all() else value
 
 
-def score_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable:
+def pivot_table(
+    scores: Iterable[Score],
+    caption: str,
+    headings: Sequence[str],
+    row: Callable[[Score], tuple[str, ...]],
+    columns: Mapping[str, str],
+    column: Callable[[Score], str],
+    cell: Callable[[Sequence[Score]], str],
+) -> TextTable:
+    """Lay out scores as a table, the one way that all tables of scores are made.
+
+    Args:
+        scores: The scores, in the order of their rows.
+        caption: Caption of the table.
+        headings: Headings of what `row` returns.
+        row: Names of the row that a score stands in.
+        columns: Headings by column, in order; scores of other columns make no row.
+        column: The column that a score stands in.
+        cell: Text of the scores of a cell; a cell without scores is empty.
+    """
+    cells: dict[tuple[str, ...], dict[str, list[Score]]] = {}
+    for score in scores:
+        if column(score) in columns:
+            cells.setdefault(row(score), {}).setdefault(column(score), []).append(score)
+    rows = ((*names, *(cell(own[one]) if one in own else "" for one in columns)) for names, own in cells.items())
+    return TextTable(caption, (*headings, *columns.values()), tuple(rows))
+
+
+def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = False) -> TextTable:
     """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
 
     Several methods stand in columns of their own beside each other, baselines marked as such; of a single method the
     figures stand in columns and the items in rows.  With marks the best value of a row has a star, where it is known
-    what is better; what nobody can know has none.
+    what is better; bounds have none.
     """
-    single = [score for score in scores if np.isnan(score.at)]
-    if len({score.method for score in single}) == 1:
-        return _by_item(single, caption)
-    methods = sorted({(score.is_baseline, score.method) for score in single})
-    keys = sorted({(score.metric, score.split, score.item) for score in single}, key=_all_first)
-    cells = {(s.metric, s.split, s.item, s.method): format_score(s) for s in single}
-    for key in keys if has_marks else ():
-        found = [s for s in single if (s.metric, s.split, s.item) == key and np.isfinite(s.value)]
-        own = {score.method: score.value for score in found if not is_bound(score.method)}
-        sign = better_sign(key[0])
-        best = max((sign * value for value in own.values()), default=0.0)
-        if sign and len(own) > 1:
-            cells |= {(*key, name): f"{cells[*key, name]} *" for name, value in own.items() if sign * value == best}
-    headings = tuple(
-        f"{in_words(method)} (baseline)" if is_baseline else in_words(method) for is_baseline, method in methods
+    single = sorted((score for score in scores if np.isnan(score.at)), key=_all_first)
+    methods = {
+        method: f"{in_words(method)} (baseline)" if is_baseline else in_words(method)
+        for is_baseline, method in sorted({(score.is_baseline, score.method) for score in single})
+    }
+    if len(methods) == 1:
+        single.sort(key=lambda one: (one.split, _natural(one.item)))
+        figures = {name: in_words(name) for name in sorted({one.metric for one in single})}
+        items = pivot_table(
+            single, caption, ("part", "item"), lambda one: (one.split, one.item), figures, lambda one: one.metric, _text
+        )
+        return _without_all(items)
+    best = _best(single) if has_marks else set()
+    table = pivot_table(
+        single,
+        caption,
+        ("figure", "part", "item"),
+        lambda one: (one.metric, one.split, one.item),
+        methods,
+        lambda one: one.method,
+        lambda found: _text(found) + " *" * (found[-1] in best),
     )
-    return _without_all(
-        caption=caption,
-        headings=("figure", "part", "item", *headings),
-        rows=tuple(
-            (in_words(metric), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
-            for metric, split, item in keys
-        ),
-    )
+    return _without_all(replace(table, rows=tuple((in_words(metric), *rest) for metric, *rest in table.rows)))
+
+
+def _text(found: Sequence[Score]) -> str:
+    return format_score(found[-1])
+
+
+def _best(scores: Iterable[Score]) -> set[Score]:
+    """Return the best scores of each figure, part and item, where it is known what is better, and methods compete."""
+    rows: dict[tuple[str, str, str], list[Score]] = {}
+    for score in scores:
+        if np.isfinite(score.value) and not is_bound(score.method):
+            rows.setdefault((score.metric, score.split, score.item), []).append(score)
+    best = set()
+    for (metric, *_), own in rows.items():
+        if (sign := better_sign(metric)) and len(own) > 1:
+            value = max(sign * score.value for score in own)
+            best |= {score for score in own if sign * score.value == value}
+    return best
 
 
 def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable | None:
@@ -108,29 +156,19 @@ def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False
     return score_table(rows, caption=caption, has_marks=has_marks) if counts and max(counts) > 1 else None
 
 
-def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
-    """Lay out the figures of one method: a row per item, a column per figure."""
-    metrics = sorted({score.metric for score in scores})
-    rows = sorted({(score.split, score.item) for score in scores}, key=lambda row: (row[0], _natural(row[1])))
-    cells = {(score.split, score.item, score.metric): format_score(score) for score in scores}
-    return _without_all(
-        caption=caption,
-        headings=("part", "item", *(in_words(metric) for metric in metrics)),
-        rows=tuple((split, item, *(cells.get((split, item, m), "") for m in metrics)) for split, item in rows),
-    )
-
-
-def _without_all(caption: str, headings: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> TextTable:
+def _without_all(table: TextTable) -> TextTable:
     """Return a table without the columns of part and item that say `all` in every row."""
     kept = [
-        at for at, name in enumerate(headings) if name not in ("part", "item") or {row[at] for row in rows} != {"all"}
+        at
+        for at, name in enumerate(table.headings)
+        if name not in ("part", "item") or {row[at] for row in table.rows} != {"all"}
     ]
-    return TextTable(caption, tuple(headings[at] for at in kept), tuple(tuple(row[at] for at in kept) for row in rows))
+    headings, *rows = (tuple(row[at] for at in kept) for row in (table.headings, *table.rows))
+    return TextTable(table.caption, headings, tuple(rows))
 
 
-def _all_first(key: tuple[str, str, str]) -> tuple[str, bool, str, bool, list[tuple[int, str]]]:
-    metric, split, item = key
-    return metric, split != "clean", split, item != "all", _natural(item)
+def _all_first(score: Score) -> tuple[str, bool, str, bool, list[tuple[int, str]]]:
+    return score.metric, score.split != "clean", score.split, score.item != "all", _natural(score.item)
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count", "low", "high")
-"""Columns of the `scores` table beside `topic`, which says who measured."""
+"""Columns of the `scores` table beside `topic`, the topic that measured."""
 
 _NUM_DRAWS = 1000
 FEWEST_UNITS = 5
-"""Takes, or whatever is drawn together, below which there is no interval: two that are alike would seem sure."""
+"""Takes, or other units drawn together, below which there is no interval: two that are alike would seem sure."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,13 @@ class Score:
     high: float = float("nan")
 
 
-def columns_of(topic: str, scores: Iterable[Score]) -> dict[str, list[object]]:
-    """Return scores as columns of the `scores` table, sorted so that the same figures always give the same bytes."""
-    rows = sorted(scores, key=lambda s: (s.metric, s.method, s.split, s.item, np.nan_to_num(s.at, nan=-1.0)))
+def columns_of(topic: str, scores: Iterable[Score], baselines: Collection[str] = ()) -> dict[str, list[object]]:
+    """Return scores as columns of the `scores` table, sorted so that the same figures always give the same bytes.
+
+    Methods among the baselines are marked as such.
+    """
+    marked = (replace(score, is_baseline=True) if score.method in baselines else score for score in scores)
+    rows = sorted(marked, key=lambda s: (s.metric, s.method, s.split, s.item, np.nan_to_num(s.at, nan=-1.0)))
     return {"topic": [topic] * len(rows), **{name: [getattr(row, name) for row in rows] for name in COLUMNS}}
 
 
@@ -84,20 +88,22 @@ def bootstrap_interval(
 
 
 def scores_of(figures: Mapping[str, float], method: str, unit: str = "", **more: Any) -> list[Score]:
-    """Return the figures of a method by metric, with what else a score says (split, item, count, is_baseline)."""
+    """Return the figures of a method by metric, with further fields of a score (split, item, count)."""
     return [Score(metric, method, float(value), unit, **more) for metric, value in figures.items()]
 
 
-def summarise(values: npt.NDArray[np.float64], *, metric: str, method: str, unit: str, **more: Any) -> list[Score]:
-    """Return mean, median and 90th percentile of `values` (n,) as scores `<metric>_mean`, `_median`, `_p90`.
+def summarise(values: Mapping[str, npt.NDArray[np.float64]], metric: str, unit: str = "", **more: Any) -> list[Score]:
+    """Return mean, median and 90th percentile of values (n,) by method, as scores `<metric>_mean`, `_median`, `_p90`.
 
-    Values that are not finite are left out; none left gives no score.  What else a score says (split, item, whether it
-    is of a baseline) is handed on.
+    Values that are not finite do not count; a method without finite values has no score.  Further fields of a
+    score, such as split and item, are passed on.
     """
-    finite = np.asarray(values, dtype=np.float64)
-    finite = finite[np.isfinite(finite)]
-    if finite.size == 0:
-        return []
-    figures = {"mean": finite.mean(), "median": np.median(finite), "p90": np.percentile(finite, 90)}
-    named = {f"{metric}_{name}": value for name, value in figures.items()}
-    return scores_of(named, method, unit, count=int(finite.size), **more)
+    scores = []
+    for method, found in values.items():
+        finite = np.asarray(found, dtype=np.float64)
+        finite = finite[np.isfinite(finite)]
+        if finite.size:
+            figures = {"mean": finite.mean(), "median": np.median(finite), "p90": np.percentile(finite, 90)}
+            named = {f"{metric}_{name}": value for name, value in figures.items()}
+            scores += scores_of(named, method, unit, count=int(finite.size), **more)
+    return scores

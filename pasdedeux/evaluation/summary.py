@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
 
-_NUM_SAID = 8
-"""Sentences on what was left out among the last lines of the console, at most; the report and the card have all."""
-_NUM_NAMED = 6
+_MAX_SKIPPED = 8
+"""Sentences on what was skipped among the last lines of the console, at most; the report and the card have all."""
+_MAX_NAMED = 6
 """Things that share a sentence and are named in it, at most."""
 
 
@@ -58,12 +58,12 @@ class Made:
 
 @dataclass(frozen=True)
 class Summary:
-    """The answers: what was built, from what, a verdict for each stage and topic by name, and what was left out."""
+    """The answers: what was built, from what, a verdict for each stage and topic by name, and what was skipped."""
 
     made: Sequence[Made]
     sources: Sequence[Credit]
     verdicts: Mapping[str, Verdict]
-    left_out: Sequence[str] = ()
+    skipped: Sequence[str] = ()
 
     @property
     def built(self) -> str:
@@ -82,29 +82,29 @@ class Summary:
         return ", ".join(f"{levels.count(level)} {level}" for level in dict.fromkeys(sorted(levels))) or "not judged"
 
     def lines(self) -> list[str]:
-        """All of it, a line for each answer, then one for each verdict and one for what was left out."""
+        """All of it, a line for each answer, then one for each verdict and one for what was skipped."""
         verdicts = [f"{name}: {verdict_words(verdict)}" for name, verdict in self.verdicts.items()]
-        left_out = [f"left out: {sentence}" for sentence in self.left_out[:_NUM_SAID]]
-        if unsaid := len(self.left_out) - _NUM_SAID:
-            left_out += [f"left out: {unsaid} more, all of them in the report and the card"] if unsaid > 0 else []
+        skipped = [f"skipped: {sentence}" for sentence in self.skipped[:_MAX_SKIPPED]]
+        if (rest := len(self.skipped) - _MAX_SKIPPED) > 0:
+            skipped.append(f"skipped: {rest} more, all of them in the report and the card")
         answers = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
-        return [*answers, *verdicts, *left_out]
+        return [*answers, *verdicts, *skipped]
 
 
 def folded(sentences: Iterable[str]) -> list[str]:
-    """Say once what holds of several things, where sentences are the same after the name of the thing and a colon.
+    """Merge sentences that are the same after the name of the thing and a colon.
 
     >>> folded(["waltz: two people.", "hug: two people.", "hug: warm.", "waltz: two people."])
     ['waltz, hug: two people.', 'hug: warm.']
     """
     names: dict[str, list[str]] = {}
     for sentence in dict.fromkeys(sentences):
-        name, colon, said = sentence.partition(": ")
-        names.setdefault(colon + said if colon else sentence, []).append(name if colon else "")
-    return [f"{listed(found)}{said}" for said, found in names.items()]
+        name, colon, rest = sentence.partition(": ")
+        names.setdefault(colon + rest if colon else sentence, []).append(name if colon else "")
+    return [f"{listed(found)}{rest}" for rest, found in names.items()]
 
 
 def listed(names: Sequence[str]) -> str:
     """Return the first names, and how many more there are."""
-    rest = len(names) - _NUM_NAMED
-    return ", ".join(names[:_NUM_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+    rest = len(names) - _MAX_NAMED
+    return ", ".join(names[:_MAX_NAMED]) + (f" and {rest} more" if rest > 0 else "")

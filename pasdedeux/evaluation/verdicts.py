@@ -1,4 +1,4 @@
-"""Is it good: a method beside every baseline on the same held-out items, and verdicts in words and rows."""
+"""Compare a method with every baseline on the same held-out items, and give verdicts in words and rows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.figures import compared_figure
 from pasdedeux.evaluation.names import in_words, is_bound
-from pasdedeux.evaluation.score_tables import format_value, shown_as
+from pasdedeux.evaluation.score_tables import format_interval, format_value, shown_as
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval
 from pasdedeux.verdict import Level, Paired, Verdict
 
@@ -28,16 +28,14 @@ class Items:
 
     Args:
         values: By method, the figure of each item (item,); NaN where it has none.
-        takes: Take of each item, or whatever else nobody would call new: items of one are alike.
+        takes: Take of each item, or another unit of which items are alike.
         times_s: Its time within the take, seconds.
-        baselines: The methods that are compared with; bounds, which know the ground truth, never are.
         count: How many things the items are of, where each is of many frames.
     """
 
     values: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     takes: Sequence[str] = ()
     times_s: Sequence[float] | npt.NDArray[np.float64] = ()
-    baselines: Collection[str] = ()
     count: int | None = None
 
     @classmethod
@@ -51,24 +49,26 @@ class Items:
         takes = [take for one in parts for take in one.takes]
         times_s = [float(time) for one in parts for time in one.times_s]
         counts = [one.count for one in parts if one.count is not None]
-        baselines = {name for one in parts for name in one.baselines}
-        return cls(values, takes, times_s, baselines, sum(counts) if counts else None)
+        return cls(values, takes, times_s, sum(counts) if counts else None)
 
-    def paired(self, methods: Sequence[str] = (), *, is_larger_better: bool = False) -> Paired | None:
+    def paired(
+        self, methods: Sequence[str], baselines: Collection[str], *, is_larger_better: bool = False
+    ) -> Paired | None:
         """Return the first of these methods that was scored, else the best that is no baseline, beside the baselines.
 
-        Items count that all of them have.  None where no method was scored.
+        Items count that all of them have; bounds, which know the ground truth, are no baselines.  None where no method
+        was scored.
         """
         own = {name: found for name, found in self.values.items() if not is_bound(name) and np.isfinite(found).any()}
         sign = -1.0 if is_larger_better else 1.0
         found = [name for name in methods if name in own] or sorted(
-            (name for name in own if name not in self.baselines and not methods),
+            (name for name in own if name not in baselines and not methods),
             key=lambda name: (sign * float(np.nanmean(own[name])), name),
         )
         if not found:
             return None
-        baselines = sorted(name for name in own if name in self.baselines and name != found[0])
-        names = [found[0], *baselines]
+        beside = sorted(name for name in own if name in baselines and name != found[0])
+        names = [found[0], *beside]
         kept = np.isfinite([own[name] for name in names]).all(axis=0)
         takes, take = np.unique(np.asarray(self.takes), return_inverse=True)
         seconds = np.floor(np.asarray(self.times_s, dtype=np.float64)).astype(np.int64)
@@ -77,7 +77,7 @@ class Items:
         sums = {name: tuple(np.bincount(row, own[name][kept], len(known)).tolist()) for name in names}
         return Paired(
             method=found[0],
-            baselines=tuple(baselines),
+            baselines=tuple(beside),
             count=int(kept.sum()) if self.count is None or not kept.any() else self.count,
             takes=tuple(str(takes[at]) for at in known[:, 0]),
             seconds=tuple(known[:, 1].tolist()),
@@ -92,8 +92,8 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
 
     The difference to each baseline on the same items has an interval by bootstrap: over takes where there are five,
     else over blocks of 1 s.  Pass where every interval lies on the good side, fail where one lies on the bad side, warn
-    in between; not judged without a baseline, or with items in fewer than ten blocks of 1 s.  The baseline that is told
-    is the one that is hardest to beat.
+    in between; not judged without a baseline, or with items in fewer than ten blocks of 1 s.  The baseline that is
+    named is the one that is hardest to beat.
     """
     sizes, num_blocks = np.array(paired.sizes, dtype=np.float64), len(paired.sizes)
     mean = {name: float(np.sum(found) / sizes.sum()) if num_blocks else math.nan for name, found in paired.sums.items()}
@@ -129,12 +129,11 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
         level = Level.FAIL if is_behind else Level.PASS if low > 0.0 else Level.WARN
         if is_worse := is_behind or lead < 0.0:
             lead, low, high = -lead, -high, -low
-        by = format_value(lead, unit)
-        ends = " to ".join(format_value(end, unit).split(" ")[0] for end in (low, high))
+        by, ends = format_interval(lead, low, high, unit)
         over = f"{len(set(paired.takes))} takes" if has_takes else f"{num_blocks} blocks of 1 s"
         how = {Level.PASS: "better than", Level.WARN: "about as good as", Level.FAIL: "worse than"}[level]
-        said = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
-        reason = f"{method} is {how} {beaten}, {said} {by} ({ends}, over {over})"
+        lead_words = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
+        reason = f"{method} is {how} {beaten}, {lead_words} {by} ({ends}, over {over})"
     values = (mean[paired.method], unit, mean.get(hardest, math.nan), beaten)
     return Verdict(level, reason, figure, *values, count=paired.count, thing=thing, paired=paired)
 
@@ -145,7 +144,7 @@ class Criterion:
 
     Args:
         metric: Metric of the scores that are drawn.
-        figure: What it is, as people say it.
+        figure: Its name in words.
         unit: Its unit.
         thing: What items it is over, in the plural.
         methods: What is judged: the first of these that was scored; where none is named, the best that is no baseline.
@@ -163,10 +162,10 @@ class Criterion:
     is_larger_better: bool = False
     limit: float = math.nan
 
-    def verdict(self, items: Items) -> Verdict | None:
+    def verdict(self, items: Items, baselines: Collection[str]) -> Verdict | None:
         """Return the verdict on these items; None where no method is among them."""
-        paired = items.paired(self.methods, is_larger_better=self.is_larger_better)
-        own = [one for one in items.values if one not in items.baselines and not is_bound(one)]
+        paired = items.paired(self.methods, baselines, is_larger_better=self.is_larger_better)
+        own = [one for one in items.values if one not in baselines and not is_bound(one)]
         tried = [one for one in self.methods or own if one in items.values]
         if paired is None and items.takes and not tried:
             return None
@@ -184,9 +183,9 @@ class Criterion:
     def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
         """Draw the mean figure of every method that was scored where the baselines were, best first, as SVG.
 
-        The goal, told in the caption, is what has to be beaten: the best baseline, or what is allowed.  Where a part
+        The goal, named in the caption, is what has to be beaten: the best baseline, or what is allowed.  Where a part
         is held out, that alone is drawn.  Where no baseline was scored beside others, methods are drawn that were
-        scored wherever most were.  Bounds, which know what nobody knows, are left to the tables.  None where there is
+        scored wherever most were.  Bounds, which know the ground truth, are only in tables.  None where there is
         nothing to compare, as only baselines.
         """
         found, unit, plain = self._found(scores)
@@ -240,7 +239,7 @@ def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:
 
 
 def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
-    """Return one verdict over many, however and in whatever order their work was cut; None where there is none.
+    """Return one verdict over many, however their work was cut and ordered; None where there is none.
 
     What was compared is compared again over all items.  Of what is left it is the worst level, how many share it and
     their most frequent reason, and means of figure and baseline over all things: of the figure that the reason is of.
@@ -318,7 +317,7 @@ def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
 
 
 def _mean(values: Iterable[tuple[float, int]]) -> float:
-    """Return the mean of values that each stand for so many things, those that are NaN left out."""
+    """Return the mean of values that each stand for so many things, NaN excluded."""
     known = [(value, count) for value, count in values if math.isfinite(value)]
     total = sum(count for _, count in known)
     return math.fsum(value * count for value, count in known) / total if total else math.nan
@@ -347,8 +346,8 @@ def verdict_columns(judged: Sequence[Judged]) -> dict[str, list[object]]:
 def part_name(stage: str, partition: str) -> str:
     """Return the name of the verdict on one partition of a stage.
 
-    >>> part_name("evaluation", "left_out_clips")
-    'evaluation: left out clips'
+    >>> part_name("evaluation", "parallel_views")
+    'evaluation: parallel views'
     """
     return f"{stage}: {partition.replace('_', ' ')}"
 

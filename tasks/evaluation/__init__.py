@@ -15,16 +15,16 @@ from tasks.evaluation import (
     coverage,
     detector,
     downstream,
-    left_out,
-    lifted_pairs,
+    leave_one_out,
+    lifting,
     models,
     realism,
     reconstruction,
     report,
     takes,
+    unseen_views,
     views,
 )
-from tasks.evaluation.experiments import unseen_views
 from tasks.evaluation.topic import EVALUATION, Topic, commit_topic
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs
 
@@ -36,8 +36,8 @@ TOPICS: tuple[Topic, ...] = (
     views.TOPIC,
     chains.TOPIC,
     coverage.TOPIC,
-    left_out.TOPIC,
-    lifted_pairs.TOPIC,
+    leave_one_out.TOPIC,
+    lifting.TOPIC,
     reconstruction.TOPIC,
     detector.TOPIC,
     unseen_views.PARALLEL_VIEWS,
@@ -62,7 +62,7 @@ def evaluation_stage(topics: Sequence[Topic]) -> Stage:
         ),
         plan=partial(_plan, tuple(topics)),
         run_shard=partial(_run_shard, tuple(topics)),
-        meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
+        meaning="Scores everything against ground truth and baselines; writes the report and the dataset card.",
         needs="results to score or to show",
         early=tuple(EarlyPlan(topic.plan, reads=topic.reads) for topic in topics),
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
+from pasdedeux.evaluation.report import Picture
 from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.diagnostics import FIGURES
@@ -62,29 +63,22 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
         density = DrawFacts.of(manifest).density
         chains.setdefault(density, []).append(parts)
         places[density] = f"draws:STUDY/{manifest.partition}"
-    scores, pictures, captions = [], {}, {}
+    scores, pictures = [], []
     for density, parts_of in sorted(chains.items()):
         pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))
         at = evenly_spread(len(pairs), _NUM_SHOWN)
         panel = people_panel(in_words(density), PAIR17, pairs[at] + np.array([0.0, _STANDING_M, 0.0]))
-        name = f"draws-{density}.player.json"
         labels = [f"{places[density]}#{index}" for index in at]  # the first chain is the first in its partition
-        pictures[name] = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
-        captions[name] = (
-            f"Poses that one chain of {in_words(density)} went through, from its seed on (Yin et al. 2018, figs. 6, "
-            "7). Better: it soon leaves the seed and comes back to poses like earlier ones; a chain that does not mix "
-            "stays near its seed. Nothing ties bodies to the floor. `pasdedeux restart` goes on from the draw whose "
-            "name is shown, with the name of the study for STUDY."
+        caption = (
+            f"States of one chain of {in_words(density)}, from its seed on (Yin et al. 2018, figs. 6, 7). Better: it "
+            "soon leaves the seed and returns to poses like earlier ones; a chain that does not mix stays near its "
+            "seed. Bodies are not tied to the floor. `pasdedeux restart` continues from the draw whose name is shown, "
+            "with the name of the study for STUDY."
         )
-        scores += summarise(
-            log_prior,
-            metric="log_prior",
-            method=density,
-            unit="",
-            is_baseline=density == PRIOR_ONLY,
-            item="first chain",
-        )
-    return TopicResult(scores=scores, pictures=pictures, captions=captions)
+        player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
+        pictures.append(Picture(f"draws-{density}.player.json", caption, player))
+        scores += summarise({density: log_prior}, "log_prior", item="first chain")
+    return TopicResult(scores, pictures, baselines=(PRIOR_ONLY,))
 
 
 def _summarised(shard: Shard, store: Store) -> TopicResult:
@@ -100,25 +94,23 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
                 continue
             kind = name.rpartition("_")[2] if name.endswith(("_min", "_max")) else "mean"
             figure = {f"{one.metric.removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
-            more = {"is_baseline": density == PRIOR_ONLY, "item": f"seed {seed}", "count": table.num_rows}
-            scores += scores_of(figure, density, one.unit, **more)
+            scores += scores_of(figure, density, one.unit, item=f"seed {seed}", count=table.num_rows)
         totals[density] += table.num_rows
         for row in np.flatnonzero(table["verdict"] != "pass"):
-            said = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"
-            notable.setdefault(density, []).append(said)
+            reason = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"
+            notable.setdefault(density, []).append(reason)
     notes = [
-        f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass; the first {found[0]}."
+        f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass, such as {found[0]}."
         for density, found in notable.items()
     ]
-    return TopicResult(scores=scores, notes=notes)
+    return TopicResult(scores, notes=notes, baselines=(PRIOR_ONLY,))
 
 
 TOPIC = Topic(
     name="chains",
     heading="Chains",
-    introduction="Each chain walks from a seed through poses that agree with the annotations. Where chains mix, their "
-    "draws count as independent: the effective sample size is near the number of draws, and chains that start apart "
-    "agree (R-hat near 1).",
+    introduction="Each chain samples poses that agree with the annotations, from a seed on. Where chains mix, the "
+    "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1).",
     reads=("chain_info", "draws"),
     plan=_plan,
     run=_run,

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.evaluation import players
+from pasdedeux.evaluation.report import Picture
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.ground_truth import rate_of
@@ -51,18 +52,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     keypoints, times = _by_frame(data, is_here)
     step = max(1, round(rate_of(times) / _RATE_HZ))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    name = f"clip-{sequence_id.replace('/', '-')}.player.json"
-    shown = players.image_panel(sequence_id, OP14, keypoints, size)
-    clip = players.pack_player(
-        [shown], rate_hz=rate_of(times) / step, labels=[f"{time:.1f} s" for time in times[::step]]
+    panel = players.image_panel(sequence_id, OP14, keypoints, size)
+    labels = [f"{time:.1f} s" for time in times[::step]]
+    caption = (
+        f"Sequence {sequence_id}: its first seconds of 2D poses as given. A limb that is missing or jumps was detected "
+        "badly."
     )
-    return TopicResult(
-        pictures={name: clip},
-        captions={
-            name: f"Sequence {sequence_id}: its first seconds of 2D poses as they came in. A limb that is "
-            "missing or jumps was not seen well."
-        },
-    )
+    player = players.pack_player([panel], rate_hz=rate_of(times) / step, labels=labels)
+    return TopicResult(pictures=[Picture(f"clip-{sequence_id.replace('/', '-')}.player.json", caption, player)])
 
 
 def _by_frame(data: TableData, is_here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,38 +1,57 @@
-"""Topic `coverage`: how well the draws cover real pairs on annotated, unannotated and held-out frames."""
+"""Topic `coverage`: how well draws cover real pairs (Yin et al. 2018, eq. 13), beside so many real frames."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.coverage import (
-    coverage_figure,
-    coverage_scores,
-    curve_points,
-    nearest_by_method,
-    of_prior,
-    real_frame_levels,
-    realism_scores,
-    union_scores,
-)
-from pasdedeux.evaluation.embedding import PairMap, map_figure
+from pasdedeux.evaluation.embedding import PairMap
+from pasdedeux.evaluation.figures import CLOUD, CurvePanel, curve_figure, figure_svg, fit_map, new_figure
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
+from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.experiments.exploration import exploration_table
-from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
+from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
-from tasks.evaluation.ground_truth import read_rates, read_take_frames, read_takes
-from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
+from tasks.evaluation.ground_truth import GroundTruth
+from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 SPLITS = ("annotated", "unannotated", "held_out")
+_MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
+"""Measures of coverage: where a curve has them, and their unit."""
+_REAL = "real_frames"
+_REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
+"""Sizes of the sets of real frames (the counts of the published scale)."""
+_MAX_DRAWS, _MAX_REAL = 200, 1500
+"""Draws and real pairs whose distances are compared for realism, at most."""
 _NUM_MAPPED = 150
 """Real pairs on the map."""
 _MAPPED_DRAWS = (10, 50, 250)
 """Draws of each method on its panels."""
+_COLOURS = {"ic": "#c2188f", PRIOR_ONLY: "#2a9d3a", GROWN: "#e0861a"}
+_MARKERS = ("^", "s", "X", "D", "v")
 _MANY_SEEDS = 5
+_EXPLORATION = {
+    "num_draws": "draws",
+    "coverage_D_C": "coverage D_C",
+    "as_good_as_real_frames_D_C": "as good as real",
+    "draw_to_nearest_real_D_C_median": "draw to nearest real, median",
+    "acceptance_rate_mean": "accepted",
+    "travelled_mean": "travelled",
+    "ess_min": "smallest ESS",
+}
+"""Scores of coverage and of chains that compare methods of exploration at a glance."""
 
 
 class CoverageSettings(Parameters):
@@ -70,22 +89,19 @@ def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Measure coverage on one part of the real frames."""
     options = shard.options(CoverageParameters)
-    split, take_refs, draw_refs = options.split, shard.refs("takes"), shard.refs("draws")
-    held_out = held_out_takes(store, take_refs)
-    refuse_learned(store, draw_refs, held_out)
-    learned = [ref for ref in take_refs if TakeFacts.of(store.manifest(ref)).is_prior]
-    takes = read_takes(store, [ref for ref in take_refs if ref not in learned], "pair17_m")
-    notes = []
-    if learned:
-        names = ", ".join(sorted(take.take_id for take in TakeFacts.read(store, learned)))
-        notes.append(f"Coverage is not measured on {names}: priors learned from what people did there.")
-    annotated = set(read_take_frames(store, shard.refs("annotations"), keys_only=True).values())
-    generator = stream(shard.seed, TOPIC.name, split)
-    truth, others, places = _split(takes, annotated, held_out, split)
+    split, draw_refs = options.split, shard.refs("draws")
+    known = GroundTruth.read(store, shard.refs("takes"), ())
+    refuse_learned(store, draw_refs, known.held_out)
+    learned = sorted(take.take_id for take in TakeFacts.read(store, shard.refs("takes")) if take.is_prior)
+    notes = [f"Coverage is not measured on {', '.join(learned)}: priors learned from these takes."] if learned else []
+    takes = {name: pairs for name, pairs in known.takes.items() if name not in learned}
+    truth, others, places = _split(takes, _annotated_frames(store, shard), known.held_out, split)
+    words = split.replace("_", "-")
     if not len(truth) or not len(others):
-        return TopicResult(notes=[*notes, f"Coverage of {split.replace('_', ' ')} frames: there are none."])
+        return TopicResult(notes=[*notes, f"Coverage of {words} frames: there are none."])
+    generator = stream(shard.seed, TOPIC.name, split)
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
-    truth = truth[chosen]
+    truth, places = truth[chosen], [places[at] for at in chosen]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
     mapped = list(draws)
     draws |= draws_from_first_seeds(store, draw_refs)
@@ -96,47 +112,57 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         for name, pairs in draws.items()
     }
     levels = real_frame_levels(truth, others, generator)
-    words = split.replace("_", " ")
-    scores = coverage_scores(curves, levels, split=split, num_truth=len(truth))
-    scores += union_scores(curves, levels, GROWN, split=split)
+    nearest = nearest_by_method(curves, GROWN)
+    scores = coverage_scores(curves, levels, nearest, split=split)
     scores += realism_scores(draws, np.concatenate([truth, others]), generator, split=split)
-    name = f"coverage-{split}.svg"
-    pictures = {name: coverage_figure(curves, levels, split=split)}
-    captions = {
-        name: f"How far {words} real pairs are from their nearest draw, as draws grow in number: lower is better, and "
-        "dashed is the trivial way. Grey lines: what so many real pairs in place of draws come to. From the left: by "
-        "the distances between both people's joints (D_I), joint by joint (D_C), by shape (D_S)."
-    }
-    shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), split)
+    caption = (
+        f"Distance from {words} real pairs to their nearest draw against the number of draws; lower is better, "
+        "baselines are dashed, grey lines are as many real pairs in place of draws. From the left: by distances "
+        "between both people's joints (D_I), joint by joint (D_C), by shape (D_S)."
+    )
+    pictures = [Picture(f"coverage-{split}.svg", caption, coverage_figure(curves, levels, words))]
+    shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), words)
     if shown is not None:
-        name = f"coverage-map-{split}.svg"
-        pictures[name] = shown
-        captions[name] = (
-            f"A map of {words} real pairs and of draws among them, more from left to right: who is near is alike, in "
+        caption = (
+            f"A map of {words} real pairs and of draws, more draws from left to right; what is near is alike, in "
             "centimetres (Yin et al. 2018, fig. 8); the cross is the first seed. Better: draws lie wherever real pairs "
             "lie, and nowhere else."
         )
-    return TopicResult(
-        scores=scores,
-        pictures=pictures,
-        captions=captions,
-        notes=notes,
-        items={"": _items(curves, [places[at] for at in chosen], read_rates(store, take_refs), split)},
-    )
+        pictures.append(Picture(f"coverage-map-{split}.svg", caption, shown))
+    times_s = [known.time_s(*place) for place in places]
+    items = Items(nearest, [take for take, _ in places], times_s) if split == "held_out" else Items()
+    return TopicResult(scores, pictures, notes, {"": items}, _baselines({score.method for score in scores}))
 
 
-def _items(
-    curves: dict[str, CoverageCurve], places: list[tuple[str, int]], rates: dict[str, float], split: str
-) -> Items:
-    """Return how far each real pair is from the nearest draw; none of takes that draws were made from."""
-    if split != "held_out":
-        return Items()
-    values = nearest_by_method(curves, GROWN)
-    takes, times_s = [take for take, _ in places], [frame / rates[take] for take, frame in places]
-    return Items(values, takes, times_s, {name for name in values if of_prior(name)})
+def _annotated_frames(store: Store, shard: Shard) -> set[tuple[str, int]]:
+    """Return take and frame of every annotation."""
+    found: set[tuple[str, int]] = set()
+    for ref in shard.refs("annotations"):
+        table = store.read(ref, "annotations", columns=["is_key", "take_id", "take_frame"])
+        is_key = np.asarray(table["is_key"], dtype=bool)
+        frames = table["take_frame"][is_key].astype(int).tolist()
+        found.update(zip(table["take_id"][is_key].tolist(), frames, strict=True))
+    return found
 
 
-def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
+def _split(
+    takes: Mapping[str, Array], annotated: set[tuple[str, int]], held_out: frozenset[str], split: str
+) -> tuple[Array, Array, list[tuple[str, int]]]:
+    """Return the part's real pairs, other real pairs of takes that are not held out, take and frame of the first."""
+    wanted, others = [np.zeros((0, 2, 17, 3))], [np.zeros((0, 2, 17, 3))]
+    places: list[tuple[str, int]] = []
+    for take_id, pairs in takes.items():
+        is_annotated = np.array([(take_id, frame) in annotated for frame in range(len(pairs))], dtype=bool)
+        is_held_out = np.full(len(pairs), take_id in held_out)
+        part = {"annotated": is_annotated & ~is_held_out, "unannotated": ~is_annotated & ~is_held_out}
+        is_chosen = part.get(split, is_held_out)
+        wanted.append(pairs[is_chosen])
+        places += [(take_id, int(frame)) for frame in np.flatnonzero(is_chosen)]
+        others.append(pairs[~is_chosen & ~is_held_out])
+    return np.concatenate(wanted), np.concatenate(others), places
+
+
+def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[str, np.ndarray]:
     """Return the draws from the first seed alone of each density that has many others: how far chains walk."""
     facts = {ref: DrawFacts.of(one) for ref in refs if "draws" in (one := store.manifest(ref)).tables}
     seeds: dict[str, set[int]] = {}
@@ -147,13 +173,109 @@ def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[
     return {f"{name}_first_seed": found.pairs_m for name, found in read_draw_sets(store, own).items()}
 
 
-def _seed(store: Store, refs: tuple[ArtifactRef, ...]) -> np.ndarray | None:
+def curve_points(num_draws: int, num_points: int) -> list[int]:
+    """Return the numbers of draws at which coverage is measured: even on a log scale from 1 to all."""
+    return sorted({round(float(n)) for n in np.geomspace(1, max(num_draws, 1), num_points)})
+
+
+def real_frame_levels(truth_m: Array, real_m: Array, generator: np.random.Generator) -> CoverageCurve:
+    """Return the coverage of real pairs (truth, 2, joint, 3) by growing random sets of others (frame, 2, joint, 3)."""
+    order = generator.permutation(len(real_m))[: _REAL_COUNTS[-1]]
+    return coverage_curve(truth_m, real_m[order], [count for count in _REAL_COUNTS if count <= len(order)])
+
+
+def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[np.int64]) -> float:
+    """Return N so that N real frames cover as well, by log-linear interpolation.
+
+    Args:
+        coverage: C(G, S) of the draws.
+        levels: C(G, S) of `counts` real frames, (n,), in the same measure.
+        counts: Numbers of real frames, rising, (n,).
+
+    0 when even one real frame covers better, and the greatest count when none does.
+    """
+    if coverage > levels[0]:
+        return 0.0
+    return float(np.exp(np.interp(-coverage, -np.minimum.accumulate(levels), np.log(counts.astype(np.float64)))))
+
+
+def nearest_by_method(curves: Mapping[str, CoverageCurve], grown: str) -> dict[str, Array]:
+    """Return the least D_C of each real pair (truth,), metres, to draws, and to draws and grown seeds together."""
+    alone = {method: curve.min_cartesian_m for method, curve in curves.items()}
+    others = [name for name in alone if name != grown and grown in alone]
+    return alone | {f"{name}_and_{grown}": np.minimum(alone[name], alone[grown]) for name in others}
+
+
+def _baselines(methods: Iterable[str]) -> set[str]:
+    """Return the methods that others are compared with: real frames, and draws of the prior alone in any set."""
+    return {name for name in methods if name == _REAL or name.startswith(PRIOR_ONLY)}
+
+
+def coverage_scores(
+    curves: Mapping[str, CoverageCurve], levels: CoverageCurve, nearest_m: Mapping[str, Array], *, split: str
+) -> list[Score]:
+    """Return the curves and their ends as scores, those of real frames, and the ends of sets that have no curve."""
+    scores = []
+    for method, curve in {**curves, _REAL: levels}.items():
+        for measure, (name, unit) in _MEASURES.items():
+            values = getattr(curve, name).tolist()
+            points = zip([*curve.num_draws.tolist(), math.nan], [*values, values[-1]], strict=True)
+            count = len(levels.min_cartesian_m)
+            scores += [
+                Score(f"coverage_{measure}", method, value, unit, split=split, at=at, count=count)
+                for at, value in points
+            ]
+            if method != _REAL:
+                worth = as_good_as_real_frames(values[-1], getattr(levels, name), levels.num_draws)
+                scores.append(Score(f"as_good_as_real_frames_{measure}", method, worth, "frames", split=split))
+        if method != _REAL:
+            scores.append(Score("num_draws", method, float(curve.num_draws[-1]), split=split))
+    for method in nearest_m.keys() - curves.keys():
+        mean, count = float(nearest_m[method].mean()), len(nearest_m[method])
+        worth = as_good_as_real_frames(mean, levels.cartesian_m, levels.num_draws)
+        for metric, value, unit in (("coverage_D_C", mean, "m"), ("as_good_as_real_frames_D_C", worth, "frames")):
+            scores.append(Score(metric, method, value, unit, split=split, count=count))
+    return scores
+
+
+def realism_scores(
+    draws: Mapping[str, npt.NDArray[np.floating]], real_m: Array, generator: np.random.Generator, *, split: str
+) -> list[Score]:
+    """Return how far draws (draw, 2, 17, 3) are from their nearest real pair, in D_C: the other direction of coverage.
+
+    Some draws of each method and some real pairs (n, 2, 17, 3), metres, which the generator chooses, are compared.
+    """
+    real = real_m[generator.permutation(len(real_m))[:_MAX_REAL]]
+    distances = {}
+    for method, pairs in draws.items():
+        nearest = Coverage(np.asarray(pairs[:_MAX_DRAWS], dtype=np.float64))
+        nearest.add(real)
+        distances[method] = nearest.cartesian_m
+    return summarise(distances, "draw_to_nearest_real_D_C", "m", split=split)
+
+
+def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, words: str) -> bytes:
+    """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, fig. 9), beside real frames."""
+    panels = []
+    for measure, (name, unit) in _MEASURES.items():
+        factor, end = (100.0, " (cm)") if unit == "m" else (1.0, "")
+        real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
+        curves_of = {
+            in_words(method): (one.num_draws.astype(np.float64), factor * getattr(one, name))
+            for method, one in curves.items()
+        }
+        label, baselines = f"{measure} to the nearest draw{end}", {in_words(method) for method in _baselines(curves)}
+        panels.append(CurvePanel(label, curves_of, baselines, {f"{count} real": float(value) for count, value in real}))
+    return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
+
+
+def _seed(store: Store, refs: Sequence[ArtifactRef]) -> Array | None:
     """Return the first seed (1, 2, 17, 3)."""
     pairs = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
     return pairs[0][:1] if pairs else None
 
 
-def _map(truth: np.ndarray, draws: dict[str, np.ndarray], seed: np.ndarray | None, split: str) -> bytes | None:
+def _map(truth: Array, draws: Mapping[str, Array], seed: Array | None, words: str) -> bytes | None:
     """Draw the draws among the real pairs, at three numbers of draws; nothing where the pairs are all alike."""
     try:
         plane = PairMap.of(truth[:_NUM_MAPPED])
@@ -163,40 +285,70 @@ def _map(truth: np.ndarray, draws: dict[str, np.ndarray], seed: np.ndarray | Non
         f"{count} draws of each": {name: plane.place(pairs[:count].astype(np.float64)) for name, pairs in draws.items()}
         for count in _MAPPED_DRAWS
     }
-    return map_figure(
-        plane.places,
-        panels,
-        seed=None if seed is None else plane.place(seed)[0],
-        title=f"{split.replace('_', ' ')} frames and draws ({plane.share:.0%} of the spread shown)",
-    )
+    place = None if seed is None else plane.place(seed)[0]
+    title = f"{words} frames and draws ({plane.share:.0%} of the spread shown)"
+    return map_figure(plane.places, panels, seed=place, title=title)
 
 
-def _split(
-    takes: dict[str, np.ndarray], annotated: set[tuple[str, int]], held_out: list[str], split: str
-) -> tuple[np.ndarray, np.ndarray, list[tuple[str, int]]]:
-    """Return the part's real pairs, other real pairs of takes that are not held out, take and frame of the first."""
-    wanted, others = [], []
-    places: list[tuple[str, int]] = []
-    for take_id, pairs in takes.items():
-        is_annotated = np.array([(take_id, frame) in annotated for frame in range(len(pairs))], dtype=bool)
-        if take_id in held_out:
-            if split == "held_out":
-                wanted.append(pairs)
-                places += [(take_id, frame) for frame in range(len(pairs))]
-            continue
-        chosen = {"annotated": is_annotated, "unannotated": ~is_annotated, "held_out": np.zeros(len(pairs), dtype=bool)}
-        wanted.append(pairs[chosen[split]])
-        places += [(take_id, int(frame)) for frame in np.flatnonzero(chosen[split])]
-        others.append(pairs[~chosen[split]])
-    empty = np.zeros((0, 2, 17, 3))
-    return np.concatenate([empty, *wanted]), np.concatenate([empty, *others]), places
+def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: Array | None, title: str) -> bytes:
+    """Draw sets of draws over the real pairs, a panel for each; give SVG bytes.
+
+    Args:
+        real: Places of the real pairs (n, 2).
+        panels: For each panel, by its title, the places of sets of draws by their name.
+        seed: Place of the seed (2,), drawn as a cross; none where it is not known.
+        title: Title of the picture.
+    """
+    columns = max(len(panels), 1)
+    figure, ((*axes,),) = new_figure(2.9 * columns, 2.9, columns=columns, has_common_axes=True)
+    for axis, (name, sets) in zip(axes, panels.items(), strict=False):
+        axis.scatter(*(100 * real.T), s=5, color="#3a6fd8", label="real", zorder=3, **CLOUD)
+        for number, (method, places) in enumerate(sets.items()):
+            colour = _COLOURS.get(method, f"C{number + 4}")
+            marker = _MARKERS[number % len(_MARKERS)]  # who does not see colours sees these
+            axis.scatter(*(100 * places.T), s=7, color=colour, marker=marker, label=in_words(method), **CLOUD)
+        if seed is not None:
+            axis.plot(*(100 * seed), "kx", markersize=7, zorder=4)
+        axis.set_title(name, fontsize=8)
+        axis.tick_params(labelsize=6)
+        fit_map(figure, axis, scale=2.4, limits=(1.8, 4.5))
+    axes[0].legend(fontsize=6)
+    return figure_svg(figure, title=title)
+
+
+def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> list[TextTable]:
+    """Lay out a row for each method that was scored in both topics or grew, best coverage of the hardest part first.
+
+    Coverage is over held-out frames where there are any, else over unannotated ones; figures of chains are means over
+    seeds.  No table where chains were not scored, or nothing was covered.
+    """
+    single = [score for score in coverage if np.isnan(score.at)]
+    split = next((one for one in SPLITS[::-1] if any(score.split == one for score in single)), None)
+    if split is None or not chains:
+        return []
+    own = [score for score in single if score.split == split]
+    drawn = {score.method for score in own if score.metric == "num_draws"}
+    covered = {score.method: score.value for score in own if score.metric == "coverage_D_C" and score.method in drawn}
+    known = [score for score in (*own, *chains) if score.method in covered and np.isfinite(score.value)]
+    known.sort(key=lambda score: covered[score.method])
+    return [
+        pivot_table(
+            known,
+            f"Methods of exploration: {split.replace('_', ' ')} frames",
+            ("draws of",),
+            lambda score: (in_words(score.method),),
+            _EXPLORATION,
+            lambda score: score.metric,
+            lambda found: format_value(float(np.mean([score.value for score in found])), found[0].unit),
+        )
+    ]
 
 
 TOPIC = Topic(
     name="coverage",
     heading="Coverage",
-    introduction="Whether draws reach what people really did: how far real pairs are from their nearest draw, beside "
-    "chains that know only how bodies move (the trivial way) and beside real pairs in place of draws.",
+    introduction="Whether draws reach captured poses: distance from real pairs to their nearest draw, beside chains of "
+    "the prior alone (the baseline) and beside real pairs in place of draws.",
     reads=("draws", "seeds", "poses", "annotations"),
     plan=_plan,
     run=_run,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from storage_schema import Store
 from tasks.evaluation.reconstruction import read_reconstructed
@@ -14,7 +14,8 @@ from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 _SUFFIX = ".detector"
-MAX_SWITCHES_PER_MINUTE = 1.0
+_NOISE_ALONE = "noise_alone"
+_MAX_SWITCHES = 1.0  # a minute
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -40,45 +41,35 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     facts = SequenceFacts.of(store.manifest(annotations[0]))
     (settled,) = (one for one in facts.detected if one.sequence_id == shard.name)
     scores = []
-    for name in ("detected", "plain"):
-        for person in read_reconstructed(store, shard.ref(name), annotations, takes):
+    for name, label in (("detected", "detector"), ("plain", _NOISE_ALONE)):
+        for person in read_reconstructed(store, shard.ref(name), annotations, takes)[0]:
             method, found = list(person.found_m.items())[-1]
             error = root_centred_error_m(found, person.truth_m)
             item = f"{shard.name.removesuffix(_SUFFIX)} person {person.person_id}"
-            is_plain = name == "plain"
-            split = method
-            label = "noise_alone" if is_plain else "detector"
-            scores.append(
-                Score("median_error", label, float(np.median(error)), "m", is_plain, split, item, count=len(error))
-            )
+            median = {"median_error": float(np.median(error))}
+            scores += scores_of(median, label, "m", split=method, item=item, count=len(error))
     minutes = float(np.ptp(store.read(annotations[1], "annotations", columns=["time_s"])["time_s"])) / 60.0
     figures = {
         "identity_switches_per_minute": settled.num_identity_switches / minutes,
         "extra_people": float(settled.num_people - settled.num_true_people),
         "wrong_pairs": float(sum(pair != (0, 1) for pair in settled.couples) + ((0, 1) not in settled.couples)),
     }
-    scores += [Score(metric, "followed", value, item=shard.name) for metric, value in figures.items()]
+    scores += scores_of(figures, "followed", item=shard.name)
     switches = {"followed": np.array([figures["identity_switches_per_minute"]])}
-    return TopicResult(scores=scores, items={"": Items(switches, [shard.name], [0.0])})
+    return TopicResult(scores, items={"": Items(switches, [shard.name], [0.0])}, baselines=(_NOISE_ALONE,))
 
 
 TOPIC = Topic(
     name="detector",
     heading="A simulated detector",
     introduction="Virtual video as a detector sees it: joints missing, junk joints of low confidence, people in any "
-    "order in every frame, a third person walking through. Switches of identity a minute of video, people too "
-    "many, and pairs that are none. `median_error` is the median over the frames of the mean joint error (op14, "
-    "centred on the mid-hip) of each person of the take, beside that of the same video with the same noise alone.",
+    "order in every frame, a third person walking through. Scored are identity switches a minute of video, extra "
+    "people, and wrong pairs. `median_error` is the median over frames of the mean joint error (op14, centred on the "
+    "mid-hip) of each person of the take, beside that of the same video with the same noise alone.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
     criteria=(
-        Criterion(
-            "identity_switches_per_minute",
-            "identity switches a minute",
-            "",
-            "sequences",
-            limit=MAX_SWITCHES_PER_MINUTE,
-        ),
+        Criterion("identity_switches_per_minute", "identity switches a minute", "", "sequences", limit=_MAX_SWITCHES),
     ),
 )

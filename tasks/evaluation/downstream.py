@@ -1,4 +1,4 @@
-"""Topics `recognition` and `prediction`: what variants of the training takes bring to other tasks, beside none."""
+"""Topics `recognition` and `prediction`: gain of training with variants (Li et al. 2024, tables 4 and 5)."""
 
 from __future__ import annotations
 
@@ -7,19 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.evaluation.downstream import (
-    BASELINES,
-    LARGEST,
-    STILL,
-    WITH,
-    WITHOUT,
-    prediction_scores,
-    prediction_table,
-    recognition_table,
-)
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.score_tables import TextTable, pivot_table
+from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning.clips import HISTORY, HORIZON, clips_of, joint_errors
+from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, clips_of, joint_errors
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
@@ -28,9 +20,14 @@ from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import refuse_without_torch
 
+WITH, WITHOUT = "with_augmentation", "without_augmentation"
+STILL, LARGEST = "last_pose_held", "largest_class"
+BASELINES = (WITHOUT, STILL, LARGEST)
+"""What learning with variants has to beat."""
+HORIZONS_S = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SHARES = {"80/10/10": (0.8, 0.1), "50/20/30": (0.5, 0.3)}
-"""Shares of the takes of every interaction that are learned from and tested on; the rest is left for validation, which
-nothing here looks at, as nothing is chosen."""
+"""Shares of the takes of every interaction for training and test; the rest is for validation, which nothing here uses,
+as nothing is selected."""
 
 
 class OneTraining(Parameters):
@@ -42,7 +39,7 @@ class OneTraining(Parameters):
 
 
 def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
-    """Plan a shard for each repetition; interactions of one take cannot be split by take and are left out."""
+    """Plan a shard for each repetition; interactions of one take cannot be split by take and are skipped."""
     takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
     kinds = [interaction_of(take) for take in takes]
     used = [take for take, kind in zip(takes, kinds, strict=True) if kinds.count(kind) > 1]
@@ -75,8 +72,8 @@ def _plan_prediction(inputs: StageInputs, settings: LearnedSettings) -> list[Sha
 
 def _recognise(shard: Shard, store: Store) -> TopicResult:
     """Train the classifier twice on the same takes, once with their variants, and test it on clips of other takes."""
-    told = shard.options(OneTraining)
-    train, test = _split(shard, store, told)
+    options = shard.options(OneTraining)
+    train, test = _split(shard, store, options)
     from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
 
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
@@ -84,30 +81,30 @@ def _recognise(shard: Shard, store: Store) -> TopicResult:
     made = _clips(variants, train, num_frames=None, is_augmented=True)
     scores = []
     for method, clips in ((WITH, _joined(real, made)), (WITHOUT, real)):
-        generator = stream(shard.seed, "evaluation", "recognition", told.shares, told.seed)
-        classifier = train_classifier(clips, told.learned.classifier, generator)
-        scores.append(_accuracy(method, classifier.accuracy(tested), told, tested))
+        generator = stream(shard.seed, "evaluation", "recognition", options.shares, options.seed)
+        classifier = train_classifier(clips, options.learned.classifier, generator)
+        scores.append(_accuracy(method, classifier.accuracy(tested), options, tested))
     largest = max(map(len, tested.values())) / sum(map(len, tested.values()))
-    scores.append(_accuracy(LARGEST, 100.0 * largest, told, tested))
+    scores.append(_accuracy(LARGEST, 100.0 * largest, options, tested))
     values = {score.method: np.array([score.value]) for score in scores}
-    items = Items(values, [_repetition(told)], [0.0], BASELINES, sum(map(len, tested.values())))
-    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)], items={"": items})
+    items = Items(values, [_repetition(options)], [0.0], sum(map(len, tested.values())))
+    return TopicResult(scores, (), [_note(options, train, test, real, made)], {"": items}, BASELINES)
 
 
-def _repetition(told: OneTraining) -> str:
+def _repetition(options: OneTraining) -> str:
     """Return what is drawn together when one asks how sure a figure is: a training, with all that it was tested on."""
-    return f"{told.shares} seed {told.seed}"
+    return f"{options.shares} seed {options.seed}"
 
 
-def _accuracy(method: str, value: float, told: OneTraining, tested: dict[str, np.ndarray]) -> Score:
+def _accuracy(method: str, value: float, options: OneTraining, tested: dict[str, np.ndarray]) -> Score:
     count = sum(map(len, tested.values()))
-    return Score("accuracy", method, value, "%", method in BASELINES, told.shares, f"seed {told.seed}", count=count)
+    return Score("accuracy", method, value, "%", split=options.shares, item=f"seed {options.seed}", count=count)
 
 
 def _predict(shard: Shard, store: Store) -> TopicResult:
     """Train the predictor twice on the same takes, once with their variants, and test it on clips of other takes."""
-    told = shard.options(OneTraining)
-    train, test = _split(shard, store, told)
+    options = shard.options(OneTraining)
+    train, test = _split(shard, store, options)
     from pasdedeux.learning.networks.motion_predictor import train_predictor  # torch
 
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
@@ -115,12 +112,12 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
     real, tested = _clips(variants, train, num_frames=frames), _clips(variants, test, num_frames=frames)
     made = _clips(variants, train, num_frames=frames, is_augmented=True)
     if not (real and tested):
-        return TopicResult(notes=[f"{told.shares} seed {told.seed}: left out, no take of a side lasts 3 s."])
+        return TopicResult(notes=[f"{options.shares} seed {options.seed}: skipped, no take of a side lasts 3 s."])
     guesses = {
         method: train_predictor(
             np.concatenate(list(clips.values())),
-            told.learned.predictor,
-            stream(shard.seed, "evaluation", "prediction", told.shares, told.seed),
+            options.learned.predictor,
+            stream(shard.seed, "evaluation", "prediction", options.shares, options.seed),
         ).predict
         for method, clips in ((WITH, _joined(real, made)), (WITHOUT, real))
     }
@@ -131,16 +128,17 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
         for method, guess in guesses.items():
             jme, ame = joint_errors(guess(clips[:, :HISTORY]), clips[:, HISTORY:])
             errors[method] = jme.mean(axis=1)
-            scores += prediction_scores(jme, ame, method, split=told.shares, item=f"{kind}, seed {told.seed}")
-        parts.append(Items(errors, [_repetition(told)] * len(clips), [number] * len(clips), BASELINES))
-    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)], items={"": Items.joined(parts)})
+            scores += prediction_scores(jme, ame, method, split=options.shares, item=f"{kind}, seed {options.seed}")
+        parts.append(Items(errors, [_repetition(options)] * len(clips), [number] * len(clips)))
+    notes = [_note(options, train, test, real, made)]
+    return TopicResult(scores, (), notes, {"": Items.joined(parts)}, BASELINES)
 
 
-def _split(shard: Shard, store: Store, told: OneTraining) -> tuple[list[Manifest], list[Manifest]]:
+def _split(shard: Shard, store: Store, options: OneTraining) -> tuple[list[Manifest], list[Manifest]]:
     """Return the takes learned from and tested on, drawn among those of every interaction; held out takes only test."""
     refuse_without_torch(f"the topic {shard.partition}", "evaluation.num_downstream_seeds=0")
-    learn, judge = _SHARES[told.shares]
-    generator = stream(shard.seed, "evaluation", "takes", told.shares, told.seed)
+    learn, judge = _SHARES[options.shares]
+    generator = stream(shard.seed, "evaluation", "takes", options.shares, options.seed)
     by_kind: dict[str, list[Manifest]] = {}
     for ref in shard.refs("takes"):
         take = store.manifest(ref)
@@ -184,25 +182,93 @@ def _joined(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[st
     return {kind: np.concatenate([clips, *(other[kind] for _ in [0] if kind in other)]) for kind, clips in one.items()}
 
 
-def _said(
-    told: OneTraining,
+def _note(
+    options: OneTraining,
     train: Sequence[Manifest],
     test: Sequence[Manifest],
     real: dict[str, np.ndarray],
     made: dict[str, np.ndarray],
 ) -> str:
     return (
-        f"{told.shares} seed {told.seed}: {len(train)} takes to learn from with {sum(map(len, real.values()))} clips, "
-        f"and {sum(map(len, made.values()))} of their variants; {len(test)} takes to test on. With and without have as "
-        "many steps."
+        f"{options.shares} seed {options.seed}: {len(train)} training takes with {sum(map(len, real.values()))} clips, "
+        f"and {sum(map(len, made.values()))} of their variants; {len(test)} test takes. Both train for as many steps."
     )
+
+
+def prediction_scores(jme: Array, ame: Array, method: str, *, split: str, item: str) -> list[Score]:
+    """Return JME and AME (n, 10) of clips, cm, at the published horizons, and their means over the whole second."""
+    scores = []
+    for metric, errors in (("JME", jme), ("AME", ame)):
+        more: dict[str, Any] = {"split": split, "item": item, "count": len(errors)}
+        scores.append(Score(f"{metric}_mean", method, float(errors.mean()), "cm", **more))
+        for horizon in HORIZONS_S:
+            at = round(horizon * CLIP_HZ) - 1
+            scores.append(Score(metric, method, float(errors[:, at].mean()), "cm", at=horizon, **more))
+    return scores
+
+
+def recognition_table(scores: Sequence[Score]) -> list[TextTable]:
+    """Return accuracy with and without augmentation, and the effect over seeds with its interval."""
+    rows = []
+    for split in sorted({score.split for score in scores}, reverse=True):
+        found = _paired([score for score in scores if score.split == split and score.metric == "accuracy"])
+        if found:
+            with_, without = (np.array(values) for values in zip(*found.values(), strict=True))
+            rows.append((split, f"{with_.mean():.2f}", f"{without.mean():.2f}", _effect(with_ - without)))
+    headings = ("training / validation / test", "with", "without", "effect (95 % over seeds)")
+    caption = "As table 5 of the paper: accuracy of recognition, %, with and without augmentation"
+    return [TextTable(caption, headings, tuple(rows))] if rows else []
+
+
+def prediction_table(scores: Sequence[Score]) -> list[TextTable]:
+    """Return JME and AME of every motion and horizon, and the effect of augmentation over seeds.
+
+    Motions of one seed share what was trained, so they are drawn together.
+    """
+    rows: list[tuple[str, ...]] = []
+    horizons = {f"{horizon:g}": f"{horizon} s" for horizon in HORIZONS_S}
+    headings = ("motion", "error")
+    caption = "As table 4 of the paper: error of prediction, cm, with augmentation / without / last pose held"
+    for metric in ("JME", "AME"):
+        mine = sorted((score for score in scores if score.metric == metric), key=_motion)
+        table = pivot_table(
+            mine, caption, headings, lambda s: (_motion(s), s.metric), horizons, lambda s: f"{s.at:g}", _means
+        )
+        effects = []
+        for horizon in horizons:
+            pairs = _paired([score for score in mine if f"{score.at:g}" == horizon])
+            seeds = [item.rpartition(",")[2] for item in pairs]
+            effects.append(_effect(np.array([one - other for one, other in pairs.values()]), seeds) if pairs else "")
+        rows += [*table.rows, ("effect (95 % over seeds)", metric, *effects)] if table.rows else []
+    return [TextTable(caption, (*headings, *horizons.values()), tuple(rows))] if rows else []
+
+
+def _motion(score: Score) -> str:
+    return score.item.rpartition(",")[0]
+
+
+def _means(found: Sequence[Score]) -> str:
+    values = [[score.value for score in found if score.method == method] for method in (WITH, WITHOUT, STILL)]
+    return " / ".join(f"{np.mean(own):.2f}" if own else "-" for own in values)
+
+
+def _paired(scores: Sequence[Score]) -> dict[str, tuple[float, float]]:
+    """Return the figures with and without augmentation of each item that has both."""
+    one, other = ({s.item: s.value for s in scores if s.method == method} for method in (WITH, WITHOUT))
+    return {item: (one[item], other[item]) for item in sorted(set(one) & set(other))}
+
+
+def _effect(differences: Array, units: Sequence[str] | None = None) -> str:
+    low, high = bootstrap_interval(differences, units=units)
+    interval = f" ({low:+.2f} to {high:+.2f})" if np.isfinite(low) else ""
+    return f"{differences.mean():+.2f}{interval}"
 
 
 RECOGNITION = Topic(
     name="recognition",
     heading="Recognition of interactions",
-    introduction="A two-person ST-GCN tells clips of 2 s apart by interaction, trained with the variants of its "
-    "training takes or without them, tested on clips of takes that neither saw.",
+    introduction="A two-person ST-GCN classifies clips of 2 s by interaction, trained with or without the variants of "
+    "its training takes, and tested on clips of unseen takes.",
     reads=("poses", "variants", "variant_quality"),
     plan=_plan_recognition,
     run=_recognise,
@@ -214,10 +280,9 @@ RECOGNITION = Topic(
 PREDICTION = Topic(
     name="prediction",
     heading="Prediction of motion",
-    introduction="What comes in the next second, from the 2 s before (DCT, graph convolutions and attention to "
-    "motion history), trained with the variants of the training takes or without them, tested on takes that neither "
-    "saw; takes under 3 s are left out. JME is the error of joints where the pair is, AME that of poses laid onto "
-    "the true ones.",
+    introduction="Motion of the next second, predicted from the 2 s before (DCT, graph convolutions and attention to "
+    "motion history), trained with or without the variants of the training takes, and tested on unseen takes; takes "
+    "under 3 s are skipped. JME is the joint error in place, AME that of poses aligned with the true ones.",
     reads=("poses", "variants", "variant_quality"),
     plan=_plan_prediction,
     run=_predict,

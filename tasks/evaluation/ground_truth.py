@@ -1,8 +1,9 @@
-"""Reading the truth behind virtual video: true cameras, and the takes' poses behind annotated frames."""
+"""Ground truth of virtual video: the takes' poses behind annotated frames, and the true cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,8 +13,69 @@ from tasks.annotated_pairs import Place
 from tasks.facts import SequenceFacts, TakeFacts
 from tasks.takes import read_motion
 
-TakeFrames = dict[tuple[str, int], tuple[str, int]]
-"""The take and its frame behind every sequence and frame of virtual video."""
+
+@dataclass(frozen=True)
+class TruePair:
+    """Both people behind an annotated pair as captured (2, joint, 3), metres, in which take and when in it."""
+
+    take_id: str
+    time_s: float
+    pair_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """Takes and their virtual video.
+
+    Args:
+        takes: Poses of every take (frame, person, joint, 3), metres.
+        rates_hz: Frames per second of every take.
+        held_out: Takes that are held out.
+        frames: The take and its frame behind every (sequence, frame) of virtual video.
+        cameras: The true camera of every virtual sequence.
+    """
+
+    takes: Mapping[str, np.ndarray]
+    rates_hz: Mapping[str, float]
+    held_out: frozenset[str] = frozenset()
+    frames: Mapping[tuple[str, int], tuple[str, int]] = field(default_factory=dict)
+    cameras: Mapping[str, PinholeCamera] = field(default_factory=dict)
+
+    @classmethod
+    def read(
+        cls, store: Store, takes: Sequence[ArtifactRef], annotations: Sequence[ArtifactRef], *, column: str = "pair17_m"
+    ) -> GroundTruth:
+        """Read a positions column of these takes, and what these annotations show; skip videos of one's own."""
+        facts = {take.take_id: take for take in TakeFacts.read(store, takes)}
+        frames: dict[tuple[str, int], tuple[str, int]] = {}
+        for ref in annotations:
+            if SequenceFacts.of(store.manifest(ref)).is_virtual:
+                table = store.read(ref, "annotations", columns=["sequence_id", "frame", "take_id", "take_frame"])
+                columns = (table[name] for name in ("sequence_id", "frame", "take_id", "take_frame"))
+                for sequence_id, frame, take_id, take_frame in zip(*columns, strict=True):
+                    frames[sequence_id, int(frame)] = take_id, int(take_frame)
+        return cls(
+            takes={name: read_motion(store, ref, column)[column] for name, ref in zip(facts, takes, strict=True)},
+            rates_hz={name: fact.rate_hz for name, fact in facts.items()},
+            held_out=frozenset(name for name, fact in facts.items() if fact.is_held_out),
+            frames=frames,
+            cameras={name: camera for ref in annotations for name, camera in _read_cameras(store, ref).items()},
+        )
+
+    def time_s(self, take_id: str, frame: int) -> float:
+        """Return the time of a frame within its take, seconds."""
+        return frame / self.rates_hz[take_id]
+
+    def pair(self, place: Place) -> TruePair | None:
+        """Return the pair behind an annotated pair.
+
+        None where it is not known: no virtual video, a take that was not read, or somebody who is not of it.
+        """
+        take_id, frame = self.frames.get((place.sequence_id, place.frame), ("", 0))
+        take = self.takes.get(take_id)
+        if take is None or not 0 <= place.person_id < place.partner_id < take.shape[1]:
+            return None
+        return TruePair(take_id, self.time_s(take_id, frame), take[frame][[place.person_id, place.partner_id]])
 
 
 def rate_of(times_s: np.ndarray) -> float:
@@ -22,60 +84,17 @@ def rate_of(times_s: np.ndarray) -> float:
     return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
 
 
-def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, PinholeCamera]:
-    """Return the true camera of every virtual sequence."""
-    cameras = {}
-    for ref in refs:
-        if "cameras" not in store.manifest(ref).tables:
-            continue
-        table = store.read(ref, "cameras")
-        for row, sequence_id in enumerate(table["sequence_id"]):
-            cameras[sequence_id] = PinholeCamera(
-                focal_px=float(table["focal_px"][row]),
-                principal_point_px=table["principal_point_px"][row],
-                camera_from_world_rotmat=table["camera_from_world_rotmat"][row],
-                position_m=table["camera_position_m"][row],
-                image_size_px=(int(table["image_width_px"][row]), int(table["image_height_px"][row])),
-            )
-    return cameras
-
-
-def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
-    """Return one positions column of every take as (frame, person, joint, 3)."""
-    return {TakeFacts.of(store.manifest(ref)).take_id: read_motion(store, ref, column)[column] for ref in refs}
-
-
-def read_rates(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, float]:
-    """Return the frames per second of every take."""
-    return {take.take_id: take.rate_hz for take in TakeFacts.read(store, refs)}
-
-
-def true_pair(place: Place, frames: TakeFrames, takes: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray] | None:
-    """Return the take behind an annotated pair of virtual video, and both people as captured (2, joint, 3), metres.
-
-    None where it is not known: no virtual video, a take that is not among those read, or somebody who is not of it.
-    """
-    take_id, frame = frames.get((place.sequence_id, place.frame), ("", 0))
-    take = takes.get(take_id)
-    if take is None or not 0 <= place.person_id < place.partner_id < take.shape[1]:
-        return None
-    return take_id, take[frame][[place.person_id, place.partner_id]]
-
-
-def read_take_frames(store: Store, refs: Iterable[ArtifactRef], *, keys_only: bool = False) -> TakeFrames:
-    """Return the take and its frame behind every (sequence, frame) of virtual video, or behind the annotated ones only.
-
-    Frames that are not annotated are there for velocity.
-    """
-    frames = {}
-    for ref in refs:
-        if not SequenceFacts.of(store.manifest(ref)).is_virtual:
-            continue  # a video of the user's own may show a take, but nobody knows which frame of it
-        table = store.read(ref, "annotations", columns=["sequence_id", "frame", "is_key", "take_id", "take_frame"])
-        for sequence_id, frame, is_key, take_id, take_frame in zip(
-            *(table[name] for name in ("sequence_id", "frame", "is_key", "take_id", "take_frame")), strict=True
-        ):
-            if keys_only and not is_key:
-                continue
-            frames[sequence_id, int(frame)] = (take_id, int(take_frame))
-    return frames
+def _read_cameras(store: Store, ref: ArtifactRef) -> dict[str, PinholeCamera]:
+    if "cameras" not in store.manifest(ref).tables:
+        return {}
+    table = store.read(ref, "cameras")
+    return {
+        sequence_id: PinholeCamera(
+            focal_px=float(table["focal_px"][row]),
+            principal_point_px=table["principal_point_px"][row],
+            camera_from_world_rotmat=table["camera_from_world_rotmat"][row],
+            position_m=table["camera_position_m"][row],
+            image_size_px=(int(table["image_width_px"][row]), int(table["image_height_px"][row])),
+        )
+        for row, sequence_id in enumerate(table["sequence_id"])
+    }

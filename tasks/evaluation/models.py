@@ -1,19 +1,22 @@
-"""Topic `models`: predictions of the trained models on the variants kept for testing."""
+"""Topic `models`: predictions of the trained models on the test variants."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
-from pasdedeux.evaluation.model_meter import SOLVER, ModelMeter
-from pasdedeux.evaluation.model_tables import LARGEST_SCALE, best_model, case_player, extreme_cases, model_tables
-from pasdedeux.evaluation.models import GENERATED, frame_errors_cm, model_figure, model_scores, share_scores
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.figures import CurvePanel, curve_figure
+from pasdedeux.evaluation.models import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
+from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
+from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning import BASELINES, DEFAULT_MODELS, SPLIT_NAMES, VariantKey, VariantModel
+from pasdedeux.learning import BASELINES, DEFAULT_MODELS, SPLIT_NAMES, TrainingItem, VariantKey
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
@@ -24,6 +27,11 @@ from tasks.training.run import load_stored
 
 _DRAWS = 10
 """Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
+_LARGEST_SCALE = 1.25
+"""Scale of the published table of largest scales."""
+_AT_LARGEST = f" at {_LARGEST_SCALE}"
+_SCALE_STEP = 0.05
+_PUBLISHED = ("E_r", "E_b", "JPD")
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -44,127 +52,246 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants, and show the best, a middling and the worst of them."""
     stored = [store.manifest(ref) for ref in shard.refs("models")]
     facts = ModelFacts.of(stored[0])
-    skeleton = facts.skeleton
+    split_name, skeleton = facts.split, facts.skeleton
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), skeleton)
     models = {ModelFacts.of(manifest).model: load_stored(store, manifest) for manifest in stored}
     meters: dict[str, ModelMeter] = {}
-    errors: dict[str, list[dict[str, float]]] = {name: [] for name in (*models, SOLVER)}
+    errors: dict[str, list[Errors]] = {name: [] for name in (*models, SOLVER)}
     tested: list[VariantKey] = []
-    trivial = DEFAULT_MODELS if set(models).difference(DEFAULT_MODELS) else BASELINES
     parts: list[Items] = []
-    for item in variants.items(_named(facts.test)):
+    for item in variants.items([(take_id, name) for take_id, names in facts.test.items() for name in names]):
         request = item.request
-        tested.append(VariantKey(request.take_id, item.variant_id, request.bone_scale))
-        if request.take_id not in meters:
-            meters[request.take_id] = ModelMeter(request)
+        take_id = request.take_id
+        tested.append(VariantKey(take_id, item.variant_id, request.bone_scale))
+        meter = meters.setdefault(take_id, ModelMeter(request))
         predicted = {name: model.predict(request) for name, model in models.items()}
-        for name, found in meters[request.take_id].measure(request.bone_scale, predicted, item.motion_m).items():
+        for name, found in meter.measure(request.bone_scale, predicted, item.motion_m).items():
             errors[name].append(found)
         by_frame = {name: frame_errors_cm(motion, item.motion_m) for name, motion in predicted.items()}
         times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
-        parts.append(Items(by_frame, [request.take_id] * len(times_s), times_s, trivial, count=1))
-    split = f"{facts.split} test"
+        parts.append(Items(by_frame, [take_id] * len(times_s), times_s, count=1))
+    split, baselines = f"{split_name} test", DEFAULT_MODELS if set(models).difference(DEFAULT_MODELS) else BASELINES
+    takes = None if facts.shares_takes else [key.take_id for key in tested]
 
-    def scores_where(item: str, rows: Sequence[int]) -> list[Score]:
+    def scores_of_rows(item: str, rows: Sequence[int]) -> list[Score]:
         mine = {name: [found[row] for row in rows] for name, found in errors.items()}
-        own = None if facts.shares_takes else [tested[row].take_id for row in rows]
-        return model_scores(mine, baselines=trivial, split=split, item=item, takes=own) if rows else []
+        own = None if takes is None else [takes[row] for row in rows]
+        return model_scores(mine, split=split, item=item, takes=own) if rows else []
 
     distances = {name: found for name, found in errors.items() if name != SOLVER}
-    scores = [
-        *scores_where("all", range(len(tested))),
-        *share_scores(
-            distances,
-            baselines=DEFAULT_MODELS,
-            split=split,
-            takes=None if facts.shares_takes else [key.take_id for key in tested],
-        ),
-    ]
+    scores = scores_of_rows("all", range(len(tested)))
+    scores += share_scores(distances, rivals=DEFAULT_MODELS, split=split, takes=takes)
     interactions = {
         TakeFacts.of(take).take_id: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))
     }
     for motion in sorted({interactions[key.take_id] for key in tested}):
         own = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
-        scores += scores_where(motion, own)
-        largest = [row for row in own if np.isclose(tested[row].furthest_scale, LARGEST_SCALE)]
-        scores += scores_where(f"{motion} at {LARGEST_SCALE}", largest)
-    streams = partial(stream, shard.seed, "evaluation", "generated", split)
-    scores += _generated(models, meters, streams, baselines=trivial, split=split)
+        scores += scores_of_rows(motion, own)
+        largest = [row for row in own if np.isclose(tested[row].furthest_scale, _LARGEST_SCALE)]
+        scores += scores_of_rows(f"{motion}{_AT_LARGEST}", largest)
+    drawn: dict[str, list[Errors]] = {}
+    for take_id, meter in meters.items():
+        for draw in range(_DRAWS):
+            streams = partial(stream, shard.seed, "evaluation", "generated", split, take_id, draw)
+            for name, found in meter.measure_generated(models, streams).items():
+                drawn.setdefault(name, []).append(found)
+    of_draws = [take_id for take_id in meters for _ in range(_DRAWS)]
+    scores += model_scores(drawn, split=split, item=GENERATED, takes=of_draws)
     shared = " The takes are those of the training set, at other scales." if facts.shares_takes else ""
-    pictures = {
-        f"models-{facts.split}.svg": model_figure(
-            [key.furthest_scale for key in tested], distances, baselines=trivial, split=facts.split
-        )
-    }
-    captions = {
-        f"models-{facts.split}.svg": f"Error of each model on the {len(tested)} test variants of split "
-        f"{facts.split}: lower is better, dashed are the trivial ways.{shared}"
-    }
-    shown = best_model(scores, split=split, baselines=trivial)
-    if shown is not None:
-        cases = extreme_cases([found["E_r"] for found in errors[shown]])
-        name = f"cases-{facts.split}.player.json"
-        wanted = {(tested[row].take_id, tested[row].variant_id): what for what, row in cases.items()}
-        drawn = {wanted[item.request.take_id, item.variant_id]: item for item in variants.items(list(wanted))}
-        pictures[name] = case_player(
-            {what: (drawn[what], models[shown].predict(drawn[what].request)) for what in cases if what in drawn}
-        )
+    caption = (
+        f"Error of each model on the {len(tested)} test variants of split {split_name}; lower is better, baselines "
+        f"are dashed.{shared}"
+    )
+    scales = [key.furthest_scale for key in tested]
+    drawn_scales = model_figure(scales, distances, baselines=baselines, split=split_name)
+    pictures = [Picture(f"models-{split_name}.svg", caption, drawn_scales)]
+    best = best_model(scores, split=split, baselines=baselines)
+    if best is not None:
+        cases = extreme_cases([found["E_r"] for found in errors[best]])
+        wanted = [(tested[row].take_id, tested[row].variant_id) for row in cases.values()]
+        items = {(item.request.take_id, item.variant_id): item for item in variants.items(list(dict.fromkeys(wanted)))}
+        shown = {
+            what: (items[key], models[best].predict(items[key].request))
+            for what, key in zip(cases, wanted, strict=True)
+        }
         listed = "; ".join(
-            f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[shown][row]['E_r']:.2f} cm"
+            f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[best][row]['E_r']:.2f} cm"
             for what, row in cases.items()
         )
-        captions[name] = (
-            f"{in_words(shown)}, on split {facts.split}; the true variant is grey. Better: no grey to see. {listed}."
-        )
-    keys = [
-        f"{name}: the distance of key pairs (JPD) is between {pairs}."
-        for name, one in sorted(meters.items())
-        if (pairs := one.key_names())
-    ]
+        caption = f"{in_words(best)}, on split {split_name}; the true variant is grey. Better: no grey shows. {listed}."
+        pictures.append(Picture(f"cases-{split_name}.player.json", caption, case_player(shown)))
     learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
-        *([f"Models and figures are of {skeleton}; what is of surfaces is not measured."] * (skeleton != BODY22.name)),
-        f"Split {facts.split}: {len(tested)} test variants of {len(meters)} "
+        *([f"Models and figures are of {skeleton}; surfaces are not measured."] * (skeleton != BODY22.name)),
+        f"Split {split_name}: {len(tested)} test variants of {len(meters)} "
         f"take{'s' * (len(meters) != 1)}, learned from {learned}. "
         + (
-            "Intervals are over test variants, which of one take are much alike: they say nothing of other takes."
+            "Intervals are over test variants, which of one take are much alike: they do not generalise to other takes."
             if facts.shares_takes
             else f"Intervals are over takes, as variants of one are much alike, where there are {FEWEST_UNITS}."
         ),
-        *keys,
+        *(
+            f"{name}: the distance of key pairs (JPD) is between {pairs}."
+            for name, one in sorted(meters.items())
+            if (pairs := one.key_names())
+        ),
     ]
-    items = {str(facts.split).replace("_", " "): Items.joined(parts)}
-    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes, items=items)
+    return TopicResult(scores, pictures, notes, {split_name.replace("_", " "): Items.joined(parts)}, baselines)
 
 
-def _generated(
-    models: Mapping[str, VariantModel],
-    meters: Mapping[str, ModelMeter],
-    streams: Callable[..., np.random.Generator],
-    *,
-    baselines: Sequence[str],
-    split: str,
+def model_scores(
+    errors: Mapping[str, Sequence[Errors]], *, split: str, item: str, takes: Sequence[str] | None = None
 ) -> list[Score]:
-    """Score motions that models draw with their scales for every take, beside baselines at these scales."""
-    errors: dict[str, list[dict[str, float]]] = {}
-    for take_id, meter in meters.items():
-        for draw in range(_DRAWS):
-            for name, found in meter.measure_generated(models, partial(streams, take_id, draw)).items():
-                errors.setdefault(name, []).append(found)
-    takes = [take_id for take_id in meters for _ in range(_DRAWS)]
-    return model_scores(errors, baselines=baselines, split=split, item=GENERATED, takes=takes)
+    """Return the mean of each figure of each model over test variants, with its bootstrap interval over these.
+
+    Figures that are NaN everywhere have no score.  Where the variants' takes are given, the interval is over takes.
+    """
+    scores = []
+    for model, found in errors.items():
+        for metric in dict.fromkeys(name for error in found for name in error):
+            values = np.array([error.get(metric, np.nan) for error in found])
+            is_known = np.isfinite(values)
+            if not is_known.any():
+                continue
+            units = None if takes is None else np.asarray(takes)[is_known].tolist()
+            low, high = bootstrap_interval(values[is_known], units=units)
+            value = {metric: float(values[is_known].mean())}
+            more = {"split": split, "item": item, "count": int(is_known.sum()), "low": low, "high": high}
+            scores += scores_of(value, model, UNITS[metric], **more)
+    return scores
 
 
-def _named(by_take: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
-    return [(take_id, name) for take_id, names in by_take.items() for name in names]
+def share_scores(
+    errors: Mapping[str, Sequence[Errors]], *, rivals: Collection[str], split: str, takes: Sequence[str] | None = None
+) -> list[Score]:
+    """Return E_r of each model in percent of that of its best rival, with the interval as `model_scores` has it."""
+    values = {name: np.array([error["E_r"] for error in found]) for name, found in errors.items() if found}
+    beside = [found for name, found in values.items() if name in rivals]
+    if not beside:
+        return []
+    best = min(beside, key=lambda found: float(found.mean()))
+    scores = []
+    for model, found in values.items():
+        if model not in rivals:
+            low, high = (100.0 * end for end in bootstrap_interval(found, best, units=takes))
+            share = 100.0 * float(found.mean() / max(best.mean(), 1e-12))
+            scores.append(Score(SHARE, model, share, UNITS[SHARE], split=split, count=len(found), low=low, high=high))
+    return scores
+
+
+def model_figure(
+    scales: Sequence[float], errors: Mapping[str, Sequence[Errors]], *, baselines: Collection[str], split: str
+) -> bytes:
+    """Draw E_r of each model against the test variants' scale furthest from 1 (means of steps of 0.05); SVG bytes."""
+    at = np.round(np.array(scales) / _SCALE_STEP) * _SCALE_STEP
+    known = np.unique(np.round(at, 6))
+    curves = {}
+    for model, found in errors.items():
+        values = np.array([error["E_r"] for error in found])
+        curves[in_words(model)] = known, np.array([values[np.isclose(at, scale)].mean() for scale in known])
+    return curve_figure(
+        [CurvePanel("mean joint error E_r (cm)", curves, {in_words(name) for name in baselines})],
+        title=f"models on {split.replace('_', ' ')} test variants",
+        x_label="scale furthest from 1, of anybody's bones",
+    )
+
+
+def best_model(scores: Sequence[Score], *, split: str, baselines: Collection[str]) -> str | None:
+    """Return the model with the smallest E_r over the test variants of a split; a baseline where nothing else is."""
+    found = {s.method: s.value for s in scores if (s.metric, s.split, s.item) == ("E_r", split, "all")}
+    return min(found, key=lambda name: (name in baselines, found[name]), default=None)
+
+
+def extreme_cases(errors: Sequence[float]) -> dict[str, int]:
+    """Return the best, the median and the worst of some errors, by index.
+
+    >>> extreme_cases([3.0, 1.0, 2.0])
+    {'best': 1, 'median': 2, 'worst': 0}
+    """
+    order = np.argsort(errors, kind="stable")
+    return {"best": int(order[0]), "median": int(order[(len(order) - 1) // 2]), "worst": int(order[-1])}
+
+
+def case_player(cases: Mapping[str, tuple[TrainingItem, Array]]) -> bytes:
+    """Show predictions (T, 2, 22, 3), metres, beside each other, the solver's answer grey behind each.
+
+    A longer take is shown as long as the shortest of them lasts.
+    """
+    sources = [item.request.source for item, _ in cases.values()]
+    frames, rate_hz = shown_frames(min(source.num_frames for source in sources), sources[0].rate_hz)
+    panels = []
+    for what, (item, predicted) in cases.items():
+        skeleton = item.request.source.skeleton
+        true, guessed = item.motion_m[frames], predicted[frames]
+        middle = true[:, :, skeleton.root].mean(axis=(0, 1)) * [1.0, 0.0, 1.0]
+        title = f"{what}: {item.request.take_id} {item.variant_id}"
+        panels.append(people_panel(title, skeleton, guessed - middle, truth_m=true - middle))
+    return pack_player(panels, rate_hz=rate_hz)
+
+
+def model_tables(scores: Sequence[Score]) -> list[TextTable]:
+    """Return E_r and PWD of every model on every split, and the published tables 2 and 3 with our models."""
+    known = [score for score in scores if np.isnan(score.at)]
+    of_all = [score for score in known if (score.metric, score.item) == ("E_r", "all")]
+    # Baselines first, then from worst to best.
+    ranked = {
+        name: (not own[0].is_baseline, -float(np.mean([score.value for score in own])))
+        for name in {score.method for score in of_all}
+        for own in [[score for score in of_all if score.method == name]]
+    }
+    models = {name: in_words(name) for name in sorted(ranked, key=lambda name: ranked[name])}
+    splits = {f"{name} test": name for name in SPLIT_NAMES if f"{name} test" in {score.split for score in known}}
+    order = {name: number for number, name in enumerate((*models, *splits))}
+    known = [score for score in known if score.method in models and score.split in splits]
+    known.sort(key=lambda one: (one.item, order[one.split], order[one.method], one.metric))
+
+    def by_model(caption: str, item: str, metrics: Sequence[str], cell: Callable[[Sequence[Score]], str]) -> TextTable:
+        own = [one for one in known if one.item == item and one.metric in metrics]
+        own.sort(key=lambda one: order[one.method])
+        return pivot_table(own, caption, ("model",), lambda s: (models[s.method],), splits, lambda s: s.split, cell)
+
+    def by_motion(caption: str, *, is_largest: bool) -> TextTable:
+        own = [one for one in known if one.item not in ("all", GENERATED) and one.metric in _PUBLISHED]
+        own = [one for one in own if one.item.endswith(_AT_LARGEST) == is_largest]
+        headings, names = ("motion", "split"), lambda s: (s.item.removesuffix(_AT_LARGEST), splits[s.split])
+        return pivot_table(own, caption, headings, names, models, lambda s: s.method, _values(_PUBLISHED))
+
+    tables = [
+        by_model(
+            "E_r and proximity-weighted distance, cm, on every split, with 95 % intervals over test variants, or over "
+            "takes where these are not learned from",
+            "all",
+            ("E_r", "PWD"),
+            lambda found: " / ".join(format_score(one).replace(" cm", "") for one in found),
+        ),
+        by_motion("As table 2 of the paper (retargeting): E_r, cm / E_b, mm / JPD, cm", is_largest=False),
+        by_motion(
+            f"As table 3 of the paper, scale {_LARGEST_SCALE} alone: E_r, cm / E_b, mm / JPD, cm", is_largest=True
+        ),
+        by_model(
+            "As table 2 of the paper (generation), scales of B drawn by the model, baselines at these: E_b, mm, from "
+            "the bones drawn / JPD, cm, from the source, as there is no true motion",
+            GENERATED,
+            _PUBLISHED[1:],
+            _values(_PUBLISHED[1:]),
+        ),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def _values(metrics: Sequence[str]) -> Callable[[Sequence[Score]], str]:
+    """Return what writes the scores of a cell in the order of these metrics."""
+    return lambda found: " / ".join(
+        {one.metric: f"{one.value:.2f}" for one in found}.get(name, "-") for name in metrics
+    )
 
 
 TOPIC = Topic(
     name="models",
     heading="Models",
-    introduction="Models that say from a take and the sizes of two bodies how they would move, and how far that is "
-    "from what the solver says. The trivial ways give the take back, or put its joint angles on the new bones. The "
-    "table of names says what each figure and model is.",
+    introduction="Models that predict variants from a take and the sizes of two bodies, compared with the solver's "
+    "answer. The baselines return the take unchanged, or put its joint angles on the new bones. The table of names "
+    "describes each figure and model.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,

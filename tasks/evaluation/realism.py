@@ -11,8 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval
-from pasdedeux.evaluation.model_meter import SOLVER, generated
-from pasdedeux.evaluation.models import GENERATED
+from pasdedeux.evaluation.models import GENERATED, SOLVER, generated
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.learning import BASELINES
 from pasdedeux.learning.clips import clips_of
@@ -66,7 +65,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     """Train the classifier on real clips, and look with it at what every model predicts."""
     if shard.name == OTHER_SKELETON:
         return TopicResult(
-            notes=[f"Left out: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
+            notes=[f"Skipped: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
         )
     refuse_without_torch("the classifier of clips", "evaluation.num_realism_variants=0")
     from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
@@ -76,7 +75,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     learned = [take for take in takes if not TakeFacts.of(take).is_held_out]
     real = _real_clips(store, learned)
     if len(real) < 2:
-        return TopicResult(notes=["Left out: takes that are not held out are of one interaction alone."])
+        return TopicResult(notes=["Skipped: takes that are not held out are of one interaction alone."])
     classifier = train_classifier(real, settings.classifier, stream(shard.seed, "evaluation", "classifier"))
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
     kinds = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
@@ -115,13 +114,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         notes.append(f"Split {split}: of {len(tested)} tested takes the classifier learned from {len(seen)}.")
     counted = ", ".join(f"{kind} {len(found)}" for kind, found in real.items())
     return TopicResult(
-        scores=scores,
+        scores,
         notes=[
             f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
             f"{classifier.accuracy(real):.0f} % of them right, and has the digest {classifier.digest}.",
             f"Takes of the classifier: {', '.join(sorted(TakeFacts.of(take).take_id for take in learned))}.",
             *notes,
         ],
+        baselines=BASELINES,
     )
 
 
@@ -144,13 +144,12 @@ class _Clips:
 
 
 def _compare(
-    classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], first: list[int], second: list[int], **of: str
+    classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], first: list[int], second: list[int], **more: Any
 ) -> list[Score]:
     """Score what models make of one half of the variants beside what the solver made of the other."""
     scores: list[Score] = []
     real, real_units = _features(classifier, [clips[SOLVER][at] for at in second or first])
     for name, found in clips.items():
-        more: dict[str, Any] = {"is_baseline": name in BASELINES, **of}
         made, units = _features(classifier, [found[at] for at in first])
         if second and min(len(real), len(made)) > 1:
             figures = distances(real, made)
@@ -181,14 +180,14 @@ TOPIC = Topic(
     name="realism",
     heading="Models as distributions",
     introduction="Test variants that a model predicts, beside others that the solver made, of the same takes where "
-    "there are several, in 32 features of a two-person ST-GCN that learned to tell real clips of takes apart, "
-    "held-out ones aside (named below, with how many of a split's test takes are among them). The method `solver` is "
-    "chance: what the solver made of the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is "
-    "mostly bias and means something only beside that of the solver. Intervals of KID leave out variants, or takes "
-    "where these are not learned from. `generated` is of motions whose scales the models drew themselves, one for each "
-    "variant, beside trivial ways and the closed form at these scales and, as above, chance. Density and coverage are "
-    "about 1 for draws of the same distribution. Recognised, as table 6 of the paper: the share of predicted clips "
-    "whose interaction is found.",
+    "there are several, in 32 features of a two-person ST-GCN classifier of real clips of takes that are not held out "
+    "(named below, with how many of a split's test takes are among them). The method `solver` is chance level: the "
+    "solver's answer for the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is mostly bias "
+    "and has a meaning only beside that of the solver. Intervals of KID are by the jackknife over variants, or over "
+    "takes where these are not learned from. `generated` is of motions whose scales the models drew themselves, one "
+    "for each variant, beside baselines and the closed form at these scales and, as above, chance level. Density and "
+    "coverage are about 1 for draws of the same distribution. Recognised, as table 6 of the paper: the share of "
+    "predicted clips whose interaction is recognised.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,

@@ -1,28 +1,62 @@
-"""Topic `reconstruction`: reconstructed motions, against the truth where there is one: of virtual video."""
+"""Topic `reconstruction`: reconstructed motions, against the ground truth of virtual video."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.reconstruction import (
-    Reconstructed,
-    pair_scores,
-    reconstruction_items,
-    reconstruction_player,
-    reconstruction_scores,
-    turn_to_camera,
+from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.reconstruction_metrics import (
+    jitter_m,
+    root_centred_error_m,
+    root_removed_error_m,
+    scale_free_error_m,
 )
-from pasdedeux.evaluation.verdicts import Criterion
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.kinematics.rotations import rotate, swing_between
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.evaluation.ground_truth import rate_of, read_cameras, read_rates, read_take_frames, read_takes
+from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs
+
+BASELINES = ("nearest", "standing_still", "truth", "equal_depth")
+"""Methods that others are compared with, bounds among them."""
+_MIN_DISTANCE_M = 0.5
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """One person's motion as reconstructed by several methods, and the ground truth, all in camera axes.
+
+    Args:
+        item: Sequence and person, for the table.
+        truth_m: True op14 positions (frame, 14, 3), metres.
+        found_m: By method, positions (frame, 14, 3) of the same frames.
+        frames: Frames of the sequence (frame,), rising.
+        person_id: Who it is in the sequence.
+        takes: Take of each frame.
+        times_s: Its time within the take, seconds.
+    """
+
+    item: str
+    truth_m: Array
+    found_m: Mapping[str, Array]
+    frames: npt.NDArray[np.int64]
+    person_id: int = 0
+    takes: Sequence[str] = ()
+    times_s: Sequence[float] = ()
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -41,47 +75,36 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score one sequence."""
+    """Score and show one sequence."""
     motions, annotations = shard.ref("motions"), shard.refs("annotations")
     facts = MotionFacts.of(store.manifest(motions))
     refuse_overlap(f"the projection database of sequence {shard.name}", facts.database_takes, facts.sequence_takes)
     if not annotations:
-        return _show(store, motions, f"{shard.name}: a video whose truth nobody knows; no scores.")
-    cameras = read_cameras(store, annotations)
+        return _show(store, motions, f"{shard.name}: a video without ground truth; no scores.")
+    people, truth = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     split = "held_out" if any(one.is_held_out for one in SequenceFacts.read(store, annotations)) else "annotated"
-    table = _read_motions(store, motions)
-    sequence_id = str(table["sequence_id"][0])
-    scores = []
-    people = read_reconstructed(store, motions, annotations, shard.refs("takes"))
-    for result in people:
-        scores += reconstruction_scores(result, split=split)
-    keypoints = _read_keypoints(store, annotations, shard.name)
-    camera = cameras[sequence_id]
-    camera_m = camera.camera_from_world_rotmat @ camera.position_m
-    name = _picture_name(shard.name)
-    pictures = {name: _shown(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))}
-    captions = {
-        name: f"{shard.name}: the image, and what was made of it ({in_words(list(people[0].found_m)[-1])}), first as "
-        "the camera sees it. Turn it: one camera does not see depth; better is what lies on the grey truth then too. "
-        "Beside the time: the mean error of that frame."
-    }
+    scores = [score for person in people for score in reconstruction_scores(person, split=split)]
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
+    caption = (
+        f"{shard.name}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}), first as the "
+        "camera sees it; turn it, as one camera does not see depth. Better: it lies on the grey ground truth. Beside "
+        "the time: the mean error of that frame."
+    )
+    rate_hz = rate_of(_read_motions(store, motions)["time_s"])
+    player = _shown(people, _read_keypoints(store, annotations, shard.name), truth, rate_hz=rate_hz)
     # The database has not seen the take, or this would have been refused: all of it is held out.
     items = {"": reconstruction_items(people)}
-    return TopicResult(scores, pictures, captions, items=items)
+    pictures = [Picture(_picture_name(shard.name), caption, player)]
+    return TopicResult(scores, pictures, items=items, baselines=BASELINES)
 
 
 def read_reconstructed(
     store: Store, motions: ArtifactRef, annotations: Sequence[ArtifactRef], takes: Sequence[ArtifactRef]
-) -> list[Reconstructed]:
-    """Return the people of a sequence of virtual video who are in its take, with the truth in camera axes."""
-    poses, frames, cameras = (
-        read_takes(store, takes, "op14_m"),
-        read_take_frames(store, annotations),
-        read_cameras(store, annotations),
-    )
-    table, rates = _read_motions(store, motions), read_rates(store, takes)
+) -> tuple[list[Reconstructed], GroundTruth]:
+    """Return the people of a sequence of virtual video who are in its take, and the ground truth."""
+    truth = GroundTruth.read(store, takes, annotations, column="op14_m")
+    table = _read_motions(store, motions)
     sequence_id = str(table["sequence_id"][0])
     people = []
     for person in np.unique(table["person_id"]):
@@ -91,14 +114,15 @@ def read_reconstructed(
             for method in dict.fromkeys(table["method"])
         }
         at = table["frame"][is_person & (table["method"] == next(iter(found)))]
-        seen = [frames[sequence_id, int(frame)] for frame in at]
-        if person >= min(poses[take].shape[1] for take, _ in seen):
+        seen = [truth.frames[sequence_id, int(frame)] for frame in at]
+        if person >= min(truth.takes[take].shape[1] for take, _ in seen):
             continue  # a passer-by of a simulated detector, or somebody whom it made up
-        truth = np.stack([poses[take][frame, person] for take, frame in seen])
-        truth = truth @ cameras[sequence_id].camera_from_world_rotmat.T
-        names, times_s = [take for take, _ in seen], [frame / rates[take] for take, frame in seen]
-        people.append(Reconstructed(f"{sequence_id} person {person}", truth, found, at, int(person), names, times_s))
-    return people
+        true = np.stack([truth.takes[take][frame, person] for take, frame in seen])
+        true = true @ truth.cameras[sequence_id].camera_from_world_rotmat.T
+        times_s = [truth.time_s(*place) for place in seen]
+        item, names = f"{sequence_id} person {person}", [take for take, _ in seen]
+        people.append(Reconstructed(item, true, found, at, int(person), names, times_s))
+    return people, truth
 
 
 def _read_motions(store: Store, motions: ArtifactRef) -> TableData:
@@ -115,29 +139,156 @@ def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_i
     return keypoints
 
 
+def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
+    """Score every method: mean errors over op14 with root rotation kept, removed, and free of scale; and jitter.
+
+    `standing_still` is the mean true pose of the motion in every frame, a bound: how much the person moves.
+    """
+    truth = person.truth_m
+    still = np.broadcast_to((truth - mid_hip(truth)[:, None]).mean(axis=0), truth.shape)
+    scores = [Score("jitter", "truth", jitter_m(truth), "m", split=split, item=person.item)]
+    for method, found in {**person.found_m, "standing_still": still}.items():
+        figures = {
+            "error_root_kept": float(root_centred_error_m(found, truth).mean()),
+            "error_root_removed": float(root_removed_error_m(found, truth).mean()),
+            "error_scale_free": float(scale_free_error_m(found, truth).mean()),
+            "jitter": jitter_m(found),
+        }
+        scores += scores_of(figures, method, "m", split=split, item=person.item, count=len(truth))
+    return scores
+
+
+def reconstruction_items(people: Sequence[Reconstructed]) -> Items:
+    """Return the error of every pose with root rotation kept, by method."""
+    parts = []
+    for person in people:
+        errors = {method: root_centred_error_m(found, person.truth_m) for method, found in person.found_m.items()}
+        parts.append(Items(errors, person.takes, person.times_s))
+    return Items.joined(parts)
+
+
+def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item: str) -> list[Score]:
+    """Score where two people are found relative to each other, over the frames that have both.
+
+    `pair_distance_error` is how far the distance of their mid-hips is off, `pair_place_error` how far the vector
+    between them is, `pair_depth_error` its part along the camera's axis.  The baseline
+    `equal_depth` takes both people to be equally far from the camera (of the last method).
+    """
+    common = np.intersect1d(first.frames, second.frames)
+    if not len(common):
+        return []
+    at = [np.searchsorted(person.frames, common) for person in (first, second)]
+    true = mid_hip(second.truth_m[at[1]]) - mid_hip(first.truth_m[at[0]])
+    between = {
+        method: mid_hip(second.found_m[method][at[1]]) - mid_hip(first.found_m[method][at[0]])
+        for method in first.found_m
+        if method in second.found_m
+    }
+    if between:
+        between["equal_depth"] = list(between.values())[-1] * [1.0, 1.0, 0.0]
+    scores = []
+    for method, found in between.items():
+        figures = {
+            "pair_distance_error": np.abs(np.linalg.norm(found, axis=-1) - np.linalg.norm(true, axis=-1)).mean(),
+            "pair_place_error": np.linalg.norm(found - true, axis=-1).mean(),
+            "pair_depth_error": np.abs(found[:, 2] - true[:, 2]).mean(),
+        }
+        scores += scores_of(figures, method, "m", split=split, item=item, count=len(common))
+    return scores
+
+
 def _picture_name(sequence_id: str) -> str:
     return f"reconstruction-{sequence_id.replace('/', '-')}.player.json"
 
 
 def _shown(
-    people: Sequence[Reconstructed],
-    keypoints: Mapping[tuple[int, int], Any],
-    *,
-    camera_m: np.ndarray,
-    rate_hz: float,
+    people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], Any], truth: GroundTruth, *, rate_hz: float
 ) -> bytes:
-    """Show what the last method made of everybody beside the image; the truth's camera is at (3,)."""
+    """Show what the last method made of everybody beside the image."""
+    camera = truth.cameras[people[0].item.rpartition(" person ")[0]]
     frames = np.unique(np.concatenate([person.frames for person in people]))
     px = np.full((len(frames), len(people), 14, 2), np.nan)
-    found, truth = np.full((2, len(frames), len(people), 14, 3), np.nan)
+    found, true = np.full((2, len(frames), len(people), 14, 3), np.nan)
     for number, person in enumerate(people):
         at = np.searchsorted(frames, person.frames)
         found[at, number] = list(person.found_m.values())[-1]
-        truth[at, number] = person.truth_m
+        true[at, number] = person.truth_m
         for index in at:
             px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
-    shown, true = (turn_to_camera(motion, truth - camera_m) for motion in (found, truth))
-    return reconstruction_player(shown, rate_hz=rate_hz, keypoints_px=px, truth_m=true)
+    places = true - camera.camera_from_world_rotmat @ camera.position_m
+    found, true = (turn_to_camera(motion, places) for motion in (found, true))
+    return reconstruction_player(found, rate_hz=rate_hz, keypoints_px=px, truth_m=true)
+
+
+def reconstruction_player(
+    found_m: Array, *, rate_hz: float, keypoints_px: Array | None = None, truth_m: Array | None = None
+) -> bytes:
+    """Show people as they were reconstructed over the ground truth, and the image that they were found in.
+
+    The middle of all people stays in the middle, so their places to each other show.
+
+    Args:
+        found_m: The reconstruction (frame, person, 14, 3), camera axes, metres; NaN where a person is not there.
+        rate_hz: Frames per second.
+        keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
+        truth_m: The true motion (frame, person, 14, 3), camera axes, where it is known.
+    """
+    frames, shown_hz = shown_frames(len(found_m), rate_hz)
+    found = about_hips(found_m[frames])
+    panels, labels = [], []
+    if keypoints_px is not None:
+        seen = keypoints_px[frames] * [1.0, -1.0]
+        size = _height(found) / max(_height(seen), 1e-9)
+        middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
+        panels.append(replace(people_panel("image", OP14, np.insert((seen - middle) * size, 2, 0.0, -1)), is_flat=True))
+    truth = None if truth_m is None else about_hips(truth_m[frames])
+    if truth is not None:
+        for frame, error in zip(frames, 100.0 * np.linalg.norm(found - truth, axis=-1), strict=True):
+            known = error[np.isfinite(error)]
+            labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
+    title = "reconstruction" if truth is None else "reconstruction, ground truth in grey"
+    panels.append(people_panel(title, OP14, found, truth_m=truth))
+    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=False)
+
+
+def about_hips(positions_m: Array) -> Array:
+    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
+    hips = mid_hip(positions_m)
+    is_there = np.isfinite(hips).all(axis=-1, keepdims=True)
+    total = np.where(is_there, hips, 0.0).sum(axis=1, keepdims=True)
+    return np.asarray(positions_m - (total / np.maximum(is_there.sum(axis=1, keepdims=True), 1))[:, :, None])
+
+
+def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
+    """Turn a motion in camera axes so that it is seen along the ray to where people are, as their image shows them.
+
+    A camera sees somebody at the edge of its image from another side than somebody in the middle.
+
+    Args:
+        motion_m: What is turned (frame, person, 14, 3), camera axes, metres.
+        place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
+            is nearer than half a metre, as without a known place, are left as they are.
+    """
+    places = place_m.reshape(len(place_m), -1, 3)
+    is_there = np.isfinite(places).all(axis=-1, keepdims=True)
+    middle = np.where(is_there, places, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1)
+    distance = np.linalg.norm(middle, axis=-1, keepdims=True)
+    to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
+    turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
+    return np.asarray(rotate(turn[:, None, None], motion_m))
+
+
+def _height(points: Array) -> float:
+    """Return the height that all people of a frame take, its median over the frames with anybody; 1 without any."""
+    height = points[..., 1].reshape(len(points), -1)
+    known = [row[np.isfinite(row)] for row in height if np.isfinite(row).any()]
+    return float(np.median([np.ptp(row) for row in known])) if known else 1.0
+
+
+def _middle(points: Array) -> Array:
+    """Return the middle (2,) of those points (n, 2) that are there."""
+    known = points[np.isfinite(points).all(axis=-1)]
+    return np.median(known, axis=0) if len(known) else np.zeros(2)
 
 
 def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
@@ -149,24 +300,21 @@ def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
     persons, columns = np.unique(table["person_id"][is_shown], return_inverse=True)
     found = np.full((len(frames), len(persons), 14, 3), np.nan)
     found[rows, columns] = table["op14_m"][is_shown]
-    name = _picture_name(sequence_id)
-    return TopicResult(
-        pictures={name: reconstruction_player(found, rate_hz=rate_of(table["time_s"]))},
-        captions={
-            name: f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs "
-            "that are too short or bent wrongly show from the side."
-        },
-        notes=[note],
+    caption = (
+        f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs that are too "
+        "short or bent wrongly show from the side."
     )
+    player = reconstruction_player(found, rate_hz=rate_of(table["time_s"]))
+    return TopicResult(pictures=[Picture(_picture_name(sequence_id), caption, player)], notes=[note])
 
 
 TOPIC = Topic(
     name="reconstruction",
     heading="Reconstruction",
-    introduction="3D motion made of 2D poses, against the truth where it is known. The trivial way takes, frame by "
-    "frame, the pose of the database whose image is nearest. Errors are mean distances of 14 joints about the middle "
-    "of the hips; of two people also how far their distance, depth and place to each other are off. The table of names "
-    "says what each figure and method is.",
+    introduction="3D motion reconstructed from 2D poses, against the ground truth where there is one. The baseline is, "
+    "frame by frame, the pose of the database whose image is nearest. Errors are mean distances of 14 joints about the "
+    "mid-hip; of two people also errors of their distance, depth and relative position. The table of names says what "
+    "each figure and method is.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,

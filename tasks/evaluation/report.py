@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Set
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 
 from pydantic import Field
 
-from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.names import meanings
 from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, render_report
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.summary import Summary, folded, listed
-from pasdedeux.evaluation.verdicts import part_name, verdict_columns
+from pasdedeux.evaluation.verdicts import part_name, verdict_columns, verdict_words
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
@@ -31,11 +31,11 @@ _MAX_PICTURES = 24
 _MAX_ROWS = 500
 """Rows of a table within the page, at most; `scores` has all."""
 READS = ("takes", "take_quality", "joint_limits", "training_log")
-"""Tables that the page and the card read beside those of the topics; of a take that is left out only its quality is."""
+"""Tables that the page and the card read beside those of the topics; of a skipped take only its quality is there."""
 
 
 class PageSettings(Parameters):
-    """What the page says of the study."""
+    """Title and description of the study on the page."""
 
     title: str = Field(
         "A dataset of close two-person motion",
@@ -48,7 +48,7 @@ class PageSettings(Parameters):
 
 
 class PageParameters(PageSettings):
-    """What the shard of the page is told: also today's licences and credits, of which a new one makes a new page."""
+    """Parameters of the page: also today's licences and credits, as a new one makes a new page."""
 
     sources: tuple[SourceCredit, ...]
 
@@ -76,7 +76,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     there = {table for manifest in inputs for table in manifest.tables}
     page = _page(
         Report(settings.title, settings.description, summary, [one for one in every if one is not None]),
-        [*summary.left_out, *_unasked(silent, there)],
+        [*summary.skipped, *_unasked(silent, there)],
         card_tables(card),
     )
     figures = {f"{name}-compared.svg": content for name, (content, _) in drawn.items()}
@@ -90,15 +90,15 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
 
 
 def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None:
-    """Draw the figure that says whether a topic's result is good, method by method."""
+    """Draw the figure of a topic's first criterion that can be drawn, method by method."""
     return next((drawn for one in topic.criteria if (drawn := one.picture(scores)) is not None), None)
 
 
 def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> str:
-    """Return the page, which says what it leaves out."""
-    said = [sentence for section in report.sections for sentence in _beyond(section)]
-    left_out = Section(heading="Left out, and why", paragraphs=(*said, *notes) or ("Nothing was left out.",))
-    sections = [*map(_bounded, report.sections), left_out, Section("Sources and licences", tables=tuple(card))]
+    """Return the page, with a section on what it omits."""
+    beyond = [sentence for section in report.sections for sentence in _beyond(section)]
+    skipped = Section("Skipped, and why", (*beyond, *notes) or ("Nothing was skipped.",))
+    sections = [*map(_bounded, report.sections), skipped, Section("Sources and licences", tables=tuple(card))]
     return render_report(replace(report, sections=sections))
 
 
@@ -109,7 +109,7 @@ def _bounded(section: Section) -> Section:
 
 
 def _beyond(section: Section) -> list[str]:
-    """Say which pictures and rows of a section the page does not hold."""
+    """Return sentences on pictures and rows of a section that the page omits."""
     beside = [picture.name for picture in section.pictures[_MAX_PICTURES:]]
     found = [f"{len(beside):,} pictures lie beside the page: {listed(beside)}."] if beside else []
     long = [table for table in section.tables if len(table.rows) > _MAX_ROWS]
@@ -117,7 +117,7 @@ def _beyond(section: Section) -> list[str]:
 
 
 def _unasked(silent: Sequence[Topic], there: Set[str]) -> list[str]:
-    """Say which topics have no section, and which keys ask for those that only have to be asked for."""
+    """Return sentences on topics without a section, and on the keys that request them."""
     keys = {
         topic.heading: [f"`evaluation.{name}`" for name, one in topic.settings.model_fields.items() if not one.default]
         for topic in silent
@@ -126,8 +126,8 @@ def _unasked(silent: Sequence[Topic], there: Set[str]) -> list[str]:
     asked = [f"{heading} ({', '.join(names)})" for heading, names in keys.items() if names]
     others = [topic.heading for topic in silent if not keys.get(topic.heading)]
     return [
-        *([f"Not asked for: {', '.join(asked)}."] if asked else []),
-        *([f"Nothing to show, as this run made nothing of the kind: {', '.join(others)}."] if others else []),
+        *([f"Not requested: {', '.join(asked)}."] if asked else []),
+        *([f"No data in this run: {', '.join(others)}."] if others else []),
     ]
 
 
@@ -188,7 +188,7 @@ def _shortened(notes: Sequence[str]) -> list[str]:
 
 
 def _worst_and_best_first(parts: Sequence[Manifest]) -> list[Manifest]:
-    """Return the parts of a topic with the worst first and the best second, by how far each leads the trivial way."""
+    """Return the parts of a topic with the worst first and the best second, by the lead over the baseline."""
     leads = {
         number: abs(verdict.value - verdict.baseline) * (1.0 if verdict.level is Level.PASS else -1.0)
         for number, part in enumerate(parts)
@@ -200,23 +200,62 @@ def _worst_and_best_first(parts: Sequence[Manifest]) -> list[Manifest]:
     return [parts[number] for number in (*ends, *(other for other in range(len(parts)) if other not in ends))]
 
 
-def _card(
-    settings: PageSettings,
-    topics: Sequence[Topic],
-    inputs: Sequence[Manifest],
-    summary: Summary,
-) -> DatasetCard:
-    rows: dict[str, int] = {}
+@dataclass(frozen=True)
+class DatasetCard:
+    """Everything the card says: of the study, what was built, rows by table, which takes are held out, known limits."""
+
+    title: str
+    description: str
+    summary: Summary
+    rows: Mapping[str, int]
+    is_held_out: Mapping[str, bool]
+    cautions: Sequence[str]
+
+
+def _card(settings: PageSettings, topics: Sequence[Topic], inputs: Sequence[Manifest], summary: Summary) -> DatasetCard:
+    rows = Counter[str]()
     for manifest in inputs:
-        for table, part in manifest.tables.items():
-            rows[table] = rows.get(table, 0) + part.rows
+        rows.update({table: part.rows for table, part in manifest.tables.items()})
     takes = [TakeFacts.of(manifest) for manifest in inputs if "poses" in manifest.tables]
     return DatasetCard(
         title=settings.title,
         description=settings.description,
         summary=summary,
         rows=rows,
-        takes=sorted(take.take_id for take in takes),
-        held_out=sorted(take.take_id for take in takes if take.is_held_out),
+        is_held_out=dict(sorted((take.take_id, take.is_held_out) for take in takes)),
         cautions=tuple(sentence for topic in topics for table, sentence in topic.cautions if table in rows),
     )
+
+
+def render_card(card: DatasetCard) -> str:
+    """Return the card as Markdown; the same card always gives the same text."""
+    lines = [f"# {card.title}", "", card.description]
+    lines += ["", f"- built: {card.summary.built}", f"- from: {card.summary.origin}"]
+    if card.summary.verdicts:
+        judged = card.summary.verdicts.items()
+        lines += ["", "## Is it good?", "", *(f"- {name}: {verdict_words(verdict)}" for name, verdict in judged)]
+    lines += ["", "## Contents", "", "| table | rows |", "|---|---|"]
+    lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
+    lines += ["", "## Takes", ""]
+    lines += [f"- {take}{' (held out for evaluation)' * is_held_out}" for take, is_held_out in card.is_held_out.items()]
+    lines += ["", "## Sources, licences and credits", ""]
+    lines += [f"- **{source.name}** - {source.licence}. {source.credit}" for source in card.summary.sources]
+    lines += ["", "## Skipped", ""]
+    lines += [f"- {sentence}" for sentence in card.summary.skipped] or ["- Nothing."]
+    lines += ["", "## Know before you use it", ""]
+    lines += [f"- {sentence}" for sentence in card.cautions]
+    return "\n".join(lines) + "\n"
+
+
+def card_tables(card: DatasetCard) -> list[TextTable]:
+    """Return the card as tables for the report; what was skipped has a section of its own there."""
+    sources = [(source.name, source.licence, source.credit) for source in card.summary.sources]
+    takes = [(take, "held out for evaluation" * is_held_out) for take, is_held_out in card.is_held_out.items()]
+    contents = [(name, f"{count:,}") for name, count in sorted(card.rows.items())]
+    cautions = [(sentence,) for sentence in card.cautions]
+    return [
+        TextTable("Dataset card: sources, licences and credits", ("source", "licence", "credit"), tuple(sources)),
+        TextTable("Dataset card: takes", ("take", "use"), tuple(takes)),
+        TextTable("Dataset card: contents", ("table", "rows"), tuple(contents)),
+        TextTable("Dataset card: know before you use it", ("caution",), tuple(cautions)),
+    ]

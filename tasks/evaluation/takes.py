@@ -1,12 +1,17 @@
-"""Topic `takes`: what each take looks like."""
+"""Topic `takes`: what each take looks like: closeness of the two people, floor and foot contact."""
 
 from __future__ import annotations
 
 from itertools import cycle
 from string import ascii_uppercase
 
+import numpy as np
+
+from pasdedeux.arrays import Array
 from pasdedeux.evaluation.players import COLOUR_NAMES, pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.takes import take_scores
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
@@ -14,6 +19,9 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
 from tasks.takes import read_motion
+
+_CLOSE_M = 0.15
+"""Closest joints under this distance count as close contact."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -25,30 +33,44 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     """Describe and draw one take."""
     manifest = store.manifest(shard.ref("take"))
     facts, verdict = TakeFacts.of(manifest), verdict_of(manifest)
+    take_id, rate_hz = facts.take_id, facts.rate_hz
     notes = []
     if verdict is not None and verdict.level is not Level.PASS:
-        notes = [f"Take {facts.take_id}: {verdict.level}: {verdict.reason}."]
+        notes = [f"Take {take_id}: {verdict.level}: {verdict.reason}."]
     people = read_motion(store, shard.ref("take"), "body22_m")["body22_m"]
-    name = f"take-{facts.take_id}.player.json"
-    frames, rate_hz = shown_frames(len(people), facts.rate_hz)
-    shown = people_panel(facts.take_id, BODY22, people[frames])
+    frames, shown_hz = shown_frames(len(people), rate_hz)
+    player = pack_player([people_panel(take_id, BODY22, people[frames])], rate_hz=shown_hz)
     held_out = ", held out" if facts.is_held_out else ""
     coloured = zip(ascii_uppercase[: people.shape[1]], cycle(COLOUR_NAMES), strict=False)
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
-    return TopicResult(
-        scores=take_scores(facts.take_id, people, facts.rate_hz),
-        pictures={name: pack_player([shown], rate_hz=rate_hz)},
-        notes=notes,
-        captions={
-            name: f"Take {facts.take_id}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
-        },
-    )
+    caption = f"Take {take_id}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
+    picture = Picture(f"take-{take_id}.player.json", caption, player)
+    return TopicResult(take_scores(take_id, people, rate_hz), [picture], notes)
+
+
+def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
+    """Describe a take, body22 positions (frame, person, 22, 3), metres, in figures."""
+    ankles = people_m[:, :, BODY22.indices(("left_ankle", "right_ankle", "left_toe", "right_toe")), 1]
+    figures = [
+        ("duration", len(people_m) / rate_hz, "s"),
+        ("lowest_foot_joint", float(np.percentile(ankles.min(axis=(1, 2)), 5)), "m"),
+    ]
+    if people_m.shape[1] == 2:
+        closest = closest_joint_distance(people_m)
+        roots = np.linalg.norm(people_m[:, 0, 0] - people_m[:, 1, 0], axis=-1)
+        figures += [
+            ("closest_joints_median", float(np.median(closest)), "m"),
+            ("share_closer_than_15_cm", float(np.mean(closest < _CLOSE_M)), ""),
+            ("root_distance_median", float(np.median(roots)), "m"),
+        ]
+    count = len(people_m)
+    return [Score(name, "capture", value, unit, item=take_id, count=count) for name, value, unit in figures]
 
 
 TOPIC = Topic(
     name="takes",
     heading="Takes",
-    introduction="The 3D motion that came in, at the frame rate of the study, and what the check of its capture found.",
+    introduction="The captured 3D motion at the frame rate of the study, and the result of the capture check.",
     reads=("poses",),
     plan=_plan,
     run=_run,

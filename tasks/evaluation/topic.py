@@ -1,20 +1,21 @@
-"""What a topic of the evaluation is, and what every topic gives: figures, pictures with captions, what was left out."""
+"""What a topic of the evaluation is, and what every topic gives: scores, pictures, notes, and items to be judged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.report import Picture
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.evaluation.verdicts import Criterion, Items, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import Facts, TakeFacts, TopicFacts
+from tasks.facts import Facts, TopicFacts
 from tasks.stage import Parameters, Shard, StageInputs, StageName, commit, merge_takes
 
-EVALUATION = StageName("evaluation", 45)
+EVALUATION = StageName("evaluation", 46)
 
 ScoresOf = Mapping[str, Sequence[Score]]
 
@@ -25,17 +26,17 @@ class TopicResult:
 
     Args:
         scores: The figures.
-        pictures: Figures (.svg) and moving people (.player.json) by file name.
-        captions: A caption for each picture.
+        pictures: Figures (.svg) and moving people (.player.json).
         notes: Sentences for the reader: what was measured, what was skipped and why.
         items: By name of a criterion, what it judges: items that nothing was learned from; empty where there is none.
+        baselines: Methods that others are compared with, in scores and items.
     """
 
     scores: Sequence[Score] = ()
-    pictures: Mapping[str, bytes] = field(default_factory=dict)
-    captions: Mapping[str, str] = field(default_factory=dict)
+    pictures: Sequence[Picture] = ()
     notes: Sequence[str] = ()
     items: Mapping[str, Items] = field(default_factory=dict)
+    baselines: Collection[str] = ()
 
 
 def _no_tables(scores: ScoresOf) -> list[TextTable]:
@@ -58,7 +59,7 @@ class Topic:
             there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
         run: Scores one of these shards.
         settings: Its keys in the study's section `evaluation`.
-        criteria: What says whether its result is good: a verdict for each whose items a shard has.
+        criteria: What its result is judged by: a verdict for each whose items a shard has.
         has_means_first: The page shows means over many items before the items.
         cautions: What to know of a dataset, as pairs of a table and a sentence that holds where the table is there.
         tables: Tables beside the figures, from the scores of all topics by name.
@@ -85,17 +86,18 @@ class Topic:
 
 def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:
     """Commit what a topic found, with the verdict of each of its criteria that has items."""
-    judged = {one.name: one.verdict(result.items[one.name]) for one in topic.criteria if one.name in result.items}
+    items = [(one, result.items[one.name]) for one in topic.criteria if one.name in result.items]
+    judged = {one.name: one.verdict(own, result.baselines) for one, own in items}
     parts = {name: verdict for name, verdict in judged.items() if verdict is not None}
     whole = merge_verdicts(parts.values())
     return commit(
         shard,
         store,
-        tables={"scores": columns_of(topic.name, result.scores)} if result.scores else {},
-        attachments=dict(result.pictures),
+        tables={"scores": columns_of(topic.name, result.scores, result.baselines)} if result.scores else {},
+        attachments={picture.name: picture.content for picture in result.pictures},
         facts=TopicFacts(
             takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
-            captions=dict(result.captions),
+            captions={picture.name: picture.caption for picture in result.pictures},
             notes=tuple(result.notes),
         ),
         verdict=None if whole is None else replace(whole, paired=None),
@@ -103,18 +105,13 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
     )
 
 
-def held_out_takes(store: Store, refs: Sequence[ArtifactRef]) -> list[str]:
-    """Return the names of the takes that are held out among these takes, sorted."""
-    return sorted(take.take_id for take in TakeFacts.read(store, refs) if take.is_held_out)
-
-
-def refuse_learned(store: Store, refs: Iterable[ArtifactRef], held_out: Sequence[str]) -> None:
+def refuse_learned(store: Store, refs: Iterable[ArtifactRef], held_out: Iterable[str]) -> None:
     """Refuse artifacts that learned from a take that is held out, as `refuse_overlap` does."""
     for manifest in map(store.manifest, refs):
         refuse_overlap(f"artifact {manifest.partition}", Facts.of(manifest).takes, held_out)
 
 
-def refuse_overlap(what: str, learned_from: Sequence[str], evaluated: Sequence[str]) -> None:
+def refuse_overlap(what: str, learned_from: Iterable[str], evaluated: Iterable[str]) -> None:
     """Refuse to evaluate takes that were learned from.
 
     Raises:

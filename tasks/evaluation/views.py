@@ -6,16 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.cameras.frames import true_direction
-from pasdedeux.evaluation.figures import view_figure
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.arrays import Array
+from pasdedeux.cameras.frames import angle_between_directions, true_direction
+from pasdedeux.evaluation.figures import CLOUD, figure_svg, label_axis, new_figure
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.scores import summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.evaluation.views import VIEW_BASELINES, view_errors, view_scores
+from pasdedeux.kinematics.rotations import normalise
 from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, place_of
-from tasks.evaluation.ground_truth import read_cameras, read_rates, read_take_frames, read_takes, true_pair
+from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import SequenceFacts, ViewFacts
+from tasks.facts import ViewFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 
@@ -31,71 +33,85 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score and draw the views."""
-    views = [store.read(ref, "views") for ref in shard.refs("views")]
-    annotated = shard.refs("annotations")
-    takes = read_takes(store, shard.refs("takes"), "pair17_m")
-    cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
-    held_out = {take for facts in SequenceFacts.read(store, annotated) if facts.is_held_out for take in facts.takes}
-    rates = read_rates(store, shard.refs("takes"))
-    scores: list[Score] = []
-    items = Items()
-    for split in ("annotated", "held_out"):
-        rows = [
-            (table, start, stop, truth[1])
-            for table in views
-            for start, stop in _annotations(table)
-            if (truth := true_pair(place_of(table, start), frames, takes)) is not None
-            and (truth[0] in held_out) == (split == "held_out")
-        ]
-        if rows:
-            estimated, weight = _hypotheses(rows)
-            true = np.stack([true_direction(pair, cameras[t["sequence_id"][start]]) for t, start, _, pair in rows])
-            scores += view_scores(estimated, weight, true, split=split)
-            if split == "held_out":
-                at = [frames[place.sequence_id, place.frame] for t, start, *_ in rows for place in [place_of(t, start)]]
-                times_s = [frame / rates[take] for take, frame in at]
-                takes_of = [take for take, _ in at]
-                items = Items(view_errors(estimated, weight, true), takes_of, times_s, VIEW_BASELINES)
-    psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
-    picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
+    truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
+    tables = [store.read(ref, "views") for ref in shard.refs("views")]
+    known: dict[str, list[tuple[TruePair, Array, tuple[Array, Array]]]] = {}
+    for table in tables:
+        for rows in _annotations(table):
+            place = place_of(table, rows.start)
+            if (pair := truth.pair(place)) is not None:
+                split = "held_out" if pair.take_id in truth.held_out else "annotated"
+                direction = true_direction(pair.pair_m, truth.cameras[place.sequence_id])
+                hypotheses = table["direction"][rows].astype(np.float64), table["weight"][rows]
+                known.setdefault(split, []).append((pair, direction, hypotheses))
+    scores, items = [], Items()
+    for split, annotated in known.items():
+        pairs, directions, hypotheses = zip(*annotated, strict=True)
+        errors = view_errors(hypotheses, np.stack(directions))
+        scores += summarise(errors, "view_error", "degrees", split=split)
+        if split == "held_out":
+            items = Items(errors, [pair.take_id for pair in pairs], [pair.time_s for pair in pairs])
+    caption = (
+        "Estimated view directions: psi is the azimuth round the pair, phi the angle from straight above (0) over "
+        "level (1.6) to straight below (3.1). Each dot is a hypothesis, larger where its weight is (Yin et al. 2018, "
+        "fig. 4b). Better: a few tight clusters for each camera."
+    )
     skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
+    columns = [np.concatenate([table[name] for table in tables]) for name in ("psi_rad", "phi_rad", "weight")]
     return TopicResult(
-        scores=scores,
-        pictures={"views.svg": picture},
-        captions={
-            "views.svg": "From where images may have been seen: psi goes around the pair, phi from straight above (0) "
-            "by level with the pair (1.6) to straight below (3.1). Each dot is a guess, larger where it is likelier "
-            "(Yin et al. 2018, fig. 4b). Better: a few tight clusters for each camera, not a haze."
-        },
-        items={"": items} if scores else {},
-        notes=[*skipped, *([] if scores else ["No true camera is known here, so views have no error."])],
+        scores,
+        [Picture("views.svg", caption, view_figure(*columns))],
+        [*skipped, *([] if scores else ["No true camera is known, so views have no error."])],
+        {"": items} if scores else {},
+        baselines=("mean_view",),
     )
 
 
-def _annotations(table: TableData) -> list[tuple[int, int]]:
-    """Return the row range of each annotation's hypotheses."""
+def view_errors(hypotheses: Sequence[tuple[Array, Array]], truth: Array) -> dict[str, Array]:
+    """Return the angle to the true view (annotation,), degrees, by method.
+
+    Args:
+        hypotheses: Of each annotation, view directions (hypothesis, 3) in the pair's frame and their weights.
+        truth: True view directions (annotation, 3).
+    """
+    heaviest = np.stack([views[np.argmax(weights)] for views, weights in hypotheses])
+    mean_view = np.broadcast_to(normalise(heaviest.mean(axis=0)), truth.shape)
+    best = [
+        angle_between_directions(views, np.broadcast_to(true, views.shape)).min()
+        for (views, _), true in zip(hypotheses, truth, strict=True)
+    ]
+    angles = {
+        "heaviest_hypothesis": angle_between_directions(heaviest, truth),
+        "best_hypothesis": np.array(best),
+        "mean_view": angle_between_directions(mean_view, truth),
+    }
+    return {method: np.rad2deg(found) for method, found in angles.items()}
+
+
+def view_figure(psi_rad: Array, phi_rad: Array, weight: Array) -> bytes:
+    """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give SVG bytes."""
+    figure, ((axis,),) = new_figure(5.6, 3.2)
+    axis.scatter(psi_rad, phi_rad, s=1.0 + 12.0 * np.asarray(weight), alpha=0.35, color="#1f5fa8", **CLOUD)
+    axis.set_xlim(-np.pi, np.pi)
+    axis.set_ylim(np.pi, 0)
+    label_axis(axis, "psi (rad)", "phi (rad)")
+    return figure_svg(figure, title="estimated views (size: weight of the hypothesis)")
+
+
+def _annotations(table: TableData) -> list[slice]:
+    """Return the rows of each annotation's hypotheses."""
     if not table.num_rows:
         return []
     is_new = np.any([table[name][1:] != table[name][:-1] for name in PLACE_COLUMNS], axis=0)
-    starts = np.concatenate([[0], np.nonzero(is_new)[0] + 1])
-    return list(zip(starts.tolist(), [*starts[1:].tolist(), table.num_rows], strict=True))
-
-
-def _hypotheses(rows: Sequence[tuple[TableData, int, int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions (annotation, hypothesis, 3), NaN where there are fewer, and weights, 0 there."""
-    most = max(stop - start for _, start, stop, _ in rows)
-    directions, weights = np.full((len(rows), most, 3), np.nan), np.zeros((len(rows), most))
-    for index, (table, start, stop, _) in enumerate(rows):
-        directions[index, : stop - start] = table["direction"][start:stop]
-        weights[index, : stop - start] = table["weight"][start:stop]
-    return directions, weights
+    ends = [0, *(np.flatnonzero(is_new) + 1).tolist(), table.num_rows]
+    return [slice(*ends[at : at + 2]) for at in range(len(ends) - 1)]
 
 
 TOPIC = Topic(
     name="views",
     heading="Views",
-    introduction="From which direction each image was taken, guessed from the people in it. Where the camera is known, "
-    "as of virtual video, guesses are compared with it; the trivial way says the same direction for every image.",
+    introduction="The direction from which each image was taken, estimated from the people in it and compared with the "
+    "true camera of virtual video. The baseline gives the same direction for every image.",
     reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,

@@ -157,8 +157,8 @@ def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[Training
         request = item.request
         errors = {one: frame_errors_cm(found.predict(request), item.motion_m) for one, found in models.items()}
         times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
-        parts.append(Items(errors, [request.take_id] * len(times_s), times_s, BASELINES, count=1))
-    paired = Items.joined(parts).paired([name])
+        parts.append(Items(errors, [request.take_id] * len(times_s), times_s, count=1))
+    paired = Items.joined(parts).paired([name], BASELINES)
     if paired is None:
         return Verdict(Level.WARN, "no variant is left for validation, so nothing is said of the model")
     return compare(paired, "joint error of validation variants", "cm", "variants")

@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.coverage import real_frame_levels
 from pasdedeux.sampling.coverage import CoverageCurve
 from storage_schema import Store
 from tasks import chains
 from tasks.chains import ChainsParameters
 from tasks.evaluation import coverage, reconstruction
-from tasks.evaluation.coverage import TOPIC, CoverageParameters, CoverageSettings, draws_from_first_seeds
+from tasks.evaluation.coverage import (
+    TOPIC,
+    CoverageParameters,
+    CoverageSettings,
+    draws_from_first_seeds,
+    real_frame_levels,
+)
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, put_take, run, with_seeds
 from tests.builders.storage_rows import put
@@ -45,7 +50,7 @@ def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(
     }
     for shard in TOPIC.plan(StageInputs(evaluated, 1), CoverageSettings()):
         assert TOPIC.run(shard, store).notes == [
-            "Coverage is not measured on learned: priors learned from what people did there.",
+            "Coverage is not measured on learned: priors learned from these takes.",
             f"Coverage of {shard.name} frames: there are none.",
         ]
 

@@ -15,14 +15,14 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import compared_figure
-from pasdedeux.evaluation.report import PLAYER
+from pasdedeux.evaluation.report import PLAYER, Picture
 from pasdedeux.evaluation.score_tables import format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, SourceCredit, Store
 from tasks import ingest, reconstruction, training
-from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifted_pairs
+from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of, verdicts_of_parts
 from tests.builders.pages import Page, in_browser
@@ -192,7 +192,7 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
         "What was built",
         "Is it good?",
         *(topic.heading for topic in TOPICS),
-        "Left out, and why",
+        "Skipped, and why",
         "Sources and licences",
     ]
     judged = {one.partition for one in made if verdict_of(one) is not None}
@@ -234,16 +234,10 @@ def plan_toys(inputs: StageInputs, settings: ToySettings) -> list[Shard]:
 def run_toys(shard: Shard, store: Store) -> TopicResult:
     count = shard.options(ToySettings).num_toys * len(shard.refs("takes"))
     values = {"counted": np.full(12, float(count)), "guessed": np.full(12, 7.0), "thrown": np.full(12, 9.0)}
-    baselines = ("guessed", "thrown")
-    scores = [Score("toys", name, value[0], is_baseline=name in baselines) for name, value in values.items()]
-    items = Items(values, ["box"] * 12, np.arange(12.0), baselines)
-    return TopicResult(
-        scores,
-        {"toy.svg": compared_figure({"a": 1.0}, (), goal=1.0, x_label="")},
-        {"toy.svg": "A toy."},
-        ["Toys were counted."],
-        {"": items, "broken toys": Items()},
-    )
+    scores = [Score("toys", name, value[0]) for name, value in values.items()]
+    picture = Picture("toy.svg", "A toy.", compared_figure({"a": 1.0}, (), goal=1.0, x_label=""))
+    items = {"": Items(values, ["box"] * 12, np.arange(12.0)), "broken toys": Items()}
+    return TopicResult(scores, [picture], ["Toys were counted."], items, ("guessed", "thrown"))
 
 
 TOY = Topic(
@@ -307,14 +301,14 @@ def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest]
     }
     for one in made:
         for verdict in verdicts_of_parts(one).values():
-            if one.partition in ("views", "lifting", "coverage", "left_out") and verdict.paired is not None:
+            if one.partition in ("views", "lifting", "coverage", "leave_one_out") and verdict.paired is not None:
                 assert set(verdict.paired.takes) == {"hug"}, "the take that is held out"
 
 
 def test_what_lifting_fills_in_has_verdicts_of_its_own(evaluated: tuple[Store, list[Manifest], str]) -> None:
     store, made, page = evaluated
     judged = {name for one in made if one.partition == "lifting" for name in verdicts_of_parts(one)}
-    assert judged == {one.name for one in lifted_pairs.TOPIC.criteria}
+    assert judged == {one.name for one in lifting.TOPIC.criteria}
     table = store.read(made[-1].ref, "verdicts")
     for name in judged:
         assert f"lifting {name}".strip() in table["partition"].tolist()

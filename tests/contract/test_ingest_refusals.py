@@ -82,7 +82,7 @@ def test_an_unknown_duet_is_named() -> None:
 @pytest.mark.parametrize(
     ("told", "sentence"),
     [
-        ({"heights_m": (1.7, 1.8, 1.9)}, "duet 'waltz': 3 heights are told for 2 people"),
+        ({"heights_m": (1.7, 1.8, 1.9)}, "duet 'waltz': 3 heights are given for 2 people"),
         ({"stried": 0.2}, "duet 'waltz': parameter 'stried' is not known, did you mean 'stride'?"),
         ({"stride": 9.0}, "duet 'waltz': stride is 9.0: Input should be less than or equal to"),
     ],

@@ -1,4 +1,4 @@
-"""What was left out, and why, is one list: of every kind, in the card, on the page and in the console."""
+"""What was skipped, and why, is one list: of every kind, in the card, on the page and in the console."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ KINDS = {
     file_left_out: "torn.bvh: line 3 is no number",
     take_left_out: FAILED,
     video_of_a_take_left_out: FAILED,
-    take_of_one: "Take solo: one person; the stages that need pairs passed it over.",
+    take_of_one: "Take solo: one person; the stages that need pairs skipped it.",
     nobody_is_scaled: "No variants of take solo: one person, and nobody of those who are scaled: B.",
     model_without_torch: "Model paper_cvae is left out: the study says training.networks = false.",
 }
@@ -86,7 +86,7 @@ EVALUATION = evaluation_stage([TOPIC])
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_what_was_left_out_is_said_in_card_page_and_console(tmp_path: Path, kind: Commit) -> None:
+def test_what_was_skipped_is_said_in_card_page_and_console(tmp_path: Path, kind: Commit) -> None:
     store = Store(tmp_path / "store")
     kind(store)
     graph = Graph((*(stage for stage in load_graph().stages if stage.name != "evaluation"), EVALUATION))
@@ -100,14 +100,14 @@ def test_what_was_left_out_is_said_in_card_page_and_console(tmp_path: Path, kind
     for text in (html.unescape(page), card, console):
         assert KINDS[kind] in text
     assert "- Nothing." not in card
-    assert "Nothing was left out." not in page
+    assert "Nothing was skipped." not in page
 
 
-def test_a_store_in_which_nothing_was_left_out_says_so(tmp_path: Path) -> None:
+def test_a_store_in_which_nothing_was_skipped_says_so(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     columns, facts = take_rows("waltz", 2, 2)
     take = put(store, "ingest", "waltz", {"poses": columns}, facts)
     planned = EVALUATION.plan(StageInputs({"poses": [take]}, seed=0), EVALUATION.parameters())
     *_, report = [store.manifest(EVALUATION.run_shard(shard, store)) for shard in planned]
-    assert "## Left out\n\n- Nothing." in store.attachment(report.ref, "card.md").decode()
-    assert not [line for line in summary_of([take]).lines() if line.startswith("left out")]
+    assert "## Skipped\n\n- Nothing." in store.attachment(report.ref, "card.md").decode()
+    assert not [line for line in summary_of([take]).lines() if line.startswith("skipped")]

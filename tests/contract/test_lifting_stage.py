@@ -13,7 +13,7 @@ from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import lifting
 from tasks.evaluation import STAGE
-from tasks.evaluation.lifted_pairs import TOPIC
+from tasks.evaluation.lifting import TOPIC
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs, verdict_of
 from tests.builders.sampling_store import inputs, run, with_seeds

@@ -204,7 +204,9 @@ def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: p
     ]
     found = [one for one in store.artifacts("chains") if "draws" in one.tables]
     (shard,) = CHAINS.plan(StageInputs({"draws": found[::-1]}, seed=1), CHAINS.settings())
-    scene = json.loads(CHAINS.run(shard, store).pictures["draws-ic.player.json"])
+    (picture,) = CHAINS.run(shard, store).pictures
+    assert picture.name == "draws-ic.player.json"
+    scene = json.loads(picture.content)
     points = np.frombuffer(base64.b64decode(scene["data"]), dtype="<i2").reshape(scene["num_frames"], -1, 3)
     assert len(scene["labels"]) == 8
     for label, drawn in zip(scene["labels"], points[:, :34] * scene["unit_m"], strict=True):

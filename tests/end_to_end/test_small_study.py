@@ -40,7 +40,17 @@ STAGES = {
     "training",
     "evaluation",
 }
-TOPICS = {"takes", "views", "chains", "coverage", "left_out", "lifting", "reconstruction", "augmentation", "models"}
+TOPICS = {
+    "takes",
+    "views",
+    "chains",
+    "coverage",
+    "leave_one_out",
+    "lifting",
+    "reconstruction",
+    "augmentation",
+    "models",
+}
 SECTIONS = {
     "What was built",
     "Is it good?",
@@ -49,12 +59,12 @@ SECTIONS = {
     "Views",
     "Chains",
     "Coverage",
-    "Images left out",
+    "Leave-one-out images",
     "Lifting",
     "Reconstruction",
     "Augmentation",
     "Models",
-    "Left out, and why",
+    "Skipped, and why",
     "Sources and licences",
 }
 FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits"}

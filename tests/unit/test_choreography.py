@@ -255,7 +255,7 @@ def test_unknown_names_are_answered_with_the_nearest_known_one():
     [
         ({"heights_m": (1.0, 1.7)}, "body height of 1 m"),
         ({"heights_m": (1.7, float("nan"))}, "body height of nan"),
-        ({"heights_m": (1.7, 1.8, 1.9)}, "3 heights are told for 2 people"),
+        ({"heights_m": (1.7, 1.8, 1.9)}, "3 heights are given for 2 people"),
         ({"duration_s": 0.0}, "duration_s is 0"),
         ({"rate_hz": float("nan")}, "rate_hz is nan"),
         ({"variation": -1}, "variation is -1"),

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.downstream import (
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.kinematics.rotations import rotate
+from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, joint_errors
+from pasdedeux.learning.networks.clip_classifier import train_classifier
+from pasdedeux.learning.networks.motion_predictor import train_predictor
+from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
+from tasks.evaluation.downstream import (
     STILL,
     WITH,
     WITHOUT,
@@ -12,12 +18,6 @@ from pasdedeux.evaluation.downstream import (
     prediction_table,
     recognition_table,
 )
-from pasdedeux.evaluation.scores import Score
-from pasdedeux.kinematics.rotations import rotate
-from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, joint_errors
-from pasdedeux.learning.networks.clip_classifier import train_classifier
-from pasdedeux.learning.networks.motion_predictor import train_predictor
-from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from tests.builders.moving_pairs import swaying_pair
 
 MOTION = swaying_pair(120)

@@ -7,11 +7,18 @@ import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, realism_scores, union_scores
-from pasdedeux.evaluation.embedding import PairMap, map_figure
+from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.sampling.coverage import coverage_curve
+from tasks.evaluation.coverage import (
+    coverage_figure,
+    coverage_scores,
+    map_figure,
+    nearest_by_method,
+    real_frame_levels,
+    realism_scores,
+)
 from tests.builders.oracles_interaction import pair_shape_dissimilarity
 
 PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
@@ -46,11 +53,11 @@ def test_shape_coverage_of_a_curve_is_the_least_dissimilarity() -> None:
 def test_draws_and_grown_seeds_together_cover_as_one_set() -> None:
     curves = {"ic": coverage_curve(PAIRS[:5], PAIRS[5:12], [7]), "grown": coverage_curve(PAIRS[:5], PAIRS[12:20], [8])}
     levels = real_frame_levels(PAIRS[:5], PAIRS[5:], np.random.default_rng(0))
-    scores = union_scores(curves, levels, "grown", split="annotated")
     together = coverage_curve(PAIRS[:5], PAIRS[5:20], [15]).cartesian_m[-1]
-    assert {score.method for score in scores} == {"ic_and_grown"}
-    assert scores[0].value == pytest.approx(together)
-    assert union_scores({"ic": curves["ic"]}, levels, "grown", split="annotated") == []
+    scores = coverage_scores(curves, levels, nearest_by_method(curves, "grown"), split="annotated")
+    (both,) = [one for one in scores if (one.method, one.metric) == ("ic_and_grown", "coverage_D_C")]
+    assert (both.value, both.count) == (pytest.approx(together), 5)
+    assert list(nearest_by_method({"ic": curves["ic"]}, "grown")) == ["ic"]
 
 
 def test_real_pairs_are_at_no_distance_from_themselves() -> None:
@@ -65,7 +72,7 @@ def test_the_pictures_of_coverage_are_drawn() -> None:
     plane = PairMap.of(PAIRS[:10])
     panels = {"8 draws": {"ic": plane.place(PAIRS[:8]), "prior_only": plane.place(PAIRS[8:12])}}
     for picture in (
-        coverage_figure({"ic": curve}, levels, split="annotated"),
+        coverage_figure({"ic": curve}, levels, "annotated"),
         map_figure(plane.places, panels, seed=plane.places[0], title="map"),
     ):
         assert b"<image" in picture or picture.count(b"<use") > 5, "an empty picture"

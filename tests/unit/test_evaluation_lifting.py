@@ -11,24 +11,12 @@ from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
-from pasdedeux.evaluation.lifted_pairs import (
-    HIDDEN,
-    LiftedExample,
-    calibration_scores,
-    completion_errors,
-    completion_scores,
-    expected_figure,
-    in_between_errors,
-    in_between_scores,
-    lifted_errors,
-    lifted_player,
-    lifted_scores,
-    nearest_figure,
-)
+from pasdedeux.evaluation.lifting import HIDDEN, completion_errors, in_between_errors, lifted_errors
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from tasks.annotated_pairs import Place
-from tasks.evaluation.ground_truth import true_pair
+from tasks.evaluation.ground_truth import GroundTruth
+from tasks.evaluation.lifting import calibration_scores, expected_figure, lifted_player, rows_figure
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 
@@ -53,13 +41,14 @@ def test_a_person_slid_in_depth_shows_between_people_only() -> None:
 
 
 def test_the_true_pair_is_of_the_take_and_nobody_knows_it_where_the_take_or_a_person_is_not_there() -> None:
-    frames, takes = {("view", 7): ("duet", 3), ("other", 7): ("trio", 3)}, {"duet": PAIRS}
-    found = true_pair(Place("view", 7, 0, 1), frames, takes)
+    frames = {("view", 7): ("duet", 3), ("other", 7): ("trio", 3)}
+    truth = GroundTruth({"duet": PAIRS}, {"duet": 30.0}, frames=frames)
+    found = truth.pair(Place("view", 7, 0, 1))
     assert found is not None
-    assert found[0] == "duet"
-    np.testing.assert_array_equal(found[1], PAIRS[3])
+    assert (found.take_id, found.time_s) == ("duet", 0.1)
+    np.testing.assert_array_equal(found.pair_m, PAIRS[3])
     unknown = (Place("other", 7, 0, 1), Place("view", 8, 0, 1), Place("view", 7, 0, 2), Place("view", 7, -1, 1))
-    assert [true_pair(place, frames, takes) for place in unknown] == [None] * 4
+    assert [truth.pair(place) for place in unknown] == [None] * 4
 
 
 def test_a_turned_pair_has_the_right_shape() -> None:
@@ -69,35 +58,24 @@ def test_a_turned_pair_has_the_right_shape() -> None:
     assert (errors["lifted_pair_error"] > 0.01).all()
 
 
-def test_scores_name_baselines_and_count_pairs() -> None:
-    scores = lifted_scores(
-        {"fitted": PAIRS, "lifting": PAIRS[:3]}, {"fitted": PAIRS, "lifting": PAIRS[3:6]}, split="held_out"
-    )
-    assert {score.method for score in scores if score.is_baseline} == {"lifting"}
-    assert {score.count for score in scores if score.method == "lifting"} == {3}
-    assert value(scores, "lifted_pair_error_mean", "fitted") == pytest.approx(0.0, abs=1e-9)
-
-
 def test_hidden_joints_of_pairs_that_are_draws_are_found() -> None:
-    scores = completion_scores(
-        completion_errors(np.random.default_rng(1), PAIRS[:2], PAIRS.astype(np.float32)), split="learned"
-    )
-    assert {score.item for score in scores} == set(HIDDEN)
-    assert value(scores, "occluded_joint_error_mean", "nearest_draw") < 1e-5
-    assert value(scores, "occluded_joint_error_mean", "mean_pair") > 0.01
+    errors = completion_errors(np.random.default_rng(1), PAIRS[:2], PAIRS.astype(np.float32))
+    assert set(errors) == set(HIDDEN)
+    for found in errors.values():
+        assert found["nearest_draw"].max() < 1e-5
+        assert found["mean_pair"].min() > 0.01
 
 
-def test_in_betweens_are_scored_beside_the_straight_line() -> None:
+def test_the_straight_line_is_in_between_where_people_go_straight() -> None:
     share = np.linspace(0.0, 1.0, 5)[:, None, None, None]
-    span = (1.0 - share) * PAIRS[0] + share * PAIRS[1]
-    scores = in_between_scores(in_between_errors([span], PAIRS), split="learned", item="4 frames")
-    assert value(scores, "in_between_error_mean", "straight") == pytest.approx(0.0, abs=1e-12)
-    assert {score.method for score in scores} == {"draws", "straight"}
+    errors = in_between_errors([(1.0 - share) * PAIRS[0] + share * PAIRS[1]], PAIRS)
+    np.testing.assert_allclose(errors["straight"][0], 0.0, atol=1e-12)
+    assert set(errors) == {"draws", "straight"}
 
 
 def test_lifted_pairs_are_shown_beside_their_truth_one_example_after_another() -> None:
     shown = json.loads(lifted_player([{"truth": PAIRS[0], "fitted": PAIRS[1]}, {"truth": PAIRS[2]}]))
-    assert [panel["title"] for panel in shown["panels"]] == ["the truth", "fitted draws"]
+    assert [panel["title"] for panel in shown["panels"]] == ["ground truth", "fitted draws"]
     assert shown["labels"] == ["example 1 of 2", "example 2 of 2"]
 
 
@@ -114,8 +92,8 @@ def test_the_images_most_like_a_pair_are_those_of_it_and_are_drawn_beside_it() -
     np.testing.assert_allclose(
         np.linalg.norm(placed[0, 0, 0] - placed[0, 1, 0]), np.linalg.norm(PAIRS[4, 0, 0] - PAIRS[4, 1, 0]), rtol=1e-4
     )
-    near = [(images[at], float(far)) for at, far in zip(found, distance, strict=True)]
-    picture = nearest_figure([LiftedExample("clip, frame 4", images[4], PAIRS[4], near, [(placed[0], far[0])])])
+    row = [("image", images[4]), ("lifted", PAIRS[4, ..., :2]), *(("annotation", images[at]) for at in found)]
+    picture = rows_figure({"clip, frame 4": row, "clip, frame 5": row[:2]})
     assert picture.count(b"<path") > 2 * 7
     assert b"clip, frame 4" in picture
 

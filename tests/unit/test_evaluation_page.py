@@ -41,14 +41,14 @@ def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_key
         "What was built",
         "Is it good?",
         "Takes",
-        "Left out, and why",
+        "Skipped, and why",
         "Sources and licences",
     ]
     assert "<script>alert" not in text
-    assert "made nothing of the kind: Sequences, Views, Chains" in text
+    assert "No data in this run: Sequences, Views, Chains" in text
     assert "`" not in text.split("<script>")[0]
     assert "1 take" in card
-    assert "othing to show" not in card, "the card says what the data leaves out, not the page"
+    assert "No data in this run" not in card, "the card lists what the data skipped, not the page"
     assert "made up (CC0)" in text
 
 

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
-from pasdedeux.evaluation.figures import view_figure
+from pasdedeux.evaluation.figures import CurvePanel, curve_figure
 from pasdedeux.evaluation.players import PERSON_COLOURS, image_panel, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.report import Picture, Report, Section, render_report
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
 from pasdedeux.evaluation.summary import Credit, Made, Summary
-from pasdedeux.evaluation.takes import take_scores
 from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.verdict import Level, Verdict
 from storage_schema.tables import TABLES
+from tasks.evaluation.report import DatasetCard, card_tables, render_card
+from tasks.evaluation.takes import take_scores
 from tests.builders.pages import Page, in_browser
 
 
@@ -87,8 +87,13 @@ def test_the_image_axes_of_a_panel_are_right_and_up_about_its_middle() -> None:
     np.testing.assert_allclose(np.abs(panel.objects_m[0, :, 0, 1]), 0.5)
 
 
+def _curve(title: str) -> bytes:
+    curves = {"a": (np.arange(3.0), np.ones(3))}
+    return curve_figure([CurvePanel("y", curves)], title=title, x_label="x")
+
+
 def test_a_figure_gives_the_same_svg_twice_and_its_text_stays_text() -> None:
-    drawn = {view_figure(np.zeros(3), np.ones(3), np.ones(3), title="views of <all>") for _ in range(2)}
+    drawn = {_curve("views of <all>") for _ in range(2)}
     (svg,) = drawn
     assert b"views of &lt;all&gt;" in svg
 
@@ -104,7 +109,7 @@ def _page() -> str:
     moving = pack_player(
         [people_panel("</script><b>", BODY22, _people(20, 2)), people_panel("b", BODY22, _people(20, 2))], rate_hz=10.0
     )
-    drawn = view_figure(np.zeros(3), np.ones(3), np.ones(3), title="views")
+    drawn = _curve("views")
     pictures = [Picture(f"{n}.player.json", f"person {n} & <co>", moving) for n in range(5)] + [
         Picture("v.svg", "views", drawn)
     ]
@@ -196,7 +201,7 @@ def test_a_criterion_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
     assert b"interaction mesh" in svg
     assert b"plain forward kinematics" in svg
     assert b"sometimes" not in svg
-    assert b"the truth" not in svg, "a bound is no baseline"
+    assert b"ground truth" not in svg, "a bound is no baseline"
     assert b">20<" in svg
     assert "shorter bars are better" in caption
     assert "plain forward kinematics, has to be beaten" in caption
@@ -213,8 +218,7 @@ def test_the_card_names_every_source_with_its_licence() -> None:
         description="d",
         summary=SUMMARY,
         rows={"poses": 1200},
-        takes=["waltz", "hug"],
-        held_out=["hug"],
+        is_held_out={"hug": True, "waltz": False},
         cautions=["synthetic"],
     )
     text = render_card(card)
@@ -242,7 +246,7 @@ def test_page_card_and_console_give_the_same_answers() -> None:
         "is it good: 1 warn",
         "chains: warn: chains do not mix; effective sample size 1.4 against 500 (kept)",
     ]
-    card = render_card(DatasetCard("Duets", "d", SUMMARY, {}, [], [], []))
+    card = render_card(DatasetCard("Duets", "d", SUMMARY, {}, {}, []))
     assert [line.removeprefix("- ") for line in card.splitlines() if line.startswith("- ")][:3] == [
         *lines[:2],
         lines[3],
@@ -257,12 +261,14 @@ def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:
     columns = columns_of("takes", scores)
     assert list(columns) == [column.name for column in TABLES["scores"].columns]
     assert columns == columns_of("takes", reversed(scores))
+    assert columns_of("takes", scores, {"m"})["is_baseline"] == [True] * 3
+    assert columns["is_baseline"] == [False] * 3
 
 
 def test_a_summary_leaves_out_what_is_not_finite() -> None:
-    found = summarise(np.array([1.0, 3.0, np.nan]), metric="e", method="m", unit="m")
+    found = summarise({"m": np.array([1.0, 3.0, np.nan])}, "e", "m")
     assert {s.metric: (s.value, s.count) for s in found}["e_mean"] == (2.0, 2)
-    assert summarise(np.array([np.nan]), metric="e", method="m", unit="m") == []
+    assert summarise({"m": np.array([np.nan])}, "e", "m") == []
 
 
 def test_take_scores_know_how_close_people_are() -> None:

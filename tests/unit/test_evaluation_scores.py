@@ -7,31 +7,28 @@ import pytest
 
 from pasdedeux.augmentation import AugmentationSettings, Source
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.evaluation.coverage import (
+from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
+from pasdedeux.evaluation.scores import Score, bootstrap_interval
+from pasdedeux.evaluation.verdicts import Criterion
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.sampling.coverage import CoverageCurve
+from tasks.evaluation import reconstruction
+from tasks.evaluation.augmentation import (
+    QUALITY_COLUMNS,
+    contact_drifts,
+    contact_scores,
+    gap_scores,
+    quality_scores,
+)
+from tasks.evaluation.coverage import (
     as_good_as_real_frames,
     coverage_scores,
     curve_points,
     real_frame_levels,
 )
-from pasdedeux.evaluation.model_tables import best_model, model_tables
-from pasdedeux.evaluation.models import model_figure, model_scores, share_scores
-from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_items, reconstruction_scores
-from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
-from pasdedeux.evaluation.scores import Score, bootstrap_interval
-from pasdedeux.evaluation.variants import (
-    QUALITY_COLUMNS,
-    VariantQualities,
-    contact_drifts,
-    contact_scores,
-    gap_scores,
-    quality_scores,
-    verdict_scores,
-)
-from pasdedeux.evaluation.verdicts import Criterion
-from pasdedeux.evaluation.views import view_scores
-from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.coverage import CoverageCurve
-from tasks.evaluation import reconstruction
+from tasks.evaluation.models import best_model, model_figure, model_scores, model_tables, share_scores
+from tasks.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_items, reconstruction_scores
+from tasks.evaluation.views import view_errors
 from tests.builders.moving_pairs import swaying_pair
 
 
@@ -39,24 +36,12 @@ def _by_method(scores: list[Score], metric: str) -> dict[str, float]:
     return {score.method: score.value for score in scores if score.metric == metric and np.isnan(score.at)}
 
 
-def test_view_scores_take_the_heaviest_hypothesis_and_name_the_best_one() -> None:
-    rng = np.random.default_rng(0)
-    truth = normalise(rng.normal(size=(50, 3)))
-    wrong = -truth
-    estimated = np.stack([wrong, truth], axis=1)
-    weight = np.tile([0.7, 0.3], (50, 1))
-    scores = view_scores(estimated, weight, truth, split="annotated")
-    medians = _by_method(scores, "view_error_median")
-    assert medians["heaviest_hypothesis"] == pytest.approx(180.0)
-    assert medians["best_hypothesis"] == pytest.approx(0.0, abs=1e-5)
-
-
-def test_a_missing_hypothesis_is_never_the_best_one() -> None:
-    truth = np.tile([0.0, 0.0, 1.0], (4, 1))
-    estimated = np.full((4, 2, 3), np.nan)
-    estimated[:, 0] = [0.0, 1.0, 0.0]
-    scores = view_scores(estimated, np.tile([1.0, 0.0], (4, 1)), truth, split="annotated")
-    assert _by_method(scores, "view_error_median")["best_hypothesis"] == pytest.approx(90.0)
+def test_view_errors_are_of_the_heaviest_hypothesis_and_of_the_best_one() -> None:
+    truth = normalise(np.random.default_rng(0).normal(size=(50, 3)))
+    hypotheses = [(np.stack([-one, one]), np.array([0.7, 0.3])) for one in truth]
+    errors = view_errors(hypotheses, truth)
+    np.testing.assert_allclose(errors["heaviest_hypothesis"], 180.0)
+    np.testing.assert_allclose(errors["best_hypothesis"], 0.0, atol=1e-5)
 
 
 def _pairs(count: int, seed: int) -> np.ndarray:
@@ -79,23 +64,20 @@ def test_a_set_of_real_frames_is_as_good_as_itself() -> None:
 
 def test_coverage_scores_hold_the_curve_and_its_end_for_every_method() -> None:
     curve = CoverageCurve(np.array([1, 5]), np.array([0.5, 0.4]), np.array([0.2, 0.1]), np.array([0.6, 0.5]))
-    scores = coverage_scores({"ic": curve, "prior_only": curve}, curve, split="held_out", num_truth=7)
+    scores = coverage_scores({"ic": curve, "prior_only": curve}, curve, {}, split="held_out")
     assert _by_method(scores, "coverage_D_C") == {"ic": 0.1, "prior_only": 0.1, "real_frames": 0.1}
     assert sum(not np.isnan(s.at) for s in scores) == 2 * 3 * 3
-    assert {s.method for s in scores if s.is_baseline} == {"prior_only", "real_frames"}
     assert curve_points(1, 5) == [1]
     assert curve_points(1000, 4) == [1, 10, 100, 1000]
 
 
 def test_quality_scores_show_contact_drift_beside_plain_forward_kinematics() -> None:
-    values = {name: np.array([0.01, np.nan, 0.03]) for name in QUALITY_COLUMNS}
-    qualities = VariantQualities(
-        "waltz", np.array([0.8, 1.1, 1.2]), values, np.array([0.1, 0.2, 0.3]), ["pass"] * 2 + ["fail"]
-    )
-    scores = quality_scores(qualities)
+    columns = {name: np.array([0.01, np.nan, 0.03]) for name in QUALITY_COLUMNS}
+    columns |= {"contact_drift_fk_m": np.array([0.1, 0.2, 0.3]), "verdict": np.array(["pass"] * 2 + ["fail"])}
+    scores = quality_scores(columns, item="waltz")
     assert _by_method(scores, "contact_drift_mean") == pytest.approx({"interaction_mesh": 0.02, "naive_fk": 0.2})
     assert _by_method(scores, "jerk_ratio_worst") == {"interaction_mesh": 0.03}
-    assert {s.metric: s.value for s in verdict_scores(qualities)} == {
+    assert {s.metric: s.value for s in scores if s.metric.startswith("variants_")} == {
         "variants_pass": 2.0,
         "variants_warn": 0.0,
         "variants_fail": 1.0,
@@ -121,7 +103,7 @@ def test_a_reconstruction_has_to_beat_retrieval_and_not_the_mean_pose_that_nobod
     times_s = np.arange(360) / 30.0
     person = Reconstructed("s person 0", truth, found, np.arange(360), 0, ["hug"] * 360, times_s)
     (criterion,) = reconstruction.TOPIC.criteria
-    verdict = criterion.verdict(reconstruction_items([person, person]))
+    verdict = criterion.verdict(reconstruction_items([person, person]), reconstruction.BASELINES)
     assert verdict is not None
     assert (verdict.level, verdict.baseline_name, verdict.count) == ("pass", "nearest pose", 720)
     scores = reconstruction_scores(person, split="held_out")
@@ -165,7 +147,7 @@ def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_
 def test_model_scores_leave_out_a_distance_that_no_take_has_and_say_how_sure_they_are() -> None:
     known = ({"E_r": 1.0, "E_b": 2.0, "PWD": 5.0}, {"E_r": 3.0, "E_b": 4.0, "PWD": 7.0})
     errors = {"copy": [{**one, "JPD": np.nan} for one in known]}
-    scores = model_scores(errors, baselines=("copy",), split="cross_scale test", item="all")
+    scores = model_scores(errors, split="cross_scale test", item="all")
     assert {s.metric: s.value for s in scores} == {"E_r": 2.0, "E_b": 3.0, "PWD": 6.0}
     assert {(s.low, s.high) for s in scores if s.metric == "E_r"} == {(1.0, 3.0)}
     assert model_figure([0.75, 1.25], errors, baselines=("copy",), split="cross_scale")
@@ -190,10 +172,10 @@ def test_an_interval_over_takes_is_of_takes_however_many_variants_each_has() -> 
     for few in (1, 4):
         assert np.isnan(bootstrap_interval(values[: 20 * few], units=takes[: 20 * few])).all()
     errors = {"copy": [{"E_r": one} for one in values], "ridge": [{"E_r": 0.5 * one} for one in values]}
-    more = {"baselines": ("copy",), "split": "s", "takes": takes}
+    more = {"split": "s", "takes": takes}
     found = model_scores(errors, item="all", **more)[0]
     np.testing.assert_allclose((found.low, found.high), wanted)
-    (share,) = share_scores(errors, **more)
+    (share,) = share_scores(errors, rivals=("copy",), **more)
     np.testing.assert_allclose((share.low, share.value, share.high), 50.0)
 
 
@@ -205,13 +187,13 @@ def test_the_share_of_the_best_baselines_error_is_surer_than_either_error_where_
         "naive_fk": [{"E_r": 3.0 * one} for one in hard],
         "ridge": [{"E_r": one * factor} for one, factor in zip(hard, generator.uniform(0.9, 1.1, 60), strict=True)],
     }
-    (score,) = share_scores(errors, baselines=("copy", "naive_fk"), split="random test")
+    (score,) = share_scores(errors, rivals=("copy", "naive_fk"), split="random test")
     assert score.method == "ridge"
     assert score.value == pytest.approx(50.0, abs=3.0)
     assert score.low < score.value < score.high
     low, high = bootstrap_interval(hard)
     assert (score.high - score.low) / score.value < 0.2 * (high - low) / hard.mean()
-    assert share_scores({"ridge": errors["ridge"]}, baselines=("copy",), split="s") == []
+    assert share_scores({"ridge": errors["ridge"]}, rivals=("copy",), split="s") == []
 
 
 def test_a_table_shows_the_interval_of_a_figure_and_a_mean_over_items_has_none() -> None:
@@ -232,7 +214,7 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
         score
         for split in ("random test", "cross_scale test")
         for item in ("all", "hug", "hug at 1.25")
-        for score in model_scores(errors, baselines=("copy",), split=split, item=item)
+        for score in model_scores(errors, split=split, item=item)
     ]
     whole, motions, largest = model_tables(scores)
     assert whole.headings == ("model", "random", "cross_scale")

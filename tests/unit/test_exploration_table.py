@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.experiments.exploration import exploration_table
+from tasks.evaluation.coverage import exploration_table
 
 
 def covered(method: str, centimetres: float, *, split: str = "held_out") -> list[Score]:

@@ -16,8 +16,7 @@ from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import PAPER_SCALES, bone_variations, group_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.model_meter import ModelMeter
-from pasdedeux.evaluation.models import UNITS, key_contacts, model_errors
+from pasdedeux.evaluation.models import UNITS, ModelMeter, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning import (
     SPLIT_NAMES,

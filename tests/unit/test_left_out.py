@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.left_out import (
-    annotation_map_figure,
-    left_out_curve,
-    left_out_figure,
-    left_out_scores,
-)
 from pasdedeux.sampling.annotations import is_left_out
+from tasks.evaluation.leave_one_out import (
+    annotation_map_figure,
+    nearest_curve,
+    nearest_draw_figure,
+    nearest_draw_scores,
+)
 
 PAIRS = random_pairs(np.random.default_rng(0), 60, spread_rad=0.3)
 VIEWS = np.array([[0.0, 0.2, 1.0], [0.8, 0.1, 0.6]])
@@ -47,24 +47,23 @@ def test_nothing_is_left_out_where_nobody_asks_or_moments_are_few() -> None:
 
 def test_an_image_of_a_draw_is_at_no_distance_once_the_draw_is_among_them() -> None:
     draws = np.concatenate([PAIRS[20:], PAIRS[:6]])
-    curve = left_out_curve(IMAGES, [VIEWS] * 6, draws)
-    assert curve.num_draws.tolist() == [10, 46]
-    assert (np.diff(curve.nearest_m, axis=0) <= 0).all()
-    assert curve.nearest_m[0].min() > 0.01
-    np.testing.assert_allclose(curve.nearest_m[-1], 0.0, atol=1e-4)  # draws are kept in single precision
+    curve = nearest_curve(IMAGES, [VIEWS] * 6, draws)
+    assert list(curve) == [10, 46]
+    assert (curve[46] <= curve[10]).all()
+    assert curve[10].min() > 0.01
+    np.testing.assert_allclose(curve[46], 0.0, atol=1e-4)  # draws are kept in single precision
 
 
 def test_scores_tell_the_curve_and_its_end_and_pictures_are_drawn() -> None:
     curves = {
-        name: left_out_curve(IMAGES, [VIEWS] * 6, pairs) for name, pairs in (("ic", PAIRS), ("prior_only", PAIRS[6:30]))
+        name: nearest_curve(IMAGES, [VIEWS] * 6, pairs) for name, pairs in (("ic", PAIRS), ("prior_only", PAIRS[6:30]))
     }
-    scores = left_out_scores(curves, ["prior_only"], split="left_out")
+    scores = nearest_draw_scores(curves, split="leave_one_out")
     ends = {(one.method, one.metric): one for one in scores if np.isnan(one.at)}
-    assert ends["ic", "left_out_d_I_mean"].value < ends["prior_only", "left_out_d_I_mean"].value
-    assert ends["prior_only", "left_out_d_I_mean"].is_baseline
+    assert ends["ic", "leave_one_out_d_I_mean"].value < ends["prior_only", "leave_one_out_d_I_mean"].value
     assert [one.at for one in scores if one.method == "ic" and not np.isnan(one.at)] == [10.0, 60.0]
     pictures = (
-        left_out_figure({"left_out": curves}, ["prior_only"]),
+        nearest_draw_figure({"leave_one_out": curves}),
         annotation_map_figure(
             np.stack(IMAGES), {"ic": np.stack([IMAGES[0], IMAGES[0], IMAGES[3]])}, np.stack(IMAGES[:2])
         ),

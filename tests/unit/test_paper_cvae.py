@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.model_meter import ModelMeter
+from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import (
     MODELS,
@@ -108,10 +108,10 @@ def test_a_generated_pair_has_scales_of_its_own_and_the_same_seed_gives_the_same
 
 def test_motions_that_are_drawn_are_judged_by_the_bones_drawn_beside_baselines_at_the_same_scales() -> None:
     meter = ModelMeter(VariantRequest("sway", TAKE, SCALED_B))
-    trivial = {"copy": MODELS["copy"](), "naive_fk": MODELS["naive_fk"](), "ridge_scale": RidgeScaleModel()}
-    models = {"cvae": _model(), "mesh": MeshRefineModel(trivial["copy"], 0), **trivial}
+    baselines = {"copy": MODELS["copy"](), "naive_fk": MODELS["naive_fk"](), "ridge_scale": RidgeScaleModel()}
+    models = {"cvae": _model(), "mesh": MeshRefineModel(baselines["copy"], 0), **baselines}
     found = meter.measure_generated(models, lambda name: np.random.default_rng(0))
-    assert set(found) == {"cvae", *trivial}
+    assert set(found) == {"cvae", *baselines}
     more = meter.measure_generated({"a": _model(4), **models}, lambda name: np.random.default_rng(len(name)))
     alone = meter.measure_generated(models, lambda name: np.random.default_rng(len(name)))
     assert more["cvae"] == alone["cvae"] != more["a"]
@@ -120,7 +120,7 @@ def test_motions_that_are_drawn_are_judged_by_the_bones_drawn_beside_baselines_a
     scale, motion = _model().generate(TAKE, np.random.default_rng(0))
     wanted = np.abs(bone_lengths(BODY22, motion) - scale * bone_lengths(BODY22, TAKE.positions_m))
     assert found["cvae"]["E_b"] == pytest.approx(1000.0 * wanted[..., 1:].mean())
-    assert meter.measure_generated(trivial, lambda name: np.random.default_rng(0)) == {}
+    assert meter.measure_generated(baselines, lambda name: np.random.default_rng(0)) == {}
 
 
 def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_refused() -> None:

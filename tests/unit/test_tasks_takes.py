@@ -10,7 +10,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
-from tasks.evaluation.ground_truth import read_takes
+from tasks.evaluation.ground_truth import GroundTruth
 from tasks.takes import read_motion
 from tests.builders.storage_rows import put, take_rows
 
@@ -30,7 +30,7 @@ def test_rows_in_any_order_give_everybody_in_every_frame(tmp_path: Path) -> None
     ref, columns = put_rows(store, np.random.default_rng(0).permutation(FRAMES * PEOPLE))
     expected = columns["body22_m"].reshape(PEOPLE, FRAMES, 22, 3).swapaxes(0, 1)
     np.testing.assert_array_equal(read_motion(store, ref, "body22_m")["body22_m"], expected)
-    np.testing.assert_array_equal(read_takes(store, [ref], "body22_m")["jig"], expected)
+    np.testing.assert_array_equal(GroundTruth.read(store, [ref], (), column="body22_m").takes["jig"], expected)
 
 
 @pytest.mark.parametrize(

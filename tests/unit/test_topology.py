@@ -9,7 +9,7 @@ import pytest
 from pasdedeux.augmentation import Source, reference_motion, uniform_variations
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.model_meter import ModelMeter
+from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import (
     MODELS,
@@ -133,5 +133,5 @@ def test_models_of_18_joints_are_no_distributions_and_that_is_said(tmp_path: Pat
         assert [shard.name for shard in shards] == [planned] * bool(models)
     (shard,) = TOPIC.plan(StageInputs({"poses": takes, "models": [other]}, 0), settings)
     assert TOPIC.run(shard, store).notes == [
-        "Left out: the classifier of clips knows body22 alone, and no model is of it."
+        "Skipped: the classifier of clips knows body22 alone, and no model is of it."
     ]

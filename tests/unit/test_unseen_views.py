@@ -9,16 +9,14 @@ import pytest
 
 from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, PERSON_HEIGHT_PX, look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction import reconstruction_player, turn_to_camera
+from pasdedeux.evaluation import unseen_views
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.experiments import unseen_views
-from pasdedeux.experiments.unseen_views import (
+from pasdedeux.evaluation.unseen_views import (
     Condition,
     UnseenMotion,
     ViewedMotion,
     best_candidates,
     reconstruct_seen,
-    unseen_view_scores,
 )
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
@@ -26,6 +24,8 @@ from pasdedeux.reconstruction.pitch import sized_by_height
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
+from tasks.evaluation.reconstruction import reconstruction_player, turn_to_camera
+from tasks.evaluation.unseen_views import unseen_view_scores
 from tests.builders.walkers import walk
 
 

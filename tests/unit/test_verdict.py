@@ -19,20 +19,21 @@ from tasks.facts import Facts
 from tasks.stage import Parameters, Shard, commit
 from tasks.summary import judge, stage_verdict, summary_of
 
+BASELINES = ("lifting", "chance", "mean_pair", "real_frames")
 CRITERION = Criterion("error", "error of lifted pairs", "m", "images", ("fitted",))
 
 
 def items(*, takes: Sequence[str], seconds: int, **values: float | np.ndarray) -> Items:
-    """Return one item in every second of every take; baselines are all but `fitted`."""
+    """Return one item in every second of every take."""
     count = len(takes) * seconds
     noise = 0.001 * np.random.default_rng(0).normal(size=count)
     named = {name: np.broadcast_to(value, count) + noise for name, value in values.items()}
     times_s = np.tile(np.arange(seconds) + 0.5, len(takes))
-    return Items(named, np.repeat(takes, seconds).tolist(), times_s, set(values) - {"fitted"})
+    return Items(named, np.repeat(takes, seconds).tolist(), times_s)
 
 
 def verdict_on(some: Items) -> Verdict:
-    found = CRITERION.verdict(some)
+    found = CRITERION.verdict(some, BASELINES)
     assert found is not None
     return found
 
@@ -82,7 +83,7 @@ def test_what_may_be_chance_is_a_warning() -> None:
 def test_larger_may_be_better() -> None:
     criterion = replace(CRITERION, is_larger_better=True)
     for fitted, level in ((0.3, Level.PASS), (0.1, Level.FAIL)):
-        verdict = criterion.verdict(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2))
+        verdict = criterion.verdict(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2), BASELINES)
         assert verdict is not None
         assert verdict.level is level
 
@@ -91,7 +92,7 @@ def test_a_bound_is_no_baseline_and_is_never_what_is_judged() -> None:
     known = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2, real_frames=0.01)
     assert verdict_on(known).level is Level.PASS
     unnamed = replace(CRITERION, methods=())
-    both = unnamed.verdict(replace(known, values={**known.values, "truth": np.zeros(12)}))
+    both = unnamed.verdict(replace(known, values={**known.values, "truth": np.zeros(12)}), BASELINES)
     assert both is not None
     assert both.paired is not None
     assert (both.level, both.paired.method) == (Level.PASS, "fitted")
@@ -153,10 +154,10 @@ def test_a_part_of_which_nothing_is_held_out_changes_nothing() -> None:
 def test_a_limit_is_kept_or_broken() -> None:
     criterion = Criterion("switches", "identity switches a minute", "", "sequences", limit=1.0)
     for value, level in ((1.0, Level.PASS), (1.5, Level.FAIL)):
-        verdict = criterion.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]))
+        verdict = criterion.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]), ())
         assert verdict is not None
         assert (verdict.level, verdict.value, verdict.baseline) == (level, value, 1.0)
-    unknown = criterion.verdict(Items({"followed": np.array([np.nan])}, ["a"], [0.0]))
+    unknown = criterion.verdict(Items({"followed": np.array([np.nan])}, ["a"], [0.0]), ())
     assert unknown is not None
     assert (unknown.level, unknown.count) == (Level.NOT_JUDGED, 1)
 

@@ -2,26 +2,18 @@
 
 Yiannakides et al. (2019, section 6) compare a reconstruction with the held-out motion it was projected from, and two
 reconstructions of one motion from views 75 and 135 degrees apart: on the database's own body by parallel rays, as it
-seems the paper did, so that search, choice over time and fit are measured by themselves.  What users have, with
-proportions, scale and lens unknown, is measured on virtual videos that stage `reconstruction` sees.
+seems the paper did, so that search, selection over time and fit are measured alone.  Unknown proportions, scale and
+lens are part of topic `reconstruction`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.reconstruction_metrics import (
-    foot_slide_m,
-    jitter_m,
-    root_centred_error_m,
-    root_removed_error_m,
-)
-from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.evaluation.verdicts import Items
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
@@ -39,14 +31,11 @@ from pasdedeux.reconstruction.reconstruct import (
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
-Stream = Callable[[int], np.random.Generator]
-
-BEST_MARK = "best_of_50"
+BEST = "best_of_50"
 LIVE = "live"
 """Frame by frame, each pose a few frames after its image."""
 CLEAN = "_clean"
 """Appended to the name of a method whose motion was cleaned up."""
-ALL_VIEWS = "mean of views"
 
 _PIXELS_PER_METRE = 1000.0
 _FAR_PX = 1e9
@@ -60,7 +49,7 @@ _KNOWN_BODY = ReconstructionOptions(
 )
 """Proportions, scale and lens are right, so the image is believed to 1 mm, and retrieved bones half as tightly.
 
-Chosen on clips of a database left out in turn; where scale or proportions are estimated, the second makes the
+Chosen by leave-one-out on clips of a database; where scale or proportions are estimated, the second makes the
 fit worse.
 """
 
@@ -134,7 +123,7 @@ def see(motion: UnseenMotion, condition: Condition, yaw_deg: float, rng: np.rand
 
 
 def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
-    """Return for each frame the candidate (frame, 14, 3) nearest to the truth (frame, 14, 3): a mark, not a method.
+    """Return for each frame the candidate (frame, 14, 3) nearest to ground truth (frame, 14, 3): a bound, not a method.
 
     Candidates are on the reference body.  Frames without candidates have NaN.
     """
@@ -158,7 +147,7 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
     track = seen.track
     found = match_track(searcher, track, _KNOWN_BODY)
     made = {method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found) for method in Method}
-    motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
+    motions = {BEST: best_candidates(searcher, found, seen.truth_m)}
     motions |= {name: one.positions_m for name, one in made.items()}
     if not has_clean_up:
         return motions
@@ -186,68 +175,3 @@ def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Arr
     for pose in [*poses, *person.finish()]:
         motion[pose.frame] = pose.positions_m
     return motion
-
-
-def unseen_view_scores(
-    searcher: Searcher, motion: UnseenMotion, condition: Condition, stream: Stream
-) -> tuple[list[Score], Items]:
-    """Score every method on a motion seen from several directions, and how far its reconstructions differ.
-
-    The items are the errors of all poses, the root kept.
-
-    The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
-    """
-    figures: dict[tuple[str, str], list[float]] = {}
-    motions: dict[str, list[Array]] = {}
-    parts: list[Items] = []
-    for view, yaw in enumerate(motion.yaws_deg):
-        seen = see(motion, condition, yaw, stream(view))
-        errors: dict[str, Array] = {}
-        times_s = np.arange(len(seen.truth_m)) / motion.rate_hz
-        for method, positions in reconstruct_seen(searcher, seen, has_clean_up=True).items():
-            errors[method] = root_centred_error_m(positions, seen.truth_m)
-            motions.setdefault(method, []).append(positions)
-            slide_hz = motion.rate_hz if method != BEST_MARK else None
-            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
-                figures.setdefault((metric, method), []).append(value)
-        parts.append(Items(errors, [motion.item] * len(times_s), times_s, (Method.NEAREST.value,)))
-        for metric in ("jitter", "foot_slide"):
-            value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
-            figures.setdefault((metric, "truth"), []).append(value)
-    item, count = motion.item, len(motion.world_m)
-    scores = []
-    for (metric, method), values in figures.items():
-        named = [(f"{item} at {yaw:g} degrees", value) for yaw, value in zip(motion.yaws_deg, values, strict=True)]
-        named += [(f"{item}, {ALL_VIEWS}", float(np.mean(values)))] if len(values) > 1 else []
-        scores += [
-            Score(metric, method, value, "m", _is_baseline(method), condition.name, label, count=count)
-            for label, value in named
-        ]
-    for method, found in motions.items():
-        for yaw, other in zip(motion.yaws_deg[1:], found[1:], strict=True):
-            differs = {"two_views_differ": _mean(root_removed_error_m(found[0], other))}
-            label = f"{item}, views {abs(yaw - motion.yaws_deg[0]):g} degrees apart"
-            more = {"is_baseline": _is_baseline(method), "split": condition.name, "item": label, "count": count}
-            scores += scores_of(differs, method, "m", **more)
-    return scores, Items.joined(parts)
-
-
-def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
-    """Return errors of a motion, and how far its feet slide where a rate is given (its trajectory must be known)."""
-    known = found[np.isfinite(found).all(axis=(1, 2))]
-    centred = known - mid_hip(known)[:, None]
-    figures = {
-        "error_root_kept": _mean(root_centred_error_m(found, truth)),
-        "error_root_removed": _mean(root_removed_error_m(found, truth)),
-        "jitter": jitter_m(centred),
-    }
-    return figures if rate_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=rate_hz)}
-
-
-def _mean(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float("nan")
-
-
-def _is_baseline(method: str) -> bool:
-    return method.removesuffix(CLEAN) in (Method.NEAREST.value, BEST_MARK, "truth")

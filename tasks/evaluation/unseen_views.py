@@ -1,33 +1,47 @@
-"""Topic `parallel_views`: held-out takes seen from several directions, by every method, as in the paper on that."""
+"""Topic `parallel_views`: held-out takes seen from several directions, by every method (Yiannakides et al. 2019)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.evaluation.reconstruction import reconstruction_player
-from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.experiments.unseen_views import (
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.reconstruction_metrics import (
+    foot_slide_m,
+    jitter_m,
+    root_centred_error_m,
+    root_removed_error_m,
+)
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.unseen_views import (
+    BEST,
     CONDITIONS,
     Condition,
     UnseenMotion,
     reconstruct_seen,
     see,
-    unseen_view_scores,
 )
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Store
+from tasks.evaluation.reconstruction import reconstruction_player
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import Facts, TakeFacts
 from tasks.reconstruction import read_database
 from tasks.stage import Parameters, Shard, StageInputs, merge_takes, stream
 from tasks.takes import read_motion
+
+_BASELINES = (Method.NEAREST.value, BEST, "truth")
+"""Methods that others are compared with, bounds among them."""
+_ALL_VIEWS = "mean of views"
 
 
 class UnseenViewsSettings(Parameters):
@@ -76,8 +90,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     condition = CONDITIONS[options.condition]
     scores: list[Score] = []
     parts: list[Items] = []
-    pictures: dict[str, bytes] = {}
-    captions: dict[str, str] = {}
+    pictures: list[Picture] = []
     for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
@@ -86,15 +99,72 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         parts.append(replace(errors, takes=[options.take_id] * len(errors.takes)))
         if options.condition == 0:
             name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
-            pictures[name] = _clip(searcher, motion, condition, draw(0))
-            captions[name] = (
-                f"{motion.item}, {condition.name}: the image, and the fit, first as the camera sees it; truth in grey."
-            )
+            caption = f"{motion.item}, {condition.name}: the image and the fit, first as the camera sees it."
+            pictures.append(Picture(name, caption, _clip(searcher, motion, condition, draw(0))))
     note = (
-        f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
-        "a mark that knows the truth."
+        f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is a bound that "
+        "knows the ground truth."
     )
-    return TopicResult(scores, pictures, captions, [note], {"": Items.joined(parts)})
+    return TopicResult(scores, pictures, [note], {"": Items.joined(parts)}, _BASELINES)
+
+
+def unseen_view_scores(
+    searcher: Searcher, motion: UnseenMotion, condition: Condition, stream: Callable[[int], np.random.Generator]
+) -> tuple[list[Score], Items]:
+    """Score every method on a motion seen from several directions, and how far its reconstructions differ.
+
+    The items are the errors of all poses, the root kept.
+
+    The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
+    """
+    figures: dict[tuple[str, str], list[float]] = {}
+    motions: dict[str, list[Array]] = {}
+    parts: list[Items] = []
+    for view, yaw in enumerate(motion.yaws_deg):
+        seen = see(motion, condition, yaw, stream(view))
+        errors: dict[str, Array] = {}
+        times_s = np.arange(len(seen.truth_m)) / motion.rate_hz
+        for method, positions in reconstruct_seen(searcher, seen, has_clean_up=True).items():
+            errors[method] = root_centred_error_m(positions, seen.truth_m)
+            motions.setdefault(method, []).append(positions)
+            slide_hz = motion.rate_hz if method != BEST else None
+            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
+                figures.setdefault((metric, method), []).append(value)
+        parts.append(Items(errors, [motion.item] * len(times_s), times_s))
+        for metric in ("jitter", "foot_slide"):
+            value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
+            figures.setdefault((metric, "truth"), []).append(value)
+    item, count = motion.item, len(motion.world_m)
+    scores = []
+    for (metric, method), values in figures.items():
+        named = [(f"{item} at {yaw:g} degrees", value) for yaw, value in zip(motion.yaws_deg, values, strict=True)]
+        named += [(f"{item}, {_ALL_VIEWS}", float(np.mean(values)))] if len(values) > 1 else []
+        scores += [
+            Score(metric, method, value, "m", split=condition.name, item=label, count=count) for label, value in named
+        ]
+    for method, found in motions.items():
+        for yaw, other in zip(motion.yaws_deg[1:], found[1:], strict=True):
+            differs = {"two_views_differ": _mean(root_removed_error_m(found[0], other))}
+            label = f"{item}, views {abs(yaw - motion.yaws_deg[0]):g} degrees apart"
+            scores += scores_of(differs, method, "m", split=condition.name, item=label, count=count)
+    return scores, Items.joined(parts)
+
+
+def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
+    """Return errors of a motion, and how far its feet slide where a rate is given (its trajectory must be known)."""
+    known = found[np.isfinite(found).all(axis=(1, 2))]
+    centred = known - mid_hip(known)[:, None]
+    figures = {
+        "error_root_kept": _mean(root_centred_error_m(found, truth)),
+        "error_root_removed": _mean(root_removed_error_m(found, truth)),
+        "jitter": jitter_m(centred),
+    }
+    return figures if rate_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=rate_hz)}
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def _database(shard: Shard, store: Store) -> Searcher:

@@ -1,1 +1,0 @@
-"""What only the studies of the three papers use: ways to explore, and views of motion that no database has."""

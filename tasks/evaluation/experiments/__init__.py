@@ -1,1 +1,0 @@
-"""Topics that only the studies of the papers ask for."""

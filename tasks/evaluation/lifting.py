@@ -1,0 +1,396 @@
+"""Topic `lifting`: lifted pairs, completed joints and in-betweens against the ground truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.arrays import Array
+from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
+from pasdedeux.evaluation.figures import CLOUD, draw_pair, figure_svg, label_axis, new_figure
+from pasdedeux.evaluation.lifting import completion_errors, in_between_errors, lifted_errors
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.players import pack_player, people_panel
+from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.scores import Score, scores_of, summarise
+from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.sampling.bandwidth import SAME_MOMENT
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
+from pasdedeux.skeletons import PAIR17
+from pasdedeux.spread import evenly_spread
+from storage_schema import ArtifactRef, Store, TableData
+from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
+from tasks.draw_sets import GROWN, density_of, draw_manifests, read_all_draws, read_draw_sets
+from tasks.evaluation.ground_truth import GroundTruth, TruePair
+from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
+from tasks.facts import LiftedFacts, SequenceFacts, TakeFacts
+from tasks.stage import Parameters, Shard, StageInputs, stream
+
+_BASELINES = ("mean_pair", "lifting", "lifting_ik", "naive_sampling", "straight", "nearest_draw")
+_COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
+"""What is judged beside the lifted pairs."""
+_GAPS = (10, 20, 30)
+"""Frames between the ends of spans that are filled in."""
+_SHOWN = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted")
+_NUM_EXAMPLES = 6
+_NUM_NEAREST, _NUM_NEAREST_SHOWN = 3, 5
+"""Annotations and draws most like a lifted pair, and how many pairs are shown with them."""
+_NUM_HYPOTHESES = 4
+_EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
+_MAX_KNOWN = 600
+_CELL_M = np.array([1.75, 2.7])
+"""Width and height that a pair has in a picture of many, metres."""
+_MAX_DRAWS = 20_000
+"""Draws of chains that joints are completed from, at most; grown seeds are all used."""
+
+
+class LiftedPairsSettings(Parameters):
+    """What is completed to be scored."""
+
+    num_completed_pairs: int = Field(
+        12, ge=0, description="Real pairs of each part whose joints are hidden and completed from draws; 0: none"
+    )
+
+
+def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
+    """Plan a shard over all lifted pairs, one that shows some, one over real pairs with joints and frames hidden."""
+    lifted = list(inputs.of("lifted_pairs"))
+    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons >= 2]
+    couples = [manifest for manifest in takes if TakeFacts.of(manifest).num_persons == 2]
+    known = {ref for manifest in lifted for ref in manifest.inputs}
+    shown = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
+    annotations = [manifest for manifest in shown if SequenceFacts.of(manifest).is_virtual]
+    found = []
+    draws = [one for one in draw_manifests(inputs) if density_of(one) != PRIOR_ONLY]
+    shown = [one for one in shown if views_of([one], inputs)]
+    learned = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
+    if shown and draws and learned:
+        every = [*shown, *(one for one in learned if one not in shown)]
+        views = [views_of([one], inputs)[0] for one in every]
+        found.append(
+            TOPIC.shard(inputs, "nearest", lifted=lifted, annotations=every, views=views, known=learned, draws=draws)
+        )
+    if lifted and takes and annotations:
+        found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
+    if settings.num_completed_pairs and draws and couples:
+        found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=couples, draws=draws))
+    return found
+
+
+def _run(shard: Shard, store: Store) -> TopicResult:
+    """Score or show one of the three."""
+    return {"lifted": _lifted, "nearest": _nearest, "completed": _completed}[shard.name](shard, store)
+
+
+def _lifted(shard: Shard, store: Store) -> TopicResult:
+    """Score lifted pairs and frames between them, and what was expected of their errors; show some of each part."""
+    truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
+    rows = [row for ref in shard.refs("lifted") for row in _read_lifted(store, ref, truth)]
+    scores: list[Score] = []
+    items: dict[str, Items] = {}
+    for table, name in (("lifted_pairs", ""), ("in_betweens", _BETWEEN_LIFTED)):
+        mine = [row for row in rows if row.table == table]
+        if any(table in store.manifest(ref).tables for ref in shard.refs("lifted")):
+            items[name] = Items.joined([_items(held_out) for held_out in _by_place(mine, "held_out").values()])
+        for split in sorted({row.split for row in mine}):
+            for method in sorted({row.method for row in mine if row.split == split}):
+                same = [row for row in mine if (row.split, row.method) == (split, method)]
+                errors = lifted_errors(np.stack([row.pair_m for row in same]), np.stack([row.true_m for row in same]))
+                if table == "lifted_pairs":
+                    for metric, values in errors.items():
+                        scores += summarise({method: values}, metric, "m", split=split)
+                else:
+                    mean = {"in_between_lifted_error_mean": float(np.mean(errors["lifted_pair_error"]))}
+                    scores += scores_of(mean, method, "m", split=split, count=len(same))
+    pictures = []
+    expected = {}
+    for split in sorted({row.split for row in rows if row.expected_m is not None}):
+        judged = [(row.expected_m, row.error_m) for row in rows if row.split == split and row.expected_m is not None]
+        expected[split] = np.array([one for one, _ in judged]), np.array([error for _, error in judged])
+        scores += calibration_scores(*expected[split], split=split)
+    if expected:
+        caption = (
+            "Expected error of each lifted pair, estimated without ground truth, and its true error. Better: dots "
+            "follow the line, and four of five lie in the grey."
+        )
+        pictures.append(Picture("expected-error.svg", caption, expected_figure(expected)))
+    lifted = [row for row in rows if row.table == "lifted_pairs"]
+    for split in sorted({row.split for row in lifted}):
+        places = [pairs for _, pairs in sorted(_by_place(lifted, split).items())]
+        examples = []
+        for at in evenly_spread(len(places), _NUM_EXAMPLES, has_ends=False):
+            made = {row.method: row.pair_m for row in places[at]}
+            examples.append({"truth": places[at][0].true_m, **{name: made[name] for name in _SHOWN if name in made}})
+        caption = (
+            f"{split.replace('_', '-').capitalize()} frames: ground truth and lifted pairs, first as the camera saw "
+            "them; turn them. Better: the depth is true from the side too."
+        )
+        if examples:
+            pictures.append(Picture(f"lifted-{split}.player.json", caption, lifted_player(examples)))
+    return TopicResult(scores, pictures, items=items, baselines=_BASELINES)
+
+
+@dataclass(frozen=True)
+class _Lifted:
+    """A row of `lifted_pairs` or `in_betweens` with its ground truth, pairs (2, 17, 3) in camera axes, metres."""
+
+    table: str
+    place: Place
+    split: str
+    method: str
+    pair_m: Array
+    true_m: Array
+    expected_m: list[float] | None
+    truth: TruePair
+
+    @property
+    def error_m(self) -> float:
+        """Its error, distance and depth of the two people included."""
+        return float(lifted_errors(self.pair_m[None], self.true_m[None])["lifted_pair_error"][0])
+
+
+def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Lifted]:
+    """Return the rows whose ground truth is known."""
+    manifest, found = store.manifest(ref), []
+    facts = LiftedFacts.of(manifest)
+    if facts.is_held_out:
+        refuse_overlap(f"artifact {manifest.partition}", facts.learned_takes, truth.held_out)
+    for name in ("lifted_pairs", "in_betweens"):
+        if name not in manifest.tables:
+            continue
+        also = _EXPECTED if name == "lifted_pairs" else ()
+        table = store.read(ref, name, columns=[*PLACE_COLUMNS, "method", "pair17_m", *also])
+        for row in range(table.num_rows):
+            place = place_of(table, row)
+            true = truth.pair(place)
+            if true is None or place.sequence_id not in truth.cameras:
+                continue
+            learned = "annotated" if facts.purpose == "random_views" else "unannotated"
+            found.append(
+                _Lifted(
+                    table=name,
+                    place=place,
+                    split="held_out" if true.take_id in truth.held_out else learned,
+                    method="nearest_draw" if table["method"][row] == "nearest" else str(table["method"][row]),
+                    pair_m=np.asarray(table["pair17_m"][row], dtype=np.float64),
+                    true_m=true.pair_m @ truth.cameras[place.sequence_id].camera_from_world_rotmat.T,
+                    expected_m=_expected(table, row) if also else None,
+                    truth=true,
+                )
+            )
+    return found
+
+
+def _by_place(rows: Sequence[_Lifted], split: str) -> dict[Place, list[_Lifted]]:
+    """Return the rows of a part by annotation."""
+    found: dict[Place, list[_Lifted]] = {}
+    for row in rows:
+        if row.split == split:
+            found.setdefault(row.place, []).append(row)
+    return found
+
+
+def _items(rows: Sequence[_Lifted]) -> Items:
+    """Return the errors of one annotation by method."""
+    return Items({row.method: np.array([row.error_m]) for row in rows}, [rows[0].truth.take_id], [rows[0].truth.time_s])
+
+
+def calibration_scores(expected_m: Array, errors_m: Array, *, split: str) -> list[Score]:
+    """Score expected errors (n, 3) with the ends of their intervals, metres, against true ones (n,), metres."""
+    value, low, high = expected_m.T
+    figures = {"expected_interval_share": float(((low <= errors_m) & (errors_m <= high)).mean())}
+    if len(value) > 2 and np.ptp(value) > 0.0 and np.ptp(errors_m) > 0.0:
+        figures["expected_correlation"] = float(np.corrcoef(value, errors_m)[0, 1])
+    return scores_of(figures, "fitted", split=split, count=len(value))
+
+
+def expected_figure(parts: Mapping[str, tuple[Array, Array]]) -> bytes:
+    """Draw true errors (n,) over expected ones (n, 3), metres, of each part, and what holds 80 %; give SVG bytes."""
+    figure, ((axis,),) = new_figure(4.6, 3.6)
+    for marker, (name, (expected, errors)) in zip("os^D", parts.items(), strict=False):
+        label = name.replace("_", " ")
+        axis.scatter(100 * expected[:, 0], 100 * errors, s=14, marker=marker, label=label, alpha=0.7, **CLOUD)
+    every = 100 * np.concatenate([expected for expected, _ in parts.values()])
+    every = every[np.argsort(every[:, 0])]
+    axis.plot(every[:, 0], every[:, 0], color="#444444", linewidth=0.8)
+    axis.fill_between(every[:, 0], every[:, 1], every[:, 2], color="#444444", alpha=0.12, linewidth=0)
+    label_axis(axis, "expected error (cm)", "true error (cm)")
+    axis.legend(fontsize=7)
+    return figure_svg(figure)
+
+
+def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
+    """Show examples one after another, a panel for each method that any of them has.
+
+    Args:
+        examples: For each example the pairs (2, 17, 3) by method, camera axes, metres; each is shown about its middle.
+    """
+    panels = []
+    for method in dict.fromkeys(name for example in examples for name in example):
+        pairs = [example.get(method, np.full((2, PAIR17.num_joints, 3), np.nan)) for example in examples]
+        people = np.stack([pair - pair.reshape(-1, 3).mean(axis=0) for pair in pairs])
+        panels.append(people_panel(in_words(method), PAIR17, people))
+    labels = [f"example {number + 1} of {len(examples)}" for number in range(len(examples))]
+    return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
+
+
+def _nearest(shard: Shard, store: Store) -> TopicResult:
+    """Show some lifted pairs, each with the annotations and draws most like it (Yin et al. 2018, fig. 11)."""
+    index = DrawIndex(read_all_draws(store, shard.refs("draws")).pairs_m)
+    seen: dict[Place, SeenPair] = {}
+    known: list[SeenPair] = []
+    for ref, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True):
+        own = read_seen_pairs(store, ref, views, num_hypotheses=_NUM_HYPOTHESES)[0]
+        seen |= own
+        known += [one for one in own.values() if not one.is_left_out] if ref in shard.refs("known") else []
+    known = [known[at] for at in evenly_spread(len(known), _MAX_KNOWN)]
+    pairs: dict[Place, tuple[Array, list[float]]] = {}
+    scores: list[Score] = []
+    for ref in shard.refs("lifted"):
+        table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "pair17_m", *_EXPECTED])
+        every: list[float] = []
+        for row in range(table.num_rows):
+            if (expected := _expected(table, row)) is not None:
+                every.append(expected[0])
+                if place_of(table, row) in seen:
+                    pairs[place_of(table, row)] = np.asarray(table["pair17_m"][row], dtype=np.float64), expected
+        item = f"{store.manifest(ref).partition} {store.manifest(ref).name}".replace("_", " ")
+        scores += summarise({"fitted": np.array(every)}, "expected_error", "m", item=item)
+    chosen = [list(pairs)[at] for at in evenly_spread(len(pairs), _NUM_NEAREST_SHOWN, has_ends=False)]
+    if not chosen:
+        return TopicResult(scores)
+    caption = (
+        "Lifted pairs with the expected error of a joint and its 80 % interval, each beside the other annotations and "
+        "the draws most like it, nearest first, with their distance d_I: of an annotation to the pair seen from where "
+        "that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Annotations of the same moment are "
+        "excluded; the nearest draw may have been lifted from that very image. Better: all look alike; far neighbours "
+        "mean that nothing like it is known."
+    )
+    rows = {_label(place, pairs[place][1]): _row(seen[place], pairs[place][0], known, index) for place in chosen}
+    return TopicResult(scores, [Picture("nearest.svg", caption, rows_figure(rows))])
+
+
+def _expected(table: TableData, row: int) -> list[float] | None:
+    """Return the expected error and the ends of its interval, metres; None of a method that has none."""
+    found = [float(table[name][row]) for name in _EXPECTED]
+    return None if math.isnan(found[0]) else found
+
+
+def _label(place: Place, expected_m: Sequence[float]) -> str:
+    value, low, high = (100.0 * value for value in expected_m)
+    return f"{place.sequence_id}, frame {place.frame}: expected error {value:.0f} cm, {low:.0f} to {high:.0f}"
+
+
+def _row(one: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIndex) -> list[tuple[str, Array]]:
+    """Return a lifted pair's image, itself, its nearest annotations and draws (2, 17, 2), each with its words."""
+    # From its left: what was towards the camera is on the right.
+    row = [("image", one.image_m), ("lifted", pair_m[..., :2]), ("from the side", pair_m[..., [2, 1]])]
+    others = [
+        other
+        for other in known
+        if other.place.sequence_id != one.place.sequence_id or abs(other.place.frame - one.place.frame) >= SAME_MOMENT
+    ]
+    if others:
+        images, views = np.stack([other.image_m for other in others]), np.stack([o.directions[0] for o in others])
+        found, distance = nearest_images(pair_m, images, views, count=_NUM_NEAREST)
+        row += [(f"annotation, {100 * far:.0f} cm", images[at]) for at, far in zip(found, distance, strict=True)]
+    draws, distance = nearest_by_image(index, one.image_m, one.directions, count=_NUM_NEAREST)
+    return row + [(f"draw, {100 * far:.0f} cm", pair[..., :2]) for pair, far in zip(draws, distance, strict=True)]
+
+
+def rows_figure(rows: Mapping[str, Sequence[tuple[str, Array]]]) -> bytes:
+    """Draw rows of pairs (person=2, joint=17, 2), metres, NaN where not seen, with their words; give SVG bytes."""
+    width, height = max(map(len, rows.values())) * _CELL_M[0], len(rows) * _CELL_M[1]
+    figure, ((axis,),) = new_figure(9.0, 9.0 * height / width)
+    axis.set_xlim(0.0, width)
+    axis.set_ylim(-height, 0.0)
+    axis.set_aspect("equal")
+    axis.set_axis_off()
+    for row, (label, pairs) in enumerate(rows.items()):
+        for column, (words, points) in enumerate(pairs):
+            middle, top = _CELL_M[0] * (column + 0.5), -_CELL_M[1] * row
+            draw_pair(axis, points, np.array([middle, top - 0.56 * _CELL_M[1]]))
+            axis.text(middle, top - 0.16 * _CELL_M[1], words, fontsize=7, ha="center")
+        axis.text(0.0, -_CELL_M[1] * (row + 0.05), label, fontsize=7, fontweight="bold")
+    return figure_svg(figure)
+
+
+def _completed(shard: Shard, store: Store) -> TopicResult:
+    """Hide joints and frames of real pairs, and score what is put in their place."""
+    count = shard.options(LiftedPairsSettings).num_completed_pairs
+    truth = GroundTruth.read(store, shard.refs("takes"), ())
+    refuse_learned(store, shard.refs("draws"), truth.held_out)
+    sets = read_draw_sets(store, shard.refs("draws"))
+    # Neighbouring draws of a chain are alike: a spread of them is enough, grown seeds are all taken.
+    generator = stream(shard.seed, TOPIC.name, "completed")
+    nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
+    grown = sets[GROWN].pairs_m if GROWN in sets else nothing
+    others = np.concatenate([nothing, *(found.pairs_m for name, found in sets.items() if name != GROWN)])
+    pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MAX_DRAWS]]])
+    scores: list[Score] = []
+    judged: dict[str, list[Items]] = {_COMPLETED: [], _BETWEEN: []}
+    for split in ("learned", "held_out"):
+        own = {name: take for name, take in truth.takes.items() if (name in truth.held_out) == (split == "held_out")}
+        places = _spread_places(own, count, 0)
+        if not places:
+            continue
+        completed = completion_errors(generator, np.stack([own[take][frame] for take, frame in places]), pool)
+        for part, errors in completed.items():
+            scores += summarise(errors, "occluded_joint_error", "m", split=split, item=part)
+            judged[_COMPLETED] += _held_out(split, Items(errors, *_where(truth, places)))
+        every = _spread_places(own, max(count, len(_GAPS)), max(_GAPS))
+        for number, gap in enumerate(_GAPS):
+            starts = every[number :: len(_GAPS)]
+            if not starts:
+                continue
+            filled = in_between_errors([own[take][frame : frame + gap + 1] for take, frame in starts], pool)
+            means = {method: np.array([span.mean() for span in spans]) for method, spans in filled.items()}
+            scores += summarise(means, "in_between_error", "m", split=split, item=f"{gap} frames")
+            between = _where(truth, [(take, frame + more) for take, frame in starts for more in range(1, gap)])
+            errors = {method: np.concatenate(spans) for method, spans in filled.items()}
+            judged[_BETWEEN] += _held_out(split, Items(errors, *between))
+    notes = [f"Joints were completed from {len(pool):,} draws and grown seeds."]
+    items = {name: Items.joined(found) for name, found in judged.items()}
+    return TopicResult(scores, notes=notes, items=items, baselines=_BASELINES)
+
+
+def _held_out(split: str, items: Items) -> list[Items]:
+    """Return items where they are held out; none of others."""
+    return [items] if split == "held_out" else []
+
+
+def _where(truth: GroundTruth, places: Sequence[tuple[str, int]]) -> tuple[list[str], list[float]]:
+    """Return take and time of these takes and frames."""
+    return [take for take, _ in places], [truth.time_s(*place) for place in places]
+
+
+def _spread_places(takes: Mapping[str, Array], count: int, gap: int) -> list[tuple[str, int]]:
+    """Return takes and frames, evenly spread over all takes that are long enough, with so many frames after each."""
+    every = [(name, frame) for name, pairs in takes.items() for frame in range(len(pairs) - gap)]
+    return [every[at] for at in evenly_spread(len(every), count, has_ends=False)]
+
+
+TOPIC = Topic(
+    name="lifting",
+    heading="Lifting",
+    introduction="3D pairs lifted from images with the draws that look like them, hidden joints of real pairs "
+    "completed from draws, and frames filled in between. Errors of pairs include distance and depth between the "
+    "people, errors of people are about each person's own hips.",
+    reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
+    plan=_plan,
+    run=_run,
+    settings=LiftedPairsSettings,
+    criteria=(
+        Criterion("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("fitted",)),
+        Criterion("occluded_joint_error_mean", "error of completed joints", "m", "limbs", ("fitted",), _COMPLETED),
+        Criterion("in_between_error_mean", "error of frames between", "m", "frames", ("draws",), _BETWEEN),
+        Criterion(
+            "in_between_lifted_error_mean", "error between lifted pairs", "m", "frames", ("draws",), _BETWEEN_LIFTED
+        ),
+    ),
+)

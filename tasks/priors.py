@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.cameras.torso import TorsoBasis, learn_torso_basis
 from pasdedeux.cameras.torso_proportions import proportions_torso_basis
-from pasdedeux.choreography import duet_torso_basis
+from pasdedeux.choreography.duets import duet_torso_basis
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17

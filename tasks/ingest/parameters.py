@@ -15,7 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle, draw_styles
+from pasdedeux.choreography.duet import DuetStyle
+from pasdedeux.choreography.duets import DEFAULT_DUETS, DUETS, draw_styles
 from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.resolution import PeopleSettings

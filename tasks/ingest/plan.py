@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pasdedeux.choreography import DUETS, style_of
+from pasdedeux.choreography.duets import DUETS, style_of
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.formats.guess import AxisGuess, common_up_axis, guess_up_axis
 from pasdedeux.formats.own_skeleton import body_map

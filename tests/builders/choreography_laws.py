@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from pasdedeux.choreography import Duet
+from pasdedeux.choreography.duet import Duet
 from pasdedeux.plausibility.capsules import capsule_model, segment_distance
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.skeletons import BODY22

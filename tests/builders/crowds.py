@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion

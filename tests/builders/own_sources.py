@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.rotation_rows import read_rotation_rows

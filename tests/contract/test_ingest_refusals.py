@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.choreography import style_of
+from pasdedeux.choreography.duets import style_of
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from storage_schema import Store

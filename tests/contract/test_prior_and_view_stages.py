@@ -12,7 +12,7 @@ from pasdedeux.cameras.frames import angle_between_directions, true_direction
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.cameras.virtual_video import frame_take, sample_views
-from pasdedeux.choreography import duet_torso_basis
+from pasdedeux.choreography.duets import duet_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES

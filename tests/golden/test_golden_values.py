@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pasdedeux.choreography import DUETS, make_duet
+from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.skeletons import BODY22
 from storage_schema import artifact_key
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.choreography import DUETS, make_duet
+from pasdedeux.choreography.duets import DUETS, make_duet
 from tests.builders.choreography_laws import measure
 
 HEIGHT = st.floats(1.5, 2.0)

@@ -8,7 +8,7 @@ import pytest
 from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, UserContact, uniform_variations
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.augmentation.variations import Variation
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.kinematics import bone_lengths

@@ -17,7 +17,7 @@ from pasdedeux.augmentation.variations import (
     bone_variations,
     group_variations,
 )
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.fitting import BoneForest, FitSettings
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import yaw_rotmat

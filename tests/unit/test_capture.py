@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.choreography import DUETS, make_duet
+from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.plausibility.capture import JUDGED, check_capture, judge_capture
 from pasdedeux.skeletons import BODY22

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.choreography import DUETS, Duet, make_duet
+from pasdedeux.choreography.duet import Duet
+from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.kinematics import bone_lengths, forward_kinematics, local_rotations

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.interaction.contacts import Contacts, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.known_contacts import UserContact

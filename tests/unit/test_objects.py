@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pasdedeux.augmentation import Augmenter, Source, UserContact, uniform_variations
 from pasdedeux.augmentation.source import points_of, reference_motion
 from pasdedeux.augmentation.support import floor_weights, stance_weights
-from pasdedeux.choreography import make_duet
+from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.interaction.contacts import stated_contacts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import figure_words
@@ -17,41 +17,6 @@ from pasdedeux.verdict import Verdict
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-
-PLAYER = ".player.json"
-"""Ending of what a player shows."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure (.svg) or moving people (.player.json), by its file name, with a caption.
-
-    Of a section with many the first are shown, and others folded away.
-    """
-
-    name: str
-    caption: str
-    content: bytes
-
-    @property
-    def is_player(self) -> bool:
-        """It is made of moving people."""
-        return self.name.endswith(PLAYER)
-
-    @property
-    def is_broad(self) -> bool:
-        """Its panels need the page's width."""
-        return self.content.count(b'"title":') > 1
-
-    @property
-    def scene(self) -> str:
-        """What a player shows, as JSON that can stand within a page: nothing in it ends a script."""
-        return self.content.decode().replace("<", "\\u003c").replace("&", "\\u0026")
-
-    @property
-    def data_uri(self) -> str:
-        """The figure as a data URI, so that the page needs no other file."""
-        return f"data:image/svg+xml;base64,{base64.b64encode(self.content).decode()}"
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.figures import compared_figure
 from pasdedeux.evaluation.names import in_words, is_bound
+from pasdedeux.evaluation.pictures import compared_figure
 from pasdedeux.evaluation.score_tables import format_interval, format_value, shown_as
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval
 from pasdedeux.verdict import Level, Paired, Verdict
@@ -208,8 +208,8 @@ class Criterion:
         goal, name = next(baselines, (self.limit, "what is allowed"))
         shown_unit, factor = shown_as(unit)
         drawn = compared_figure(
-            {in_words(method): factor * means[method] for method in ranked},
-            {in_words(method) for method in plain},
+            {method: factor * means[method] for method in ranked},
+            plain,
             goal=factor * goal,
             x_label=f"{self.figure} ({shown_unit})" if shown_unit else self.figure,
         )

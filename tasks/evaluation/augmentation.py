@@ -15,10 +15,7 @@ from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, points_of, reference_motion
 from pasdedeux.augmentation.variations import Variation
-from pasdedeux.evaluation.figures import CurvePanel, curve_figure
-from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
@@ -257,8 +254,8 @@ def drift_figure(take_id: str, scale: Array, columns: Mapping[str, Array]) -> by
     drifts = {_OURS: columns["contact_drift_m"], _PLAIN: columns[_FK_DRIFT]}
     panel = CurvePanel(
         "mean change of contact distance (mm)",
-        {in_words(method): (scale[order], 1e3 * drift[order]) for method, drift in drifts.items()},
-        {in_words(_PLAIN)},
+        {method: (scale[order], 1e3 * drift[order]) for method, drift in drifts.items()},
+        {_PLAIN},
     )
     return curve_figure([panel], title=f"{take_id}: contacts kept", x_label="scale of whoever is scaled")
 

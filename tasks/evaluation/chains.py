@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.players import pack_player, people_panel
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.diagnostics import FIGURES

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.evaluation import players
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import Picture, image_panel, pack_player
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.ground_truth import rate_of
@@ -52,13 +51,13 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     keypoints, times = _by_frame(data, is_here)
     step = max(1, round(rate_of(times) / _RATE_HZ))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    panel = players.image_panel(sequence_id, OP14, keypoints, size)
+    panel = image_panel(sequence_id, OP14, keypoints, size)
     labels = [f"{time:.1f} s" for time in times[::step]]
     caption = (
         f"Sequence {sequence_id}: its first seconds of 2D poses as given. A limb that is missing or jumps was detected "
         "badly."
     )
-    player = players.pack_player([panel], rate_hz=rate_of(times) / step, labels=labels)
+    player = pack_player([panel], rate_hz=rate_of(times) / step, labels=labels)
     return TopicResult(pictures=[Picture(f"clip-{sequence_id.replace('/', '-')}.player.json", caption, player)])
 
 

@@ -12,9 +12,8 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
-from pasdedeux.evaluation.figures import CLOUD, CurvePanel, curve_figure, figure_svg, fit_map, new_figure
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import CLOUD, CurvePanel, Picture, curve_figure, figure_svg, fit_map, new_figure
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
@@ -256,16 +255,13 @@ def realism_scores(
 
 def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, words: str) -> bytes:
     """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, fig. 9), beside real frames."""
-    panels = []
+    panels, at = [], {method: one.num_draws.astype(np.float64) for method, one in curves.items()}
     for measure, (name, unit) in _MEASURES.items():
         factor, end = (100.0, " (cm)") if unit == "m" else (1.0, "")
         real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
-        curves_of = {
-            in_words(method): (one.num_draws.astype(np.float64), factor * getattr(one, name))
-            for method, one in curves.items()
-        }
-        label, baselines = f"{measure} to the nearest draw{end}", {in_words(method) for method in _baselines(curves)}
-        panels.append(CurvePanel(label, curves_of, baselines, {f"{count} real": float(value) for count, value in real}))
+        own = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
+        levels_of = {f"{count} real": float(value) for count, value in real}
+        panels.append(CurvePanel(f"{measure} to the nearest draw{end}", own, _baselines(curves), levels_of))
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
 
 

@@ -16,9 +16,17 @@ from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
-from pasdedeux.evaluation.figures import CLOUD, CurvePanel, curve_figure, draw_pair, figure_svg, fit_map, new_figure
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import (
+    CLOUD,
+    CurvePanel,
+    Picture,
+    curve_figure,
+    draw_pair,
+    figure_svg,
+    fit_map,
+    new_figure,
+)
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
@@ -211,14 +219,14 @@ def nearest_draw_figure(curves: Mapping[str, Mapping[str, Nearest]]) -> bytes:
     panels = []
     for split, methods in curves.items():
         means = {
-            in_words(name): (np.array(list(curve)), np.array([100.0 * near.mean() for near in curve.values()]))
+            name: (np.array(list(curve)), np.array([100.0 * near.mean() for near in curve.values()]))
             for name, curve in methods.items()
         }
         panels.append(
             CurvePanel(
                 f"d_I to the nearest (cm), {_WORDS[split]}",
                 {name: both for name, both in means.items() if len(both[0]) > 1},
-                {in_words(name) for name in _BASELINES},
+                _BASELINES,
                 {name: float(mean[0]) for name, (at, mean) in means.items() if len(at) == 1},
             )
         )

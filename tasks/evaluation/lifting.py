@@ -12,11 +12,18 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
-from pasdedeux.evaluation.figures import CLOUD, draw_pair, figure_svg, label_axis, new_figure
 from pasdedeux.evaluation.lifting import completion_errors, in_between_errors, lifted_errors
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.players import pack_player, people_panel
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import (
+    CLOUD,
+    Picture,
+    draw_pair,
+    figure_svg,
+    label_axis,
+    new_figure,
+    pack_player,
+    people_panel,
+)
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT

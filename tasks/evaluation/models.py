@@ -8,11 +8,9 @@ from functools import partial
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.figures import CurvePanel, curve_figure
 from pasdedeux.evaluation.models import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
@@ -188,9 +186,9 @@ def model_figure(
     curves = {}
     for model, found in errors.items():
         values = np.array([error["E_r"] for error in found])
-        curves[in_words(model)] = known, np.array([values[np.isclose(at, scale)].mean() for scale in known])
+        curves[model] = known, np.array([values[np.isclose(at, scale)].mean() for scale in known])
     return curve_figure(
-        [CurvePanel("mean joint error E_r (cm)", curves, {in_words(name) for name in baselines})],
+        [CurvePanel("mean joint error E_r (cm)", curves, baselines)],
         title=f"models on {split.replace('_', ' ')} test variants",
         x_label="scale furthest from 1, of anybody's bones",
     )

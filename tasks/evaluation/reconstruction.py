@@ -12,14 +12,13 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.reconstruction_metrics import (
     jitter_m,
     root_centred_error_m,
     root_removed_error_m,
     scale_free_error_m,
 )
-from pasdedeux.evaluation.report import Picture
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.kinematics.rotations import rotate, swing_between

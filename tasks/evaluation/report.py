@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from pydantic import Field
 
 from pasdedeux.evaluation.names import meanings
-from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, render_report
+from pasdedeux.evaluation.pictures import PLAYER, Picture
+from pasdedeux.evaluation.report import Report, Section, render_report
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.summary import Summary, folded, listed

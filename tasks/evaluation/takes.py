@@ -8,8 +8,7 @@ from string import ascii_uppercase
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.players import COLOUR_NAMES, pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import COLOUR_NAMES, Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.skeletons import BODY22

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.evaluation.verdicts import Criterion, Items, merge_verdicts

@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array
+from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.reconstruction_metrics import (
     foot_slide_m,
     jitter_m,
     root_centred_error_m,
     root_removed_error_m,
 )
-from pasdedeux.evaluation.report import Picture
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.unseen_views import (
     BEST,

@@ -8,8 +8,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import angle_between_directions, true_direction
-from pasdedeux.evaluation.figures import CLOUD, figure_svg, label_axis, new_figure
-from pasdedeux.evaluation.report import Picture
+from pasdedeux.evaluation.pictures import CLOUD, Picture, figure_svg, label_axis, new_figure
 from pasdedeux.evaluation.scores import summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.kinematics.rotations import normalise

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.figures import compared_figure
-from pasdedeux.evaluation.report import PLAYER, Picture
+from pasdedeux.evaluation.pictures import PLAYER, Picture, compared_figure
 from pasdedeux.evaluation.score_tables import format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Criterion, Items, part_name

@@ -9,9 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.figures import CurvePanel, curve_figure
-from pasdedeux.evaluation.players import PERSON_COLOURS, image_panel, pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.report import Picture, Report, Section, render_report
+from pasdedeux.evaluation.pictures import (
+    PERSON_COLOURS,
+    CurvePanel,
+    Picture,
+    curve_figure,
+    image_panel,
+    pack_player,
+    people_panel,
+    shown_frames,
+)
+from pasdedeux.evaluation.report import Report, Section, render_report
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
 from pasdedeux.evaluation.summary import Credit, Made, Summary

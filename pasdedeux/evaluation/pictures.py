@@ -1,0 +1,325 @@
+"""Pictures of the report: figures as SVG whose text stays text, and moving people that the page's own player draws.
+
+Positions of moving people are packed small, and a reader may turn them.  Left limbs are drawn darker than right ones,
+so that a mirrored person is seen at a glance.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.skeletons import PAIR17, Skeleton
+
+if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
+    from matplotlib.figure import Figure
+
+PLAYER = ".player.json"
+"""Ending of what a player shows."""
+PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
+"""Colours of person A, B, ... in every picture; a sixth person has the first one again."""
+COLOUR_NAMES = ("orange", "blue", "purple", "ochre", "teal")
+"""What these are called."""
+_TRUTH_COLOUR, _LINK_COLOUR, _OBJECT_COLOUR = "#8c8c8c", "#111111", "#777777"
+_SHADES = {"left_": 0.62, "right_": 1.0}
+"""Brightness of left and right limbs."""
+_SHADE_BETWEEN = 0.85
+
+_MISSING = -32768
+_UNIT_M = 0.001
+"""Positions are kept to the millimetre, coarser only where people are further apart than int16 reaches."""
+_MAX_RATE_HZ = 12.5
+_MAX_S = 5.0
+CLOUD: Mapping[str, Any] = {"linewidths": 0, "rasterized": True}
+"""Clouds of points are drawn as an image within the figure: thousands of shapes would be megabytes."""
+_DOTS_PER_INCH = 90
+_ORIGIN = np.zeros(2)
+_LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure (.svg) or moving people (.player.json), by its file name, with a caption.
+
+    Of a section with many the first are shown, and others folded away.
+    """
+
+    name: str
+    caption: str
+    content: bytes
+
+    @property
+    def is_player(self) -> bool:
+        """It is made of moving people."""
+        return self.name.endswith(PLAYER)
+
+    @property
+    def is_broad(self) -> bool:
+        """Its panels need the page's width."""
+        return self.content.count(b'"title":') > 1
+
+    @property
+    def scene(self) -> str:
+        """What a player shows, as JSON that can stand within a page: nothing in it ends a script."""
+        return self.content.decode().replace("<", "\\u003c").replace("&", "\\u0026")
+
+    @property
+    def data_uri(self) -> str:
+        """The figure as a data URI, so that the page needs no other file."""
+        return f"data:image/svg+xml;base64,{base64.b64encode(self.content).decode()}"
+
+
+@dataclass(frozen=True)
+class CurvePanel:
+    """Curves over a common x: by method x (n,) and y (n,), baselines dashed, and horizontal levels by name."""
+
+    y_label: str
+    curves: Mapping[str, tuple[Array, Array]]
+    baselines: Collection[str] = ()
+    levels: Mapping[str, float] = field(default_factory=dict)
+
+
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, has_common_axes: bool = False
+) -> tuple[Figure, Any]:
+    """Return an empty figure of this size in inches and its axes (row, column), all with the same ranges if wished."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=has_common_axes, sharey=has_common_axes)
+
+
+def figure_svg(figure: Figure, *, title: str = "") -> bytes:
+    """Lay out a figure, with a title over all of it, and render it to SVG bytes that depend on the picture alone."""
+    from matplotlib import rc_context
+
+    if title:
+        figure.suptitle(title, fontsize=9)
+    figure.tight_layout()
+    buffer = io.BytesIO()
+    with rc_context({"svg.hashsalt": "pasdedeux", "svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", dpi=_DOTS_PER_INCH, metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def label_axis(axis: Any, x_label: str = "", y_label: str = "") -> None:
+    """Name both directions of an axis."""
+    axis.set_xlabel(x_label, fontsize=8)
+    axis.set_ylabel(y_label, fontsize=8)
+    axis.tick_params(labelsize=7)
+
+
+def fit_map(figure: Figure, axis: Any, *, scale: float, limits: tuple[float, float]) -> None:
+    """Give both directions of a map the same scale, and the figure the height that this needs, inches in limits."""
+    axis.set_aspect("equal")
+    width, height = (float(np.ptp(ends)) for ends in (axis.get_xlim(), axis.get_ylim()))
+    figure.set_figheight(float(np.clip(0.9 + scale * height / width, *limits)))
+
+
+def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_log: bool = False) -> bytes:
+    """Draw panels side by side over an x of one meaning; give SVG bytes."""
+    columns = max(len(panels), 1)
+    figure, ((*axes,),) = new_figure(6.0 if columns == 1 else 3.6 * columns, 3.3, columns=columns)
+    for axis, panel in zip(axes, panels, strict=False):
+        if is_log:
+            axis.set_xscale("log")
+        _draw_panel(axis, panel, x_label)
+        axis.minorticks_off()  # over less than a decade their names would overlap
+    if panels and panels[0].curves:
+        axes[0].legend(fontsize=6)
+    return figure_svg(figure, title=title)
+
+
+def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
+    """Draw curves and levels; a level too close above another keeps its line and goes without its name."""
+    for name, (x, y) in panel.curves.items():
+        axis.plot(x, y, linestyle="--" if name in panel.baselines else "-", marker=".", label=in_words(name))
+    for level in panel.levels.values():
+        axis.axhline(level, color="#999999", linewidth=0.7)
+    bottom, top = axis.get_ylim()
+    named = bottom - (top - bottom)
+    for name, level in sorted(panel.levels.items(), key=lambda item: item[1]):
+        if level - named > _LEVEL_GAP * (top - bottom):
+            axis.annotate(
+                in_words(name), (1.0, level), xycoords=("axes fraction", "data"), fontsize=6, ha="right", va="bottom"
+            )
+            named = level
+    label_axis(axis, x_label, panel.y_label)
+    axis.grid(visible=True, alpha=0.25)
+
+
+def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, goal: float, x_label: str) -> bytes:
+    """Draw a bar for each method, hatched for baselines, and a line at what has to be beaten; give SVG bytes."""
+    figure, ((axis,),) = new_figure(6.0, 0.9 + 0.28 * len(values))
+    for row, (name, value) in enumerate(values.items()):
+        is_baseline = name in baselines
+        axis.barh(row, value, color="#c9ced6" if is_baseline else "#1f5fa8", hatch="//" if is_baseline else None)
+        axis.annotate(f"{value:.3g}", (value, row), xytext=(3, 0), textcoords="offset points", fontsize=7, va="center")
+    axis.set_yticks(np.arange(len(values)), list(map(in_words, values)))
+    axis.invert_yaxis()
+    axis.margins(x=0.12)
+    if np.isfinite(goal):
+        axis.axvline(goal, color="#a3123a", linestyle="--", linewidth=1.2)
+    label_axis(axis, x_label)
+    return figure_svg(figure)
+
+
+def draw_pair(axis: Any, points: Array, place: Array = _ORIGIN) -> None:
+    """Draw two people (person=2, joint=17, 2) as sticks with the middle of the joints there at a place (2,)."""
+    shown = points - np.nanmean(points.reshape(-1, 2), axis=0) + place
+    for person, colour in zip(shown, PERSON_COLOURS, strict=False):
+        # One line for all bones, broken between them: hundreds of figures stay small.
+        ends = np.array([[person[parent], person[child], (np.nan, np.nan)] for parent, child in PAIR17.bones])
+        axis.plot(*ends.reshape(-1, 2).T, color=colour, linewidth=0.9, solid_capstyle="round")
+
+
+@dataclass(frozen=True)
+class ShownPerson:
+    """One person: positions (frame, joint, 3) in metres, Y up, NaN where not there, and a colour."""
+
+    skeleton: Skeleton
+    positions_m: Array
+    colour: str
+    is_thin: bool = False
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What is shown beside others: a title, people, ends (frame, n, 2, 3) of contacts and of objects' axes, NaN: none.
+
+    A flat panel is not turned: it shows an image, whose middle is the origin.
+    """
+
+    title: str
+    figures: tuple[ShownPerson, ...]
+    links_m: Array | None = None
+    objects_m: Array | None = None
+    is_flat: bool = False
+
+
+def people_panel(
+    title: str,
+    skeleton: Skeleton,
+    people_m: Array,
+    links_m: Array | None = None,
+    objects_m: Array | None = None,
+    *,
+    truth_m: Array | None = None,
+) -> Panel:
+    """Return the panel of people (frame, person, joint, 3) in everybody's colour, over the thin grey ground truth."""
+    behind = [] if truth_m is None else [truth_m[:, person] for person in range(truth_m.shape[1])]
+    colours = zip(range(people_m.shape[1]), cycle(PERSON_COLOURS), strict=False)
+    figures = (
+        *(ShownPerson(skeleton, one, _TRUTH_COLOUR, is_thin=True) for one in behind),
+        *(ShownPerson(skeleton, people_m[:, person], colour) for person, colour in colours),
+    )
+    return Panel(title, figures, links_m, objects_m)
+
+
+def image_panel(title: str, skeleton: Skeleton, people_px: Array, size_px: tuple[int, int]) -> Panel:
+    """Return the panel of an image and its edge: people (frame, person, joint, 2), pixels, y down, NaN: missing."""
+    width, height = size_px
+    edge = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
+    edge = np.broadcast_to(np.stack([edge, np.roll(edge, -1, axis=0)], axis=1), (len(people_px), 4, 2, 2))
+
+    def placed(points_px: Array) -> Array:
+        return np.insert((points_px - [width / 2, height / 2]) * [1.0, -1.0] / height, 2, 0.0, axis=-1)
+
+    return replace(people_panel(title, skeleton, placed(people_px), None, placed(edge)), is_flat=True)
+
+
+def shown_frames(num_frames: int, rate_hz: float) -> tuple[npt.NDArray[np.int64], float]:
+    """Return the frames of a motion that are shown, some seconds from its middle, thinned, and their rate.
+
+    >>> shown_frames(300, 30.0)[0][:3], shown_frames(300, 30.0)[1]
+    (array([75, 77, 79]), 15.0)
+    """
+    step = max(1, round(rate_hz / _MAX_RATE_HZ))
+    count = min(num_frames, max(1, round(_MAX_S * rate_hz)))
+    start = (num_frames - count) // 2
+    return np.arange(start, start + count, step), rate_hz / step
+
+
+def pack_player(
+    panels: Sequence[Panel], *, rate_hz: float, labels: Sequence[str] = (), has_floor: bool = True
+) -> bytes:
+    """Return what the page's player shows, as JSON; the same panels always give the same bytes.
+
+    Args:
+        panels: Panels of the same number of frames.
+        rate_hz: Frames per second.
+        labels: A label for each frame; its time where there are none.
+        has_floor: The floor, y = 0, is drawn.
+    """
+    num_frames = len(panels[0].figures[0].positions_m) if panels and panels[0].figures else 0
+    skeletons: list[Skeleton] = []
+    parts: list[Array] = []
+    num_points = 0
+
+    def add(points: Array) -> int:
+        nonlocal num_points
+        parts.append(points.reshape(num_frames, int(np.prod(points.shape[1:-1])), 3))
+        num_points += parts[-1].shape[1]
+        return num_points - parts[-1].shape[1]
+
+    described = []
+    for panel in panels:
+        figures, lines = [], []
+        for figure in panel.figures:
+            if figure.skeleton not in skeletons:
+                skeletons.append(figure.skeleton)
+            figures.append(
+                {
+                    "skeleton": skeletons.index(figure.skeleton),
+                    "start": add(figure.positions_m),
+                    "num_points": figure.skeleton.num_joints,
+                    "colour": figure.colour,
+                    "is_thin": figure.is_thin,
+                }
+            )
+        for ends, colour, width in (
+            (panel.objects_m, _OBJECT_COLOUR, 1 if panel.is_flat else 6),
+            (panel.links_m, _LINK_COLOUR, 2),
+        ):
+            if ends is not None and ends.size:
+                lines.append({"start": add(ends), "num_lines": ends.shape[1], "colour": colour, "width": width})
+        described.append({"title": panel.title, "figures": figures, "lines": lines, "is_flat": panel.is_flat})
+    points = np.concatenate(parts, axis=1) if parts else np.zeros((0, 0, 3))
+    points = np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, np.nan)
+    unit = (
+        max(_UNIT_M, float(np.nanmax(np.abs(points), initial=0.0)) / 32000.0) if np.isfinite(points).any() else _UNIT_M
+    )
+    whole = np.where(np.isfinite(points), np.round(points / unit), _MISSING).astype("<i2")
+    scene = {
+        "rate_hz": round(rate_hz, 6),
+        "num_frames": num_frames,
+        "num_points": num_points,
+        "unit_m": unit,
+        "has_floor": has_floor,
+        "labels": list(labels),
+        "skeletons": [_described(skeleton) for skeleton in skeletons],
+        "panels": described,
+        "data": base64.b64encode(whole.tobytes()).decode(),
+    }
+    return json.dumps(scene, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _described(skeleton: Skeleton) -> dict[str, object]:
+    names = skeleton.joint_names
+    shades = [
+        next((shade for side, shade in _SHADES.items() if name.startswith(side)), _SHADE_BETWEEN) for name in names
+    ]
+    return {
+        "bones": [[parent, child, shades[child]] for parent, child in skeleton.bones],
+        "head": skeleton.index("head"),
+    }

@@ -59,7 +59,7 @@ class SourceFile:
 class StageInputs:
     """The artifacts a stage may read, as manifests by table name, in a stable order.
 
-    `empty` are those that hold no table: they say what was left out, and why.
+    `empty` are those that hold no table: they say what was skipped, and why.
     """
 
     manifests: Mapping[str, Sequence[Manifest]]

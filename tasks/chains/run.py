@@ -202,9 +202,7 @@ class Evidence:
             )
         if self.num_skipped:
             total = self.num_annotations + self.num_skipped
-            notes.append(
-                f"{self.num_skipped} of {total} annotations show too little or have no view, and were left out"
-            )
+            notes.append(f"{self.num_skipped} of {total} annotations show too little or have no view, and were skipped")
         if self.num_swapped:
             notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")
         return "; ".join(notes)

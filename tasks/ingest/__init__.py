@@ -11,7 +11,7 @@ from tasks.ingest.plan import INGEST, plan
 from tasks.ingest.shard_parameters import (
     AnnotationParameters,
     DuetParameters,
-    LeftOutParameters,
+    SkippedParameters,
     TakeParameters,
     VideoParameters,
 )
@@ -33,9 +33,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return run_virtual_video(shard, store, parameters)
         case AnnotationParameters() as parameters:
             return run_annotations(shard, store, parameters)
-        case LeftOutParameters(left_out=left_out):
-            words = f"{', '.join(left_out)} left out: {next(iter(left_out.values()))}"
-            facts = SkippedFacts(takes=(), skipped=tuple(left_out.values()))
+        case SkippedParameters(skipped=skipped):
+            words = f"{', '.join(skipped)} skipped: {next(iter(skipped.values()))}"
+            facts = SkippedFacts(takes=(), skipped=tuple(skipped.values()))
             return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, words))
         case other:
             raise AssertionError(f"ingest has no shards of {type(other).__name__}")

@@ -91,7 +91,7 @@ class FoundAnnotations:
         lens = " and ".join(f"{focal:.0f} px" for focal in focals)
         words.append(f"focal length {lens}" if lens else "lens of a phone assumed (--focal, --fov)")
         if frames.skipped:
-            words.append(f"{len(frames.skipped)} damaged files left out ({', '.join(frames.skipped[:3])})")
+            words.append(f"{len(frames.skipped)} damaged files skipped ({', '.join(frames.skipped[:3])})")
         return f"{told.id}: {', '.join(words)}"
 
 
@@ -99,7 +99,7 @@ def find_annotations(
     options: AnnotationOptions,
     *,
     is_held_out: bool = False,
-    left_out: dict[str, str] | None = None,
+    skipped: dict[str, str] | None = None,
     take_seconds: float | None = None,
 ) -> list[FoundAnnotations]:
     """Find a source's files, a camera at a time, and read them once, so that bad input is refused before any work.
@@ -107,7 +107,7 @@ def find_annotations(
     Args:
         options: The source.
         is_held_out: Whether it shows a take that is held out.
-        left_out: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
+        skipped: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
         take_seconds: Only so much from the start of each sequence.
 
     Raises:
@@ -118,7 +118,7 @@ def find_annotations(
     ids: set[str] = set()
     try:
         decisions = [] if options.people_file is None else _read_people(options.people_file)
-        for camera in find_cameras(options.path, options.format, left_out=left_out):
+        for camera in find_cameras(options.path, options.format, skipped=skipped):
             try:
                 one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
                 sequences = set(one.read().sequence_id)
@@ -126,9 +126,9 @@ def find_annotations(
                 if told.id in ids:
                     raise InputError(f"{camera.paths[0].name}: another file is '{told.id}' already; rename one of them")
             except InputError as error:
-                if left_out is None:
+                if skipped is None:
                     raise
-                left_out[camera.name] = str(error)
+                skipped[camera.name] = str(error)
                 continue
             ids.add(told.id)
             known |= sequences
@@ -263,12 +263,12 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
 
 
 def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:
-    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames left out."""
+    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped."""
     reasons, share_seen = [], float(is_seen.mean())
     if share_seen < GOOD_SHARE_SEEN:
         reasons.append(f"{share_seen:.0%} of the joints are seen")
     if num_skipped:
-        reasons.append(f"{num_skipped} of {num_files} frames could not be read and were left out")
+        reasons.append(f"{num_skipped} of {num_files} frames could not be read and were skipped")
     is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
     level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
     figure = ("joints seen", 100 * share_seen, "%")

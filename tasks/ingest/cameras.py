@@ -37,11 +37,11 @@ class CameraFiles:
     paths: tuple[Path, ...]
 
 
-def find_cameras(path: Path, format_name: str = "auto", *, left_out: dict[str, str] | None = None) -> list[CameraFiles]:
+def find_cameras(path: Path, format_name: str = "auto", *, skipped: dict[str, str] | None = None) -> list[CameraFiles]:
     """Return the files of each camera of a source: a file, a folder of frames, or a folder of either.
 
     A folder of files of frames is a camera for each beginning of their names (`cam1_0012.json`), any other file of a
-    folder is one of its own, and so is each folder in it.  Where `left_out` is given more files are to come: one that
+    folder is one of its own, and so is each folder in it.  Where `skipped` is given more files are to come: one that
     is none of 2D poses goes there by its name, with the reason, and the only camera has a name as others would have.
 
     Raises:
@@ -50,21 +50,21 @@ def find_cameras(path: Path, format_name: str = "auto", *, left_out: dict[str, s
     if not path.is_dir():
         refuse_film([path], path)
         return [CameraFiles("", _format_of(path, format_name), (path,))]
-    cameras = _cameras_in(path, format_name, left_out)
-    if not cameras or left_out is not None:
+    cameras = _cameras_in(path, format_name, skipped)
+    if not cameras or skipped is not None:
         folders = sorted(item for item in path.iterdir() if item.is_dir())
         for folder in folders:
-            for camera in _cameras_in(folder, format_name, left_out):
+            for camera in _cameras_in(folder, format_name, skipped):
                 name = folder.name.removesuffix("_json")
                 cameras.append(CameraFiles(f"{name}_{camera.name}".rstrip("_"), camera.format, camera.paths))
-    if not cameras and not left_out:
+    if not cameras and not skipped:
         refuse_film(sorted(path.iterdir()), path)
         raise InputError(f"folder {path} holds no files of 2D poses ({', '.join(sorted(_SUFFIXES))})")
-    is_alone = len(cameras) == 1 and left_out is None
+    is_alone = len(cameras) == 1 and skipped is None
     return [CameraFiles("", cameras[0].format, cameras[0].paths)] if is_alone else cameras
 
 
-def _cameras_in(folder: Path, format_name: str, left_out: dict[str, str] | None) -> list[CameraFiles]:
+def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) -> list[CameraFiles]:
     """Return the cameras of the files that lie in a folder itself."""
     paths = sorted(item for item in folder.iterdir() if item.suffix.lower() in _SUFFIXES and item.is_file())
     numbered = [item for item in paths if item.suffix.lower() == ".json" and number_in_name(item.name)[1] is not None]
@@ -79,9 +79,9 @@ def _cameras_in(folder: Path, format_name: str, left_out: dict[str, str] | None)
             try:
                 found.append(CameraFiles(one.stem, _format_of(one, format_name), (one,)))
             except InputError as error:
-                if left_out is None:
+                if skipped is None:
                     raise
-                left_out[one.stem] = str(error)
+                skipped[one.stem] = str(error)
         return found
     frames = numbered or [item for item in paths if item.suffix.lower() == ".json"]
     cameras: dict[str, list[Path]] = {}

@@ -144,7 +144,7 @@ class PairOptions(CommonOptions):
         default=None,
         min_length=1,
         description="Takes, as they stand in the file names; by default every take of the folder, also those that come "
-        "later, and one that cannot be read, or not yet, is left out with a warning",
+        "later, and one that cannot be read, or not yet, is skipped with a warning",
     )
     id: str = Field(default="{subject}_{take}", description="Name of each take; {subject} is the first subject")
     is_watched: bool = Field(
@@ -251,7 +251,7 @@ class CaptureOptions(Parameters):
         default=limits_of(JUDGED),
         description="By figure (a column of `take_quality`): past the first a warning, past the second a failure",
     )
-    leave_out_failing: bool = Field(
+    skip_failing: bool = Field(
         default=False, description="Takes whose capture fails have no poses, and no stage uses them; the report says so"
     )
 
@@ -375,7 +375,7 @@ class AnnotationOptions(AnnotationCommon):
     is_watched: bool = Field(
         default=False,
         description="More will come into the folder: each file or folder in it is a source `<id>.<its name>`, also the "
-        "only one, and one that cannot be read, or not yet, is left out with a warning",
+        "only one, and one that cannot be read, or not yet, is skipped with a warning",
     )
 
 

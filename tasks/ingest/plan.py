@@ -24,9 +24,9 @@ from tasks.ingest.parameters import (
 )
 from tasks.ingest.shard_parameters import (
     DuetParameters,
-    LeftOutParameters,
     PersonParameters,
     Purpose,
+    SkippedParameters,
     TakeParameters,
     VideoParameters,
 )
@@ -56,13 +56,13 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
     shards: list[Shard] = []
     awaited = parameters.awaited()
     for name, family in parameters.pairs.items():
-        found, left_out = _family_shards(inputs, parameters, name, family)
+        found, skipped = _family_shards(inputs, parameters, name, family)
         takes += found
         if family.is_watched:
-            left_out |= dict.fromkeys(awaited, "the study names it, and it has not come yet")
+            skipped |= dict.fromkeys(awaited, "the study names it, and it has not come yet")
             awaited = ()
-        if left_out:
-            shards.append(INGEST.shard(inputs, name, "left out", LeftOutParameters(left_out=left_out)))
+        if skipped:
+            shards.append(INGEST.shard(inputs, name, "skipped", SkippedParameters(skipped=skipped)))
     _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
     for take in takes:
         shards.append(take)
@@ -71,11 +71,11 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         waiting: dict[str, str] | None = {} if options.is_watched else None
         is_held_out = options.take_id in parameters.held_out
         for one in find_annotations(
-            options, is_held_out=is_held_out, left_out=waiting, take_seconds=parameters.take_seconds
+            options, is_held_out=is_held_out, skipped=waiting, take_seconds=parameters.take_seconds
         ):
             shards.append(INGEST.shard(inputs, one.parameters.id, "annotations", one.parameters, files=one.files))
         if waiting:
-            shards.append(INGEST.shard(inputs, options.id, "left out", LeftOutParameters(left_out=waiting)))
+            shards.append(INGEST.shard(inputs, options.id, "skipped", SkippedParameters(skipped=waiting)))
     return shards
 
 
@@ -117,12 +117,12 @@ def _seconds(take: TakeParameters, person: PersonParameters) -> tuple[float, flo
 def _family_shards(
     inputs: StageInputs, parameters: IngestParameters, name: str, family: PairOptions
 ) -> tuple[list[Shard], dict[str, str]]:
-    """Return a shard for each take of a family; of one whose takes are not named also what is left out, and why.
+    """Return a shard for each take of a family; of one whose takes are not named also what is skipped, and why.
 
     Raises:
         InputError: A take that is named cannot be used, or there is none.
     """
-    shards, left_out = [], {}
+    shards, skipped = [], {}
     takes = family.take_names()
     if not takes:
         raise InputError(f"ingest.pairs.{name}: no file {' or '.join(family.patterns)} is in {family.folder}")
@@ -135,10 +135,10 @@ def _family_shards(
         except (InputError, ValidationError) as error:
             if family.takes is not None:
                 raise
-            left_out[take_id] = (
+            skipped[take_id] = (
                 str(error) if isinstance(error, InputError) else f"'{take_id}' cannot be the name of a take"
             )
-    return shards, left_out
+    return shards, skipped
 
 
 def _refuse_missing(parameters: IngestParameters) -> None:

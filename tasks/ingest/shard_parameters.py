@@ -36,10 +36,10 @@ class DuetParameters(_OfTake):
     duet: DuetOptions
 
 
-class LeftOutParameters(Parameters):
+class SkippedParameters(Parameters):
     """What of a folder cannot be read, or not yet: why, by the name of the take or of the file."""
 
-    left_out: dict[str, str]
+    skipped: dict[str, str]
 
 
 class PersonParameters(Parameters):

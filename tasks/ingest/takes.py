@@ -205,15 +205,15 @@ def _commit(
         **({} if contacts is None else {"contacts": contacts}),
     )
     tables = {"take_quality": _quality(take_id, found, judged)}
-    if judged.take.level is Level.FAIL and parameters.capture.leave_out_failing:
-        left_out = f"Take {take_id} was left out, its capture fails: {judged.take.reason}."
+    if judged.take.level is Level.FAIL and parameters.capture.skip_failing:
+        skipped = f"Take {take_id} was skipped, its capture fails: {judged.take.reason}."
         return commit(
             shard,
             store,
             tables=tables,
-            facts=facts.model_copy(update={"skipped": (left_out,)}),
+            facts=facts.model_copy(update={"skipped": (skipped,)}),
             sources=[parameters.source],
-            verdict=Verdict(Level.FAIL, left_out),
+            verdict=Verdict(Level.FAIL, skipped),
         )
     poses = [derive_working_poses(person.motion, person.layout) for person in people]
     shift = floor_shift(np.stack([pose.body22_m for pose in poses], axis=1)) if floor == "auto" else 0.0

@@ -45,7 +45,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """
     if isinstance(shard.parameters, SkippedParameters):
         name = shard.parameters.name
-        reason = f"{name} is left out: the study says training.networks = false"
+        reason = f"{name} is skipped: the study says training.networks = false"
         facts = SkippedFacts(model=name, skipped=(f"Model {reason}.",))
         return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
     options = shard.options(SegmentParameters)

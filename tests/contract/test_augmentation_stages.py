@@ -414,7 +414,7 @@ def test_what_is_planned_does_not_depend_on_whether_torch_is_there_and_its_lack_
     assert [shard.name for shard in without] == ["copy", "paper_cvae"]
     verdict = verdict_of(store.manifest(TRAINING.run_shard(without[-1], store)))
     assert verdict is not None
-    assert verdict.reason == "paper_cvae is left out: the study says training.networks = false"
+    assert verdict.reason == "paper_cvae is skipped: the study says training.networks = false"
 
 
 def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> None:

@@ -98,7 +98,7 @@ def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Pat
     assert 80 < whole.value < 100
     (tmp_path / "walk" / "w_000000000003_keypoints.json").write_text("{")
     cut = judged(run(Store(tmp_path / "b"), planned(annotations=[section]))["walk", "annotations"])
-    assert (cut.level, cut.reason) == (Level.WARN, "1 of 6 frames could not be read and were left out")
+    assert (cut.level, cut.reason) == (Level.WARN, "1 of 6 frames could not be read and were skipped")
 
 
 def test_every_so_many_th_moment_is_left_out_of_what_draws_are_made_from(tmp_path: Path) -> None:

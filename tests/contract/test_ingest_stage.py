@@ -333,13 +333,13 @@ def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     assert judged(run(store, planned(takes=stated, **quiet))["two", "take"]).level is Level.PASS
 
 
-def test_a_take_whose_capture_fails_is_kept_and_marked_or_left_out_loudly(
+def test_a_take_whose_capture_fails_is_kept_and_marked_or_skipped_loudly(
     tmp_path: Path, pair: tuple[Path, Path]
 ) -> None:
     kept, left = (
         run(
             Store(tmp_path / str(is_out)),
-            planned(takes=[{"id": "d", "files": list(pair)}], capture={"leave_out_failing": is_out}),
+            planned(takes=[{"id": "d", "files": list(pair)}], capture={"skip_failing": is_out}),
         )
         for is_out in (False, True)
     )
@@ -354,7 +354,7 @@ def test_a_take_whose_capture_fails_is_kept_and_marked_or_left_out_loudly(
     assert "take_quality" in EVALUATION.reads, "or the report does not say so"
     for name in ("take", "video", "random_views"):
         (said,) = left["d", name].facts["skipped"]
-        assert said.startswith("Take d was left out, its capture fails: ")
+        assert said.startswith("Take d was skipped, its capture fails: ")
     assert not left["d", "video"].tables
     assert judged(left["d", "take"]).level is Level.FAIL
 

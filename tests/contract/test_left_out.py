@@ -16,7 +16,7 @@ from tasks.augmentation import NobodyParameters
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.graph import Graph, load_graph
-from tasks.ingest.shard_parameters import LeftOutParameters, VideoParameters
+from tasks.ingest.shard_parameters import SkippedParameters, VideoParameters
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.summary import summary_of
 from tasks.training import parameters as training_parameters
@@ -24,25 +24,25 @@ from tests.builders.storage_rows import put, random_columns, take_rows
 
 Commit = Callable[[Store], ArtifactRef | Manifest]
 
-FAILED = "Take spin was left out, its capture fails: joints jump."
+FAILED = "Take spin was skipped, its capture fails: joints jump."
 
 
 def shard_of(stage: str, partition: str, parameters: Parameters, **more: object) -> Shard:
     return Shard(stage=stage, version=1, partition=partition, name=partition, parameters=parameters, **more)
 
 
-def file_left_out(store: Store) -> ArtifactRef:
-    told = LeftOutParameters(left_out={"torn.bvh": "torn.bvh: line 3 is no number"})
+def file_skipped(store: Store) -> ArtifactRef:
+    told = SkippedParameters(skipped={"torn.bvh": "torn.bvh: line 3 is no number"})
     return ingest.run_shard(shard_of("ingest", "folder", told), store)
 
 
-def take_left_out(store: Store) -> Manifest:
+def take_skipped(store: Store) -> Manifest:
     facts = {"kind": "take", "take_id": "spin", "takes": ["spin"], "num_persons": 2, "skipped": [FAILED]}
     return put(store, "ingest", "spin", {"take_quality": random_columns("take_quality", 2, seed=0)}, facts)
 
 
-def video_of_a_take_left_out(store: Store) -> ArtifactRef:
-    take = take_left_out(store)
+def video_of_a_skipped_take(store: Store) -> ArtifactRef:
+    take = take_skipped(store)
     told = VideoParameters.model_construct(take_id="spin", count=1, purpose="video")
     return ingest.run_shard(shard_of("ingest", "spin video", told, after=(take.ref.key,)), store)
 
@@ -63,12 +63,12 @@ def model_without_torch(store: Store) -> ArtifactRef:
 
 
 KINDS = {
-    file_left_out: "torn.bvh: line 3 is no number",
-    take_left_out: FAILED,
-    video_of_a_take_left_out: FAILED,
+    file_skipped: "torn.bvh: line 3 is no number",
+    take_skipped: FAILED,
+    video_of_a_skipped_take: FAILED,
     take_of_one: "Take solo: one person; the stages that need pairs skipped it.",
     nobody_is_scaled: "No variants of take solo: one person, and nobody of those who are scaled: B.",
-    model_without_torch: "Model paper_cvae is left out: the study says training.networks = false.",
+    model_without_torch: "Model paper_cvae is skipped: the study says training.networks = false.",
 }
 
 

@@ -62,7 +62,7 @@ def test_missing_joints_are_masked_and_annotations_that_show_too_little_are_coun
         pixels[10:15, 1, 0, PAIR17.indices(("neck", "left_hip", "right_hip"))] = np.nan
 
     note = note_of(*sampled(tmp_path / "less", spoil_more))
-    assert note == "5 of 40 annotations show too little or have no view, and were left out"
+    assert note == "5 of 40 annotations show too little or have no view, and were skipped"
 
 
 def test_an_absent_person_leaves_the_annotation_out(tmp_path: Path) -> None:

@@ -113,8 +113,8 @@ def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
 def test_a_key_without_effect_leaves_everything_fresh(small: BuiltStudy, tmp_path: Path) -> None:
     store = tmp_path / "store"
     shutil.copytree(small.store, store)
-    run_toys(small.study, store, "ingest.capture.leave_out_failing=true", graph=graph())
-    plan = plan_toys(small.study, store, "ingest.capture.leave_out_failing=true", graph=graph())
+    run_toys(small.study, store, "ingest.capture.skip_failing=true", graph=graph())
+    plan = plan_toys(small.study, store, "ingest.capture.skip_failing=true", graph=graph())
     assert plan.is_fresh
     once = plan_toys(small.study, small.store, graph=graph())
     assert [m.ref for m in plan.manifests] == [m.ref for m in once.manifests]

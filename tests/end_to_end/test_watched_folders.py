@@ -79,13 +79,13 @@ def test_what_is_dropped_into_a_folder_is_all_that_is_computed(study: Path) -> N
     latest = read_latest(store, "nightly")
     assert latest is not None
     assert {"films.monday", "films.tuesday"} <= {shard.partition for shard in latest.stages["ingest"]}
-    left_out = {
+    skipped = {
         manifest.partition: verdict.reason
         for ref in latest.refs("ingest")
-        if (manifest := store.manifest(ref)).name == "left out" and (verdict := verdict_of(manifest)) is not None
+        if (manifest := store.manifest(ref)).name == "skipped" and (verdict := verdict_of(manifest)) is not None
     }
-    assert "late left out: file B.bvh does not exist" in left_out["inbox"].replace("late/", "")
-    assert "half left out: " in left_out["films"]
+    assert "late skipped: file B.bvh does not exist" in skipped["inbox"].replace("late/", "")
+    assert "half skipped: " in skipped["films"]
 
     drop_take(study, "late", "B")
     (study.parent / "films" / "half.csv").unlink()
@@ -100,7 +100,7 @@ def test_a_take_that_is_to_be_held_out_is_waited_for_where_its_folder_is_watched
     with pytest.raises(InputError, match=r"'06_02' is not a take of this study; did you mean '60_01'\?"):
         planned(pairs={"all": family}, held_out=["06_02"])
     before = planned(pairs={"all": family}, held_out=held_out)
-    (said,) = [shard.parameters for shard in before if shard.name == "left out"]
+    (said,) = [shard.parameters for shard in before if shard.name == "skipped"]
     assert "'60_02': 'the study names it, and it has not come yet'" in str(said)
     for file in (first, second):
         shutil.copy(file, file.with_name(file.name.replace("_01", "_02")))
@@ -108,7 +108,7 @@ def test_a_take_that_is_to_be_held_out_is_waited_for_where_its_folder_is_watched
     come = [shard for shard in after if shard.partition == "60_02"]
     assert come[0].values["is_held_out"]
     assert {shard.key for shard in after} - {shard.key for shard in before} == {shard.key for shard in come}
-    assert not [shard for shard in after if shard.name == "left out"]
+    assert not [shard for shard in after if shard.name == "skipped"]
 
 
 def test_files_and_folders_are_watched_alike_and_no_two_are_taken_for_one(tmp_path: Path) -> None:
@@ -121,8 +121,8 @@ def test_files_and_folders_are_watched_alike_and_no_two_are_taken_for_one(tmp_pa
     assert [shard.partition for shard in shards if shard.name == "annotations"] == [
         *("films.a_b", "films.monday", "films.tuesday_cam1")
     ]
-    (left_out,) = (shard.parameters for shard in shards if shard.name == "left out")
-    assert "a_b.csv: another file is 'films.a_b' already; rename one of them" in str(left_out)
+    (skipped,) = (shard.parameters for shard in shards if shard.name == "skipped")
+    assert "a_b.csv: another file is 'films.a_b' already; rename one of them" in str(skipped)
     with pytest.raises(InputError, match=r"another file is 'films\.a_b' already"):
         planned(annotations=[{**options, "is_watched": False}])
 

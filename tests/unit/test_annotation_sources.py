@@ -149,7 +149,7 @@ def test_a_cut_off_last_file_costs_its_frame_and_is_said(tmp_path: Path) -> None
     last.write_text(last.read_text()[:50])
     (found,) = found_in(folder)
     assert sorted(set(found.read().frame.tolist())) == list(range(5))
-    assert f"1 damaged files left out ({last.name})" in found.in_words()
+    assert f"1 damaged files skipped ({last.name})" in found.in_words()
 
 
 def test_junk_of_low_confidence_is_nothing_whatever_the_scale_of_the_detector(tmp_path: Path) -> None:

@@ -200,6 +200,11 @@ class Duet:
         return tuple(stated)
 
 
+def rest_distance_m(body: Body, other: Body, *bones: str) -> float:
+    """Return how far a wrist is from the axis of the partner's bone that it lies on; of several bones the thickest."""
+    return max(map(other.radius_m, bones)) + body.radius_m("left_wrist") + CLOTH_M
+
+
 def wrist_contact(
     name: str,
     person: int,

@@ -10,7 +10,7 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import facing, mix, moves, turn, window
-from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
+from pasdedeux.choreography.duet import Contact, Duet, DuetStyle, finish, rest_distance_m, wrist_contact
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk
 from pasdedeux.choreography.steps import FootPath, plan_foot, walk_foot
 
@@ -129,7 +129,7 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
         other = figures[1 - person]
         is_over = plan.over == person
         bone, share, angle = _resting_place(figure.body, other.body, is_over)
-        rest_m = other.body.radius_m(bone) + figure.body.radius_m("left_wrist") + CLOTH_M
+        rest_m = rest_distance_m(figure.body, other.body, bone)
         height = figure.body.height_m
         # Arms of equal people go over the shoulders; a taller one's may stay lower.
         alike = float(np.clip(1.0 - (height / other.body.height_m - 1.0) / 0.10, 0.0, 1.0))

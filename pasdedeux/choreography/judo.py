@@ -10,7 +10,7 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import Numbers, facing, mix, moves, turn, window
-from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
+from pasdedeux.choreography.duet import Contact, Duet, DuetStyle, finish, rest_distance_m, wrist_contact
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk
 from pasdedeux.choreography.steps import Plant, plan_foot, walk_feet
 
@@ -297,9 +297,7 @@ def _on_trunk(
 ) -> tuple[Array, Contact]:
     """Return where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
     figure, other = figures[person], figures[1 - person]
-    rest_m = (
-        max(other.body.radius_m(bone), other.body.radius_m("spine3")) + figure.body.radius_m("left_wrist") + CLOTH_M
-    )
+    rest_m = rest_distance_m(figure.body, other.body, bone, "spine3")
     point = other.round_bone(bone, share, rest_m, np.radians(angle_deg))
     text = f"{'AB'[person]}'s {side} hand on {'AB'[1 - person]}'s {name}"
     return point, wrist_contact(text, person, side, bone, share, rest_m)
@@ -308,7 +306,7 @@ def _on_trunk(
 def _sleeve(person: int, figures: tuple[Figure, Figure]) -> tuple[Array, Array, Contact]:
     """Return where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
     figure, other = figures[person], figures[1 - person]
-    distance_m = other.body.radius_m("left_elbow") + figure.body.radius_m("left_wrist") + CLOTH_M
+    distance_m = rest_distance_m(figure.body, other.body, "left_elbow")
     share = _SLEEVE_SHARE + 0.5 * max(0.0, other.body.height_m / figure.body.height_m - 1.0)
     text = f"{'AB'[person]}'s left hand on {'AB'[1 - person]}'s right sleeve"
     point = other.on_bone("right_elbow", share, np.array(_SLEEVE_SIDE) * distance_m)

@@ -10,8 +10,9 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import facing, mix, moves, turn, window
-from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
+from pasdedeux.choreography.duet import Contact, Duet, DuetStyle, finish, rest_distance_m, wrist_contact
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk
+from pasdedeux.choreography.reach import square_to
 from pasdedeux.choreography.steps import FootPath, Plant, plan_foot, walk_feet, walk_foot
 from pasdedeux.kinematics.rotations import normalise
 
@@ -195,7 +196,7 @@ def _hold(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list[Co
             # The partner faces us: our left is the right side of the partner.
             bone = plan.waist[0] if person == 0 else f"{'right' if side == 'left' else 'left'}_elbow"
             share = plan.waist[1] if person == 0 else plan.sleeve
-            rest_m = other.body.radius_m(bone) + figure.body.radius_m("left_wrist") + CLOTH_M
+            rest_m = rest_distance_m(figure.body, other.body, bone)
             if person == 0:
                 resting = other.round_bone(bone, share, rest_m, -sign * np.radians(95.0))
                 pole = figure.chest_vector(sign * 0.9, -1.0, -0.2)
@@ -204,7 +205,7 @@ def _hold(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list[Co
                 arm = other.on_bone(bone, 1.0) - other.on_bone(bone, 0.0)
                 above = other.chest_vector(sign * -0.35, 1.0, 0.6)
                 along = normalise(arm)
-                above = normalise(above - np.sum(above * along, axis=-1, keepdims=True) * along)
+                above = square_to(above, along)
                 resting = other.on_bone(bone, share) + rest_m * above
                 pole = figure.chest_vector(sign * 1.0, -0.5, -0.3)
                 where = f"{'right' if side == 'left' else 'left'} upper arm"

@@ -8,8 +8,9 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import facing, turn
-from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
+from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, finish, rest_distance_m, wrist_contact
 from pasdedeux.choreography.figure import Figure, Trunk
+from pasdedeux.choreography.reach import square_to
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 from pasdedeux.kinematics.rotations import normalise
 
@@ -90,7 +91,7 @@ def _foot(time_s: Array, body: Body, middle: Array, yaw: float, aside: float, ah
 def _touch(figures: tuple[Figure, Figure], point: Array, phase: Array, duration_s: float) -> list[Contact]:
     """Bring right wrists to the point of touch, then left wrists to the other's right elbow."""
     bodies = tuple(figure.body for figure in figures)
-    wrists_m = bodies[0].radius_m("left_wrist") + bodies[1].radius_m("left_wrist") + CLOTH_M
+    wrists_m = rest_distance_m(bodies[1], bodies[0], "left_wrist")
     tilt = 0.5 * np.sin(phase)
     across = np.stack([np.cos(tilt), np.sin(tilt), 0.0 * tilt], axis=-1)
     contacts = [
@@ -103,13 +104,13 @@ def _touch(figures: tuple[Figure, Figure], point: Array, phase: Array, duration_
         )
     for person, figure in enumerate(figures):
         other = figures[1 - person]
-        radius_m = figure.body.radius_m("left_wrist") + other.body.radius_m("left_elbow") + CLOTH_M
+        radius_m = rest_distance_m(figure.body, other.body, "left_elbow")
         elbow = other.joint("right_elbow")
         arm = normalise(elbow - other.joint("right_shoulder"))
         # The outside of the elbow; a much taller partner's arm comes from above and lies higher on it.
         above = max(0.0, figure.body.height_m / other.body.height_m - 1.0)
         towards = other.chest_vector(-0.8, 1.5 * above - 0.3, 0.5)
-        side = normalise(towards - np.sum(towards * arm, axis=-1, keepdims=True) * arm)
+        side = square_to(towards, arm)
         target = elbow + radius_m * side
         figure.reach_hand("left", target, figure.chest_vector(0.8, -1.0, -0.1), palm=elbow - target)
         name = f"{'AB'[person]}'s left hand at {'AB'[1 - person]}'s elbow"

@@ -31,6 +31,11 @@ class TwoBone:
     bend: Array
 
 
+def square_to(vector: Array, axis: Array) -> Array:
+    """Return the unit part of vectors (frame, 3) that is square to unit axes (frame, 3)."""
+    return normalise(vector - np.sum(vector * axis, axis=-1, keepdims=True) * axis)
+
+
 def reach(root_m: Array, target_m: Array, pole: Array, upper_length_m: float, lower_length_m: float) -> TwoBone:
     """Solve a limb from its root (frame, 3) to a target (frame, 3) with the middle joint towards `pole` (frame, 3).
 
@@ -43,7 +48,7 @@ def reach(root_m: Array, target_m: Array, pole: Array, upper_length_m: float, lo
     along = vector / np.maximum(distance, 1e-9)[..., None]
     near = total - saturate(total - distance, total * (1.0 - _FOLD - _SLACK), total * _SLACK)
     span = saturate(near, total * STRETCH, total * _SLACK)
-    out = normalise(pole - np.sum(pole * along, axis=-1, keepdims=True) * along)
+    out = square_to(pole, along)
     forward = (span**2 + upper_length_m**2 - lower_length_m**2) / (2.0 * span)
     side = np.sqrt(np.maximum(upper_length_m**2 - forward**2, 0.0))
     middle = root_m + along * forward[..., None] + out * side[..., None]

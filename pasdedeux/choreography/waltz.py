@@ -11,8 +11,9 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import facing, turn
-from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
+from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, finish, rest_distance_m, wrist_contact
 from pasdedeux.choreography.figure import Figure, Trunk
+from pasdedeux.choreography.reach import square_to
 from pasdedeux.choreography.steps import walk_on_beats
 from pasdedeux.skeletons import BODY22
 
@@ -153,22 +154,16 @@ def _hold(figures: tuple[Figure, Figure], path: _PairPath, span_s: tuple[float, 
     follower.reach_hand("right", point + 0.5 * clasp * across, 0.5 * left + down + 0.3 * across, palm=-across)
     # The leader's right wrist on the follower's back, under her left arm.
     back_bone, back_share = _back_height(leader.body, follower.body)
-    rest_m = (
-        max(follower.body.radius_m(back_bone), follower.body.radius_m("spine3"))
-        + leader.body.radius_m("left_wrist")
-        + CLOTH_M
-    )
+    rest_m = rest_distance_m(leader.body, follower.body, back_bone, "spine3")
     angle = _round_the_back(leader.body, follower.body, path, back_bone, back_share, rest_m)
     target = follower.round_bone(back_bone, back_share, rest_m, angle)
     leader.reach_hand("right", target, -left + 0.9 * down, palm=-across)
     # The follower's left wrist on the leader's right upper arm.
-    radius = leader.body.radius_m("left_elbow") + follower.body.radius_m("left_wrist") + CLOTH_M
+    radius = rest_distance_m(follower.body, leader.body, "left_elbow")
     share = 0.35 + 0.6 * max(0.0, heights[0] / heights[1] - 1.0)
     shoulder, elbow = leader.joint("right_shoulder"), leader.joint("right_elbow")
     bone = (elbow - shoulder) / leader.body.length_m("right_elbow")
-    outward = -left * 0.5 + [0.0, 1.0, 0.0] + 0.4 * across
-    outward = outward - np.sum(outward * bone, axis=-1, keepdims=True) * bone
-    outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
+    outward = square_to(-left * 0.5 + [0.0, 1.0, 0.0] + 0.4 * across, bone)
     follower.reach_hand(
         "left",
         shoulder + share * (elbow - shoulder) + radius * outward,

@@ -23,15 +23,13 @@ if TYPE_CHECKING:
 class Section:
     """A section of the report: a heading with its verdicts by name, paragraphs, pictures, and tables that are folded.
 
-    Paragraphs after the first `num_read` and pictures after the first `num_shown` are folded too.
+    Paragraphs after the first six and pictures after the first four are folded too.
     """
 
     heading: str
     paragraphs: tuple[str, ...] = ()
     tables: tuple[TextTable, ...] = ()
     pictures: tuple[Picture, ...] = ()
-    num_shown: int = 4
-    num_read: int = 6
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
 
     @property

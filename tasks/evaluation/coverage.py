@@ -128,8 +128,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             "lie, and nowhere else."
         )
         pictures.append(Picture(f"coverage-map-{split}.svg", caption, shown))
-    times_s = [known.time_s(*place) for place in places]
-    items = Items(nearest, [take for take, _ in places], times_s) if split == "held_out" else Items()
+    items = Items(nearest, *known.where(places)) if split == "held_out" else Items()
     return TopicResult(scores, pictures, notes, {"": items}, _baselines({score.method for score in scores}))
 
 

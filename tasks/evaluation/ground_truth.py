@@ -66,6 +66,10 @@ class GroundTruth:
         """Return the time of a frame within its take, seconds."""
         return frame / self.rates_hz[take_id]
 
+    def where(self, places: Sequence[tuple[str, int]]) -> tuple[list[str], list[float]]:
+        """Return take and time of these takes and frames, as `Items` have them."""
+        return [take for take, _ in places], [self.time_s(*place) for place in places]
+
     def pair(self, place: Place) -> TruePair | None:
         """Return the pair behind an annotated pair.
 

@@ -349,7 +349,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
         completed = completion_errors(generator, np.stack([own[take][frame] for take, frame in places]), pool)
         for part, errors in completed.items():
             scores += summarise(errors, "occluded_joint_error", "m", split=split, item=part)
-            judged[_COMPLETED] += _held_out(split, Items(errors, *_where(truth, places)))
+            judged[_COMPLETED] += _held_out(split, Items(errors, *truth.where(places)))
         every = _spread_places(own, max(count, len(_GAPS)), max(_GAPS))
         for number, gap in enumerate(_GAPS):
             starts = every[number :: len(_GAPS)]
@@ -358,7 +358,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
             filled = in_between_errors([own[take][frame : frame + gap + 1] for take, frame in starts], pool)
             means = {method: np.array([span.mean() for span in spans]) for method, spans in filled.items()}
             scores += summarise(means, "in_between_error", "m", split=split, item=f"{gap} frames")
-            between = _where(truth, [(take, frame + more) for take, frame in starts for more in range(1, gap)])
+            between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
             errors = {method: np.concatenate(spans) for method, spans in filled.items()}
             judged[_BETWEEN] += _held_out(split, Items(errors, *between))
     notes = [f"Joints were completed from {len(pool):,} draws and grown seeds."]
@@ -369,11 +369,6 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
 def _held_out(split: str, items: Items) -> list[Items]:
     """Return items where they are held out; none of others."""
     return [items] if split == "held_out" else []
-
-
-def _where(truth: GroundTruth, places: Sequence[tuple[str, int]]) -> tuple[list[str], list[float]]:
-    """Return take and time of these takes and frames."""
-    return [take for take, _ in places], [truth.time_s(*place) for place in places]
 
 
 def _spread_places(takes: Mapping[str, Array], count: int, gap: int) -> list[tuple[str, int]]:

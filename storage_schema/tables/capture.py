@@ -122,7 +122,7 @@ ANNOTATIONS = Table(
         TIME_S,
         boolean("is_key", "The annotation is one of the annotated set; false for frames kept only for velocity"),
         boolean("is_virtual", "Made by projecting a take through a virtual camera"),
-        boolean("is_held_out", "Of a held-out take, or left out (left_out_every): evaluated, never learned from"),
+        boolean("is_held_out", "Of a held-out take, or left out (leave_one_out_every): evaluated, never learned from"),
         TAKE_ID.with_meaning(
             "Take seen in virtual video, or named by the study for its own video; else null", is_nullable=True
         ),

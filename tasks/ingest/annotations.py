@@ -217,7 +217,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
                 "is_held_out": parameters.is_held_out
-                | is_left_out(frames.sequence_id, frames.frame, parameters.left_out_every, stills),
+                | is_left_out(frames.sequence_id, frames.frame, parameters.leave_one_out_every, stills),
                 "take_id": [parameters.take_id] * count,
                 "take_frame": [None] * count,
                 "layout": [frames.layout] * count,

@@ -301,7 +301,7 @@ class VirtualVideoOptions(VirtualCameras):
         le=100_000,
         description="Annotated pairs from random views, for each take of two people that is not held out",
     )
-    left_out_every: int = Field(
+    leave_one_out_every: int = Field(
         default=0,
         ge=0,
         description="Every so many-th of the random views is left out of what draws are made from, and how near draws "
@@ -352,7 +352,7 @@ class AnnotationCommon(PeopleSettings, Parameters):
     on_unreadable: Literal["refuse", "skip"] = Field(
         default="refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
     )
-    left_out_every: int = Field(
+    leave_one_out_every: int = Field(
         default=10,
         ge=0,
         description="Every so many-th moment (30 frames of a video, or a still) is left out of what draws are made "

@@ -294,7 +294,7 @@ def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, tak
                 take_id=told.take_id,
                 is_held_out=told.is_held_out,
                 rate_hz=parameters.rate_hz,
-                left_out_every=options.left_out_every if purpose == "random_views" else 0,
+                leave_one_out_every=options.leave_one_out_every if purpose == "random_views" else 0,
                 detector=detector,
                 **cameras,
             )

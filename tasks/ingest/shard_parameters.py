@@ -84,7 +84,7 @@ class VideoParameters(VirtualCameras):
     take_id: str
     is_held_out: bool
     rate_hz: float
-    left_out_every: int = 0
+    leave_one_out_every: int = 0
     detector: DetectorOptions | None = None
 
 

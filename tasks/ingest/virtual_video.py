@@ -96,7 +96,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         else:
             _add_known(rows, parameters, sequence_id, view, frames, key, seen)
         _add_camera(cameras, parameters, sequence_id, view)
-    left_out = is_left_out(rows["sequence_id"], np.array(rows["frame"]), parameters.left_out_every)
+    left_out = is_left_out(rows["sequence_id"], np.array(rows["frame"]), parameters.leave_one_out_every)
     rows["is_held_out"] = (left_out | parameters.is_held_out).tolist()
     return commit(
         shard,

@@ -103,8 +103,8 @@ def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Pat
 
 def test_every_so_many_th_moment_is_left_out_of_what_draws_are_made_from(tmp_path: Path) -> None:
     write_openpose(tmp_path / "walk", count=61)
-    source = {"id": "walk", "path": tmp_path / "walk", "rate_hz": 30.0, "left_out_every": 2}
-    view = {"num_random_views": 7, "left_out_every": 3}
+    source = {"id": "walk", "path": tmp_path / "walk", "rate_hz": 30.0, "leave_one_out_every": 2}
+    view = {"num_random_views": 7, "leave_one_out_every": 3}
     shards = planned(annotations=[source], duets=[{"name": "hug", "duration_s": 1.0}], virtual_video=view)
     store = Store(tmp_path / "store")
     made = run(store, [shard for shard in shards if shard.name != "video"])

@@ -158,8 +158,8 @@ def _notes(unused: Mapping[str, Collection[Place]], curves: Collection[str]) -> 
     if not counts:
         return [
             "No annotation was left out of what draws are made from, so generalisation of draws to other annotations "
-            "is not known: `leave_one_out_every` of a source requests that; it needs as many moments as half of it, and "
-            "one more."
+            "is not known: `leave_one_out_every` of a source requests that; it needs as many moments as half of it, "
+            "and one more."
         ]
     return [f"Images that draws were not made from: {' and '.join(counts)}; at most {_NUM_JUDGED} of each are judged."]
 

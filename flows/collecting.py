@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
-from flows.records import PLAN_FILE, describe_runs, run_record
+from flows.records import PLAN_FILE, describe_runs, made_by, run_file, run_record
 from storage_schema import (
-    MissingArtifact,
     Store,
     in_use,
     latest_studies,
     list_runs,
-    open_run,
     read_latest,
 )
 from storage_schema.datasets import dataset_labels, named_places
@@ -101,11 +97,6 @@ def collect(store: Store, since: datetime) -> Collection:
 
 def _made_or_found(store: Store, run_id: str) -> Iterator[StageKey]:
     """Return what a run made, and what it planned: where it did not finish, what it found fresh and what it began."""
-    for stage in run_record(store, run_id).get("stages", []):
-        yield from ((stage["stage"], artifact["key"]) for artifact in stage["artifacts"])
-    try:
-        plan: dict[str, Any] = json.loads(open_run(store, run_id).read(PLAN_FILE))
-    except (MissingArtifact, ValueError):
-        return
-    for stage in plan.get("stages", []):
+    yield from (ref.place for ref in made_by(store, run_id))
+    for stage in run_file(store, run_id, PLAN_FILE).get("stages", []):
         yield from ((stage["stage"], shard["key"]) for shard in stage.get("shards", []))

@@ -5,31 +5,22 @@ Importing this module imports Prefect, so nothing above it does so before there 
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from flows.building import MAX_TASKS
-from flows.execution import begin, execute, outcome_of_fresh
+from flows.execution import begin, execute, open_pool, outcome_of_fresh
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, make_plan, refuse_nothing
-from flows.prefect_server import check_server, starting_server, telemetry_off
+from flows.prefect_server import LocalServer, check_server, telemetry_off
 from flows.publishing import CHANGES_FILE, Published, publish, refuse_unpublished
 from flows.study import load_study
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
-from tasks.shards import (
-    ClusterPool,
-    ClusterSettings,
-    HerePool,
-    Pool,
-    connect,
-    in_one_line,
-    worker_environment,
-)
+from tasks.shards import Pool, in_one_line
 
 telemetry_off()
 
@@ -55,17 +46,52 @@ def _threads() -> Any:
     return ThreadPoolTaskRunner(max_workers=_MAX_THREADS)
 
 
-def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
-    """Run a study as Prefect flows on a Dask cluster that lives as long as the run; no workers is this process alone.
+def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) -> Outcome:
+    """Build a plan as a flow; what was done, or what failed, is returned also where Prefect cannot be reached any more.
 
-    Prefect's server is the user's (PREFECT_API_URL, or their profile), else one that lives as long as the run.
+    Args:
+        run: What is to be built.
+        plan: Its plan.
+        pool: Computes shards.
+        server: Prefect's server of this run, which may be starting; not used where the user's profile names one.
 
     Raises:
-        ServerError, ClusterError: Prefect's server or the Dask cluster cannot be used.
+        ServerError: Prefect's server cannot be used.
         ShardError: Shards failed; everything that needs none of them is committed.
     """
-    with _prefect_server(run) as await_server, _pool(run, settings) as pool, await_server():
-        return _graph_flow(run, plan, pool)
+    results: list[Outcome | Exception] = []
+    settings = {}
+    if address := get_current_settings().api.url:
+        check_server(address)
+    elif server is not None:
+        # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
+        # Nobody starts it again either, so each request waits some seconds for that and not a minute.
+        settings = {
+            PREFECT_API_URL: server.wait(),
+            PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None,
+            PREFECT_CLIENT_MAX_RETRIES: 1,
+        }
+    folder = begin(run, plan)
+
+    @flow(name=dataset.name, flow_run_name=folder.run_id, retries=0, persist_result=False, task_runner=_threads())
+    def build(study: str, run_id: str) -> None:
+        try:
+            results.append(execute(run, folder, plan, pool, _submit_task))
+        except Exception as error:
+            results.append(error)
+            raise
+
+    try:
+        with temporary_settings(settings):
+            build(study=run.study.name, run_id=folder.run_id)
+    except Exception as error:
+        if not results:
+            raise
+        if error is not results[0]:
+            run.listener.note(f"Prefect's server has not recorded the end: {in_one_line(error)}")
+    if isinstance(results[0], Exception):
+        raise results[0] from None
+    return results[0]
 
 
 @flow(name="pasdedeux-dataset", retries=0, persist_result=False, task_runner=_threads())
@@ -93,7 +119,7 @@ def dataset(
             outcome = outcome_of_fresh(run, plan)
         else:
             run.store.prepare()
-            with in_use(run.store), _pool(run, where) as pool:
+            with in_use(run.store), open_pool(run, where) as pool:
                 outcome = execute(run, begin(run, plan), plan, pool, _submit_task)
         published = publish(run, outcome)
     _show(run, outcome, published)
@@ -108,16 +134,16 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
     _show_assets(run, outcome, published)
     rows = [
         {
-            "stage": stage.name,
-            "shards": stage.num_shards,
-            "computed": stage.num_computed,
-            "verdict": "" if stage.verdict is None else stage.verdict.level.value,
-            "reason": "" if stage.verdict is None else stage.verdict.reason,
+            "stage": one.name,
+            "shards": one.num_shards,
+            "computed": one.num_computed,
+            "verdict": one.verdict.level.value if one.verdict else "",
+            "reason": one.verdict.reason if one.verdict else "",
         }
-        for stage in outcome.stages
+        for one in outcome.stages
     ]
     where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
-    key = "".join(letter if letter.isalnum() else "-" for letter in f"pasdedeux-{study}".lower())
+    key = re.sub("[^a-z0-9]", "-", f"pasdedeux-{study}".lower())
     create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
     if published is not None and published.dataset is not None:
         link = (published.dataset.path / CHANGES_FILE).as_uri()
@@ -151,40 +177,6 @@ def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> Non
     note()
 
 
-def _graph_flow(run: Run, plan: Plan, pool: Pool) -> Outcome:
-    """Run the graph as one flow.
-
-    What was done, or what failed, is said also where Prefect cannot be told any more.
-    """
-    folder = begin(run, plan)
-    done: list[Outcome] = []
-    failed: list[Exception] = []
-
-    @flow(
-        name="pasdedeux-dataset",
-        flow_run_name=folder.run_id,
-        retries=0,
-        persist_result=False,
-        task_runner=_threads(),
-    )
-    def build(study: str, run_id: str) -> None:
-        try:
-            done.append(execute(run, folder, plan, pool, _submit_task))
-        except Exception as error:
-            failed.append(error)
-            raise
-
-    try:
-        build(study=run.study.name, run_id=folder.run_id)
-    except Exception as error:
-        if failed:
-            raise failed[0] from None
-        if not done:
-            raise
-        run.listener.note(f"Prefect's server could not be told of the end: {in_one_line(error)}")
-    return done[0]
-
-
 @task(task_run_name="{name}", retries=0, cache_policy=NO_CACHE, persist_result=False)
 def _partition(name: str, work: Callable[[], None]) -> None:
     """Compute shards of a stage, of one partition or of several: what Prefect shows, times and says to have failed."""
@@ -195,38 +187,3 @@ def _submit_task(stage: str, name: str, work: Callable[[], None]) -> Any:
     """Have a task done in a thread of the flow in whose body this is called."""
     given: Any = quote(work)  # Prefect would look for futures in it, and gives the task what is quoted
     return _partition.with_options(name=stage).submit(name, given, return_state=False)
-
-
-@contextmanager
-def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[object]]]:
-    """Begin to make sure that there is a Prefect server for this block; what is given waits for it, and sets it."""
-    address = get_current_settings().api.url
-    if address is not None:
-        check_server(address)
-        yield nullcontext
-        return
-    run.listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
-    with starting_server() as server:
-        # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
-        # Nobody starts it again either, so each request waits some seconds for that and not a minute.
-        settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 1}
-        yield lambda: temporary_settings({PREFECT_API_URL: server.wait(), **settings})
-
-
-@contextmanager
-def _pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
-    """Return who computes shards for this block."""
-    root = str(run.store)
-    run.store.root.mkdir(parents=True, exist_ok=True)
-    if not settings.is_shared and settings.num_workers == 0:
-        os.environ.update(worker_environment())
-        yield HerePool(root)
-        return
-    if settings.profile is not None:
-        run.listener.note(f"starting {settings.profile.cluster}, waiting for its first worker")
-    elif settings.scheduler is None:
-        run.listener.note(f"starting {settings.num_workers} local workers")
-    else:
-        run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
-    with connect(settings, store_root=root) as client:
-        yield ClusterPool(client, root, is_shared=settings.is_shared)

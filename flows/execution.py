@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
-from types import FrameType
 
-from flows.building import MAX_TASKS, Build, Carry
+from flows.building import MAX_TASKS, Build, StartTask
+from flows.machine import remembered_ctrl_c
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
 from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
 from storage_schema import ArtifactRef, RunFolder, StorageError, new_run
-from tasks.shards import HerePool, Pool
+from tasks.shards import ClusterPool, ClusterSettings, HerePool, Pool, connect, worker_environment
 
 
-def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, carry: Carry | None = None) -> Outcome:
+def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: StartTask | None = None) -> Outcome:
     """Bring every selected stage of the study up to date; the record of the last run follows stage by stage.
 
     A shard starts when what it reads is there, whatever its stage.  A stage is recorded when all of it is there, by the
@@ -28,7 +27,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, carry: Carry | 
         folder: Where the run is recorded, from `begin`.
         plan: The plan made beforehand.
         pool: Computes shards.
-        carry: Does tasks; threads where nothing is said.
+        start_task: Starts tasks; plain threads where it is not given.
 
     Raises:
         ShardError, InputError: Shards or stages failed; those that need nothing of them are up to date.
@@ -36,10 +35,10 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, carry: Carry | 
     """
     status, peak = "failed", None
     threads = ThreadPoolExecutor(MAX_TASKS * len(plan.stages))
-    build = Build(run, folder.run_id, plan, pool, carry or (lambda _stage, _name, work: threads.submit(work)))
+    build = Build(run, folder.run_id, plan, pool, start_task or (lambda _stage, _name, work: threads.submit(work)))
     try:
-        with _remembered_ctrl_c() as heed:
-            build.bring_up_to_date(heed)
+        with remembered_ctrl_c(is_passed_on=True) as is_interrupted:
+            build.bring_up_to_date(is_interrupted)
         status, peak = "finished", pool.peak_memory_bytes() if any(o.num_computed for o in build.outcomes) else None
     except KeyboardInterrupt:
         status = "interrupted"
@@ -53,6 +52,25 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, carry: Carry | 
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in build.outcomes], peak)
     report = copy_report(run.store, folder, _reporting(run, build.outcomes))
     return Outcome(folder.run_id, build.outcomes, report, peak)
+
+
+@contextmanager
+def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
+    """Start, or connect to, what computes shards for this block."""
+    root = str(run.store)
+    run.store.root.mkdir(parents=True, exist_ok=True)
+    if not settings.is_shared and settings.num_workers == 0:
+        os.environ.update(worker_environment())
+        yield HerePool(root)
+        return
+    if settings.profile is not None:
+        run.listener.note(f"starting {settings.profile.cluster}, waiting for its first worker")
+    elif settings.scheduler is None:
+        run.listener.note(f"starting {settings.num_workers} local workers")
+    else:
+        run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
+    with connect(settings, store_root=root) as client:
+        yield ClusterPool(client, root, is_shared=settings.is_shared)
 
 
 def begin(run: Run, plan: Plan) -> RunFolder:
@@ -74,33 +92,6 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
         return execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
     return Outcome(last.run_id, outcomes, report)
-
-
-@contextmanager
-def _remembered_ctrl_c() -> Iterator[Callable[[], None]]:
-    """Give a function that raises `KeyboardInterrupt` once Ctrl-C was pressed.
-
-    The one that Python raises itself is lost where it arrives in a finalizer, of Dask's futures for example.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield lambda: None
-        return
-    is_pressed = threading.Event()
-
-    def remember(number: int, frame: FrameType | None) -> None:
-        is_pressed.set()
-        before(number, frame)
-
-    def heed() -> None:
-        if is_pressed.is_set():
-            raise KeyboardInterrupt
-
-    signal.signal(signal.SIGINT, remember)
-    try:
-        yield heed
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _reporting(run: Run, outcomes: Sequence[StageOutcome]) -> list[ArtifactRef]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flows.listener import Listener
 from flows.planning import Selection, StagePlan, what_is_missing
+from flows.progress import Listener
 from flows.study import Study
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, Store

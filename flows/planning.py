@@ -20,6 +20,9 @@ from tasks.graph import Graph, GraphError
 from tasks.stage import Shard, Stage, StageInputs
 from tasks.summary import stage_verdict
 
+LastRecords = Callable[[str], StageRecord]
+"""Gives every stage, by name, as the last run of a study recorded it."""
+
 
 class PlanError(Exception):
     """A study cannot be planned as asked; the message is one clear sentence."""
@@ -30,7 +33,7 @@ class NothingMadeError(Exception):
 
 
 class State(StrEnum):
-    """How a shard stands: `fresh` needs no work, `pending` cannot be told before what it reads is there."""
+    """How a shard stands: `fresh` needs no work, `pending` is unknown until what it reads is there."""
 
     FRESH = "fresh"
     MISSING = "missing"
@@ -265,7 +268,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
             )
             continue
         inputs = stage_inputs(stage, study.head.seed, {name: plans[name].manifests for name in needed})
-        plan = _plan_stage(stage, study, inputs, store, last, is_forced=stage.name in selection.force)
+        plan = plan_stage(stage, study, inputs, store, last, is_forced=stage.name in selection.force)
         plans[stage.name] = replace(plan, is_selected=stage.name in selected, is_asked=stage.name in asked)
     return Plan(study=study.name, stages=tuple(plans.values()))
 
@@ -308,20 +311,17 @@ def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manif
     )
 
 
-def plan_stage(stage: Stage, study: Study, inputs: StageInputs, store: Store, *, is_forced: bool = False) -> StagePlan:
-    """Ask a stage for its shards and tell how each stands against the store and the last run."""
-    return _plan_stage(stage, study, inputs, store, _last_records(store, study.name), is_forced=is_forced)
-
-
-def _plan_stage(
+def plan_stage(
     stage: Stage,
     study: Study,
     inputs: StageInputs,
     store: Store,
-    last: Callable[[str], StageRecord],
+    last: LastRecords | None = None,
     *,
-    is_forced: bool,
+    is_forced: bool = False,
 ) -> StagePlan:
+    """Ask a stage for its shards and tell how each stands against the store and the last run."""
+    last = last or _last_records(store, study.name)
     parameters = study.parameters[stage.name]
 
     @cache
@@ -352,13 +352,8 @@ def _plan_stage(
             # What was made anew with the same content stands under another key, and the old one may have gone since.
             is_lost = not has_lineage(store, (ref for ref in manifest.inputs if ref.key not in shard.after), there)
             if is_forced or is_lost or shard.key in behind:
-                reason = (
-                    "forced"
-                    if is_forced
-                    else "what it was computed from is gone"
-                    if is_lost
-                    else "a shard before it was computed again with other bytes"
-                )
+                reason = "a shard before it was computed again with other bytes"
+                reason = "forced" if is_forced else "what it was computed from is gone" if is_lost else reason
                 shards.append(ShardPlan(replace(shard, replaces=True), State.STALE, reason, manifest))
             else:
                 shards.append(ShardPlan(shard, State.FRESH, manifest=manifest))
@@ -370,7 +365,7 @@ def _plan_stage(
     return StagePlan(stage=stage, is_selected=True, shards=tuple(shards), absent_tables=absent)
 
 
-def _last_records(store: Store, study: str) -> Callable[[str], StageRecord]:
+def _last_records(store: Store, study: str) -> LastRecords:
     """Return what gives every stage, by name, as the last run of a study recorded it; read when it is asked for."""
 
     @cache

@@ -1,18 +1,65 @@
-"""How far a run is: what has ended, what is left, what workers are at, and how long that will take."""
+"""How far a run is: what has ended, what is left, what workers are at, how long that will take; and who hears of it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
 from itertools import chain, islice
 
-from flows.listener import Progress
 from flows.planning import StagePlan
 from flows.records import read_last_run
+from pasdedeux.verdict import Verdict
 from storage_schema import Store
 from storage_schema.store import SHARD_S
 from tasks.shards import ShardDone, ShardFailed
 from tasks.stage import Shard
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is.
+
+    Args:
+        num_done: Shards that have ended.
+        num_shards: Shards that are known to be needed, those of stages that cannot be planned yet as many as last time.
+        running: Shards handed to workers.
+        left_s: Seconds to the end where shards take what those of their stage take, or took last time.
+        is_all: Whether that is all; else there are stages of which nothing is known.
+    """
+
+    num_done: int
+    num_shards: int
+    running: Sequence[Shard]
+    left_s: float
+    is_all: bool
+
+
+class Listener:
+    """Is called with everything that happens in a run and does nothing; a console overrides what it wants to show.
+
+    Shards of a stage may be done before it is said to start: what they read was there before all that the stage reads.
+    """
+
+    def note(self, text: str) -> None:
+        """Take a message for the person: what is being waited for, what was found."""
+
+    def stage_started(self, plan: StagePlan) -> None:
+        """A stage is about to compute the shards that are not fresh."""
+
+    def shard_done(self, done: ShardDone) -> None:
+        """A shard is committed."""
+
+    def progressed(self, progress: Progress) -> None:
+        """Shards have started or ended."""
+
+    def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
+        """All of a stage is there; the verdict says whether it is good."""
+
+    def close(self) -> None:
+        """Nothing more will come, whether the run ended well or not."""
+
 
 _SOME = 20
 """Shards of a stage of the last run that are asked what they took."""
@@ -27,12 +74,11 @@ class Tally:
     """
 
     def __init__(self, store: Store, study: str) -> None:
-        self._store, self._study = store, study
         self._by_priority: dict[int, dict[str, Shard]] = {}
         self._priority: dict[str, int] = {}
         self._num_left, self._num_ended = Counter[str](), Counter[str]()
         self._took: dict[str, tuple[float, int]] = {}
-        self._last_means: dict[str, float | None] = {}
+        self._last_mean_s = cache(partial(_last_mean_s, store, study))
 
     def add(self, shard: Shard, priority: int) -> None:
         """Count a shard that is to be computed."""
@@ -72,14 +118,15 @@ class Tally:
         return tuple(islice(ready, num_workers))
 
     def _mean_s(self, name: str) -> float | None:
-        """Return what a shard of a stage took, now or in some of the last run; None where that is not known."""
-        if name in self._took:
-            seconds, count = self._took[name]
-            return seconds / count
-        if name not in self._last_means:
-            last = read_last_run(self._store, self._study)
-            refs = last.refs(name) if last is not None else []
-            found = (self._store.find(ref.stage, ref.key) for ref in refs[:: max(1, len(refs) // _SOME)])
-            took = [one.timings[SHARD_S] for one in found if one is not None and SHARD_S in one.timings]
-            self._last_means[name] = sum(took) / len(took) if took else None
-        return self._last_means[name]
+        """Return what a shard of a stage took, now or last time; None where that is not known."""
+        seconds, count = self._took.get(name, (0.0, 0))
+        return seconds / count if count else self._last_mean_s(name)
+
+
+def _last_mean_s(store: Store, study: str, stage: str) -> float | None:
+    """Return what some shards of a stage took in the last run."""
+    last = read_last_run(store, study)
+    refs = last.refs(stage) if last is not None else []
+    found = (store.find(ref.stage, ref.key) for ref in refs[:: max(1, len(refs) // _SOME)])
+    took = [one.timings[SHARD_S] for one in found if one is not None and SHARD_S in one.timings]
+    return sum(took) / len(took) if took else None

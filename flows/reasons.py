@@ -46,7 +46,7 @@ class Reasons:
         self._inputs = _described(inputs)
         self._names = {_label(place): label for place, label in self._inputs.values()}
         known = {name: values for name, values in sections.items() if last.sections.get(name)}
-        self._settings = [w for name, values in known.items() for w in _changes(name, last.sections[name], values)]
+        self._settings = [w for name, values in known.items() for w in _changes(last.sections[name], values, name)]
 
     def why_not_fresh(self, shard: Shard) -> tuple[bool, str]:
         """Tell whether a shard without a valid artifact is stale (else it is missing), and why, in words."""
@@ -62,10 +62,12 @@ class Reasons:
             words.append(f"stage version {old.version} -> {shard.version}")
         if old.seed != shard.seed:
             words.append(f"study.seed {old.seed} -> {shard.seed}")
-        own = _changes(self._stage.name, old.parameters, shard.values)
+        own = _changes(old.parameters, shard.values, self._stage.name)
         if own:
             words.extend(self._settings or own)
-        words.extend(_file_changes(old, shard))
+        before = {f"file {name}": sha256 for name, sha256 in old.files}
+        now = {f"file {Path(file.path).name}": file.sha256 for file in shard.files}
+        words.extend(_changes(before, now, has_values=False))
         words.extend(self._input_changes(old, shard))
         if not words and shard.after:
             words.append("a shard before it changed")
@@ -82,7 +84,7 @@ class Reasons:
         now: dict[str, str] = {}
         for ref in shard.all_inputs:
             now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
-        words = _differences(before, now)
+        words = _changes(before, now, has_values=False)
         if len(words) <= _MAX_NAMED:
             return words
         digests = {record.content_digest for record in read}
@@ -113,27 +115,15 @@ def _described(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, st
     return described
 
 
-def _changes(prefix: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Name the leaves that differ: `chains.num_chains 2 -> 4`."""
+def _changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "", *, has_values: bool = True) -> list[str]:
+    """Name the leaves that differ: `chains.num_chains 2 -> 4`, without values `file a.bvh changed`."""
     return [
-        f"{name} {shorten(before)} -> {shorten(after)}"
-        if before and after
-        else f"{name} is {'gone' if before else 'new'}"
+        f"{name} is {'gone' if before else 'new'}"
+        if not (before and after)
+        else f"{name} {shorten(before)} -> {shorten(after)}"
+        if has_values
+        else f"{name} changed"
         for name, (before, after) in changed_leaves(old, new, prefix).items()
-    ]
-
-
-def _file_changes(old: ShardRecord, shard: Shard) -> list[str]:
-    before = dict(old.files)
-    now = {Path(file.path).name: file.sha256 for file in shard.files}
-    return _differences({f"file {n}": d for n, d in before.items()}, {f"file {n}": d for n, d in now.items()})
-
-
-def _differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    return [
-        *(f"{name} changed" for name in now if name in before and before[name] != now[name]),
-        *(f"{name} is new" for name in now if name not in before),
-        *(f"{name} is gone" for name in before if name not in now),
     ]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from flows.planning import PlanError
 from flows.reasons import changed_leaves
-from flows.records import ENVIRONMENT_FILE, STUDY_FILE, run_record
+from flows.records import ENVIRONMENT_FILE, STUDY_FILE, made_by, run_record
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, list_runs, open_run
 from storage_schema.credits import merge_credits
 from storage_schema.datasets import open_dataset
@@ -70,17 +70,19 @@ def read_recorded(store: Store, name: str) -> Recorded:
     """
     if "@" in name:
         dataset = open_dataset(store, name)
-        folder, refs = dataset.path, list(dataset.refs)
+        label, folder, refs = dataset.label, dataset.path, list(dataset.refs)
         if not (folder / STUDY_FILE).is_file():
             folder = _run_of(store, refs, name)
-        return Recorded(
-            dataset.label,
-            _read(folder, STUDY_FILE),
-            _read(folder, ENVIRONMENT_FILE),
-            artifacts_by_place(store, refs),
-            frozenset(ref.stage for ref in refs),
-            dataset.sources,
-        )
+    else:
+        label, folder, refs = name, _finished_run(store, name), made_by(store, name)
+    artifacts = artifacts_by_place(store, refs)
+    sources = dataset.sources if "@" in name else merge_credits(*(one.sources for one in artifacts.values()))
+    named = frozenset(ref.stage for ref in refs)
+    return Recorded(label, _read(folder, STUDY_FILE), _read(folder, ENVIRONMENT_FILE), artifacts, named, sources)
+
+
+def _finished_run(store: Store, name: str) -> Path:
+    """Return the folder of a run; PlanError where there is none or it did not finish."""
     runs = [folder.run_id for folder in list_runs(store)]
     if name not in runs:
         last = f"; the last are {', '.join(runs[-3:])}" if runs else ""
@@ -90,17 +92,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
         raise PlanError(
             f"run {name} is no finished run ({status}), so there is nothing to compare with; run it to its end"
         )
-    folder = open_run(store, name).path
-    refs = _made(store, name)
-    artifacts = artifacts_by_place(store, refs)
-    return Recorded(
-        name,
-        _read(folder, STUDY_FILE),
-        _read(folder, ENVIRONMENT_FILE),
-        artifacts,
-        frozenset(ref.stage for ref in refs),
-        merge_credits(*(one.sources for one in artifacts.values())),
-    )
+    return open_run(store, name).path
 
 
 def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place, Manifest]:
@@ -164,20 +156,11 @@ def portable_files(folder: Path) -> dict[str, bytes]:
     return {name: _PATH.sub(shortened, text).encode() for name, text in sorted(texts.items())}
 
 
-def _made(store: Store, run_id: str) -> list[ArtifactRef]:
-    return [
-        ArtifactRef(stage["stage"], artifact["key"], artifact["content_digest"])
-        for stage in run_record(store, run_id)["stages"]
-        for artifact in stage["artifacts"]
-    ]
-
-
 def _run_of(store: Store, refs: Iterable[ArtifactRef], name: str) -> Path:
     """Return the folder of the last finished run that made or found all of these."""
     for folder in reversed(list_runs(store)):
-        if run_record(store, folder.run_id).get("status") == "finished" and set(refs) <= set(
-            _made(store, folder.run_id)
-        ):
+        is_finished = run_record(store, folder.run_id).get("status") == "finished"
+        if is_finished and set(refs).issubset(made_by(store, folder.run_id)):
             return folder.path
     raise PlanError(f"dataset {name} was made by an earlier version, and no run of it is left: its study is not known")
 

@@ -75,15 +75,18 @@ def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ())
     }
 
 
-def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
-    """Return the resolved study of the last run, section by section; empty when it is gone."""
-    if last is None:
-        return {}
+def run_file(store: Store, run_id: str, name: str) -> dict[str, Any]:
+    """Return a JSON file of a run's folder; empty where it is gone or damaged."""
     try:
-        sections: dict[str, Any] = json.loads(open_run(store, last.run_id).read(STUDY_FILE))
+        values = json.loads(open_run(store, run_id).read(name))
     except (MissingArtifact, ValueError):
         return {}
-    return sections
+    return values if isinstance(values, dict) else {}
+
+
+def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
+    """Return the resolved study of the last run, section by section; empty when it is gone."""
+    return {} if last is None else run_file(store, last.run_id, STUDY_FILE)
 
 
 def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: Sequence[Manifest]) -> None:
@@ -183,11 +186,16 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
 
 def run_record(store: Store, run_id: str) -> dict[str, Any]:
     """Return how a run ended and what it did; empty where that is gone or damaged."""
-    try:
-        record = json.loads(open_run(store, run_id).read(_RUN))
-    except (MissingArtifact, ValueError):
-        return {}
-    return record if isinstance(record, dict) else {}
+    return run_file(store, run_id, _RUN)
+
+
+def made_by(store: Store, run_id: str) -> list[ArtifactRef]:
+    """Return the artifacts that a run made or found, stage by stage; none where that is not on record."""
+    return [
+        ArtifactRef(stage["stage"], artifact["key"], artifact["content_digest"])
+        for stage in run_record(store, run_id).get("stages", [])
+        for artifact in stage["artifacts"]
+    ]
 
 
 def environment() -> dict[str, Any]:

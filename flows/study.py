@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
@@ -247,15 +247,24 @@ def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple
     for step in location:
         inner = [m for m in models if str(step) in m.model_fields]
         if inner:
-            models = [found for m in inner for found in _models_in(m.model_fields[str(step)].annotation)]
+            models = [found for m in inner for _, found in models_in(m.model_fields[str(step)].annotation)]
     return tuple(dict.fromkeys(name for m in models for name in m.model_fields))
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Return every model class that an annotation mentions."""
+def models_in(annotation: Any, path: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
+    """Return the models that a value of this type is made of, each with the path of its keys."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [found for argument in get_args(annotation) for found in _models_in(argument)]
+        yield path, annotation
+        return
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        yield from models_in(arguments[1], f"{path}.NAME")
+    elif isinstance(origin, type) and issubclass(origin, Sequence):
+        for argument in arguments:
+            yield from models_in(argument, f"{path}.N")
+    else:
+        for argument in arguments:
+            yield from models_in(argument, path)
 
 
 def _with_absolute_paths(value: V, path: tuple[str, ...], tree: StudyTree) -> V:

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
 
-from flows.study import PublishSettings, StudyHead, shared_keys
+from flows.study import PublishSettings, StudyHead, models_in, shared_keys
 from flows.study_files import HEAD, PUBLISH
 from tasks.graph import Graph
 
@@ -53,7 +53,7 @@ def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
 def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[StudyKey]:
     for name, field in model.model_fields.items():
         place = f"{path}.{name}"
-        inner = list(_models_in(field.annotation, place))
+        inner = list(models_in(field.annotation, place))
         default = to_jsonable_python(field.get_default(call_default_factory=True), fallback=str)
         yield StudyKey(
             name=place,
@@ -66,22 +66,6 @@ def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ..
         for deeper, found in inner:
             if found not in above:
                 yield from _keys_of(found, deeper, (*above, found))
-
-
-def _models_in(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Return the models that a value of this type is made of, each with the path of its keys."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield path, annotation
-        return
-    origin, arguments = get_origin(annotation), get_args(annotation)
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        yield from _models_in(arguments[1], f"{path}.NAME")
-    elif isinstance(origin, type) and issubclass(origin, Sequence):
-        for argument in arguments:
-            yield from _models_in(argument, f"{path}.N")
-    else:
-        for argument in arguments:
-            yield from _models_in(argument, path)
 
 
 def _type_words(annotation: Any) -> str:

@@ -10,25 +10,23 @@ from typing import Any
 
 import typer
 import typer.core
+from typer import Option
 
-from flows.console import (
-    bench,
-    complete,
+from flows.console import (  # noqa: F401 - a module adds its commands when it is imported
+    compare,
     datasets,
     deploy,
-    diff,
-    doctor,
-    gc,
+    draws,
+    fetch,
     reconstruct,
-    rerun,
-    restart,
     retarget,
     run,
     show,
-    status,
+    stores,
     studies,
+    this_machine,
 )
-from flows.console.context import Context
+from flows.console.context import Context, app
 from flows.planning import PlanError
 from flows.study_files import StudyError
 from pasdedeux.errors import InputError, PasdedeuxError
@@ -42,25 +40,12 @@ _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 # The class that typer's own usage errors share; typer carries its own click, so it cannot be imported by name.
 _UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(Exception) - 1]
 
-_HELP = """Build large, checked datasets of two people in close contact.
-
-A study (a TOML file) says what is built; a store (a folder) keeps what was built.  Run the same command again after a
-change, a crash or an interruption: only what is not there yet is computed.
-
-\b
-  pasdedeux run                              build the built-in duets into ./store
-  pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
-  pasdedeux plan                             what a run would compute, and why; starts nothing
-  pasdedeux study new my.toml --from a.bvh --from b.bvh
-  pasdedeux run my.toml
-"""
-
 
 def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> int:
     """Run one command; gives the exit code and never lets an error out as a traceback unless asked to (`--debug`)."""
     context = Context(given_graph=graph)
     try:
-        code = command_line()(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
+        code = app(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
     except _UsageError as error:
         error.show()
         return _BAD_INPUT
@@ -75,7 +60,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
             typer.echo(f"error: {_sentence(error)}", err=True)
         return exit_code_of(error)
     if code == _INTERRUPTED:
-        # Prefect's calls that were cut off are no news, and are told of when they are collected, after this.
+        # Python warns of Prefect's calls that were cut off when it collects them, after this.
         warnings.filterwarnings("ignore", message="coroutine .* was never awaited", category=RuntimeWarning)
         typer.echo("interrupted; the same command continues the work", err=True)
     return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
@@ -108,25 +93,11 @@ def _say_version(is_asked: bool) -> None:
         raise typer.Exit
 
 
-def command_line() -> typer.Typer:
-    """Return the commands, put together."""
-    app = typer.Typer(help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
-
-    @app.callback()
-    def options(
-        context: typer.Context,
-        debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
-        version: bool = typer.Option(
-            False, "--version", help="Say the version and end.", callback=_say_version, is_eager=True
-        ),
-    ) -> None:
-        context.obj.is_debug = debug
-
-    reconstruction = typer.Typer(rich_markup_mode=None)
-    reconstruct.register(reconstruction)
-    retargeting = typer.Typer(rich_markup_mode=None)
-    retarget.register(retargeting)
-    parts = (run, status, show, datasets, diff, rerun, gc, studies, restart, complete, deploy, reconstruction)
-    for part in (*parts, retargeting, bench, doctor):
-        app.add_typer(part if isinstance(part, typer.Typer) else part.app)
-    return app
+@app.callback()
+def options(
+    context: typer.Context,
+    debug: bool = Option(False, "--debug", help="Show the traceback of an error."),
+    version: bool = Option(False, "--version", help="Say the version and end.", callback=_say_version, is_eager=True),
+) -> None:
+    """Take the options of all commands."""
+    context.obj.is_debug = debug

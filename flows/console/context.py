@@ -1,46 +1,58 @@
-"""What every command is given: the graph of stages, loaded when first asked for, and how to answer."""
+"""What every command has: the program they belong to, the graph of stages, options they share, how to answer."""
 
 from __future__ import annotations
 
 import json
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from storage_schema import Store
 from tasks.graph import Graph, load_graph
 
-StudyArgument = Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")]
+_HELP = """Build large, checked datasets of two people in close contact.
+
+A study (a TOML file) says what is built; a store (a folder) keeps what was built.  Run the same command again after a
+change, a crash or an interruption: only what is not there yet is computed.
+
+\b
+  pasdedeux run                              build the built-in duets into ./store
+  pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
+  pasdedeux plan                             what a run would compute, and why; starts nothing
+  pasdedeux study new my.toml --from a.bvh --from b.bvh
+  pasdedeux run my.toml
+"""
+app = typer.Typer(help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+"""The program; a module of this package adds its commands when it is imported."""
+
+StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]
 SettingOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
+    list[str] | None, Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
 ]
-StoreOption = Annotated[
-    Path, typer.Option("--store", metavar="DIR", help="Folder of the store, or s3://BUCKET/PREFIX.")
-]
+StoreOption = Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store, or s3://BUCKET/PREFIX.")]
 WorkersOption = Annotated[
     int | None,
-    typer.Option("--workers", min=0, help="Local worker processes; one per core when not given, 0 for none but this."),
+    Option("--workers", min=0, help="Local worker processes; one per core when not given, 0 for none but this."),
 ]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786."),
+    Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786."),
 ]
 ClusterOption = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--cluster", metavar="PROFILE", help="Start the Dask cluster that this file describes; it ends with the run."
     ),
 ]
-OversubscribeOption = Annotated[
-    bool, typer.Option("--oversubscribe", help="Allow more workers than there are cores to use.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
+OversubscribeOption = Annotated[bool, Option("--oversubscribe", help="Allow more workers than there are cores to use.")]
+JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard output.")]
 
 
 @dataclass
@@ -82,11 +94,17 @@ def next_command(*words: str, store: Path, settings: Sequence[str] | None = None
     >>> next_command("run", "duets", store=Path("my store"), settings=["chains.num_chains=4"])
     "pasdedeux run duets --store 'my store' --set chains.num_chains=4"
     """
-    told = [part for setting in settings or () for part in ("--set", setting)]
+    options = [part for setting in settings or () for part in ("--set", setting)]
     at = [] if store == Path("store") else ["--store", re.sub("^s3:/(?=[^/])", "s3://", str(store))]
-    return shlex.join(["pasdedeux", *words, *at, *told])
+    return shlex.join(["pasdedeux", *words, *at, *options])
 
 
-def print_json(value: Any) -> None:
-    """Print a JSON value on standard output."""
-    typer.echo(json.dumps(value, indent=1, ensure_ascii=False))
+def say(lines: Iterable[str]) -> None:
+    """Print lines on standard output."""
+    for line in lines:
+        typer.echo(line)
+
+
+def answer(value: Any, lines: Iterable[str], *, as_json: bool) -> None:
+    """Print a value as JSON, or lines that tell a person the same."""
+    say([json.dumps(value, indent=1, ensure_ascii=False)] if as_json else lines)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
-from flows.console.context import JsonOption, StoreOption, open_store, print_json
+from flows.console.context import JsonOption, StoreOption, answer, app, open_store
 from flows.console.display import counted
 from flows.planning import PlanError
 from flows.recorded import portable_files
@@ -24,7 +25,6 @@ from storage_schema import (
 )
 from storage_schema.datasets import dataset_labels, open_dataset
 
-app = typer.Typer(rich_markup_mode=None)
 _group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(_group, name="dataset")
 
@@ -40,13 +40,11 @@ Then `variants:salsa@2.0` names its rows, here and in Python.
 
 @_group.command(help=_CREATE)
 def create(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
-    study: Annotated[str, typer.Option("--study", help="Study whose last run is meant.")] = "duets",
-    stages: Annotated[
-        list[str] | None, typer.Option("--stage", metavar="STAGE", help="This stage alone; may be given again.")
-    ] = None,
-    version: Annotated[str | None, typer.Option("--version", help="Version; the next number when not given.")] = None,
-    note: Annotated[str, typer.Option("--note", help="A line about it.")] = "",
+    name: Annotated[str, Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
+    study: Annotated[str, Option("--study", help="Study whose last run is meant.")] = "duets",
+    stages: Annotated[list[str] | None, Option("--stage", metavar="STAGE", help="This stage alone.")] = None,
+    version: Annotated[str | None, Option("--version", help="Version; the next number when not given.")] = None,
+    note: Annotated[str, Option("--note", help="A line about it.")] = "",
     store: StoreOption = Path("store"),
     as_json: JsonOption = False,
 ) -> None:
@@ -54,8 +52,8 @@ def create(
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
     today = (list(refs), source_credits(opened, *refs))
-    told = [one for ref in refs for one in opened.manifest(ref).parameters.get("sources", ())]
-    if gone := [one for one in told if SourceCredit(**one) not in today[1]]:
+    stated = [one for ref in refs for one in opened.manifest(ref).parameters.get("sources", ())]
+    if gone := [one for one in stated if SourceCredit(**one) not in today[1]]:
         raise PlanError(
             f"the report of study '{study}' says {gone[0]['name']}: {gone[0]['licence']}, which is no longer so; "
             "run the study to its end first"
@@ -66,10 +64,8 @@ def create(
         dataset, words = same[-1], "exists already with this content"
     else:
         dataset, words = create_dataset(opened, name, refs, version=version, note=note, attachments=files), "made"
-    if as_json:
-        print_json(_describe(dataset))
-    else:
-        typer.echo(f"{dataset.label} {words}: {counted(len(dataset.refs), 'artifact')}, digest {dataset.digest[:12]}")
+    line = f"{dataset.label} {words}: {counted(len(dataset.refs), 'artifact')}, digest {dataset.digest[:12]}"
+    answer(_describe(dataset), [line], as_json=as_json)
 
 
 @_group.command("list", help="List the datasets of a store.")
@@ -77,18 +73,17 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
     """List the datasets of a store."""
     opened = open_store(store)
     found = list_datasets(opened)
-    if as_json:
-        print_json([_describe(dataset) for dataset in found])
-        return
-    for dataset in found:
-        typer.echo(
-            f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  {dataset.note}".rstrip()
-        )
-    older = [label for label in dataset_labels(opened) if label not in {dataset.label for dataset in found}]
-    for label in older:
-        typer.echo(f"{label}  is of an older schema; `pasdedeux verify` names what reads it")
-    if not found and not older:
-        typer.echo(f"store {store}: no datasets yet")
+    labels = {dataset.label for dataset in found}
+    lines = [
+        f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  {dataset.note}".rstrip()
+        for dataset in found
+    ]
+    lines += [
+        f"{label}  is of an older schema; `pasdedeux verify` names what reads it"
+        for label in dataset_labels(opened)
+        if label not in labels
+    ]
+    answer([_describe(one) for one in found], lines or [f"store {store}: no datasets yet"], as_json=as_json)
 
 
 _PUSH = """Put a version of a dataset, with all that it was computed from, into S3-compatible storage.
@@ -105,9 +100,9 @@ _PULL = """Get a version of a dataset (the newest when none is said), with all t
 
 Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
 """
-_LabelArgument = Annotated[str, typer.Argument(metavar="NAME@V", help="Version of a dataset, or a name: the newest.")]
+_LabelArgument = Annotated[str, Argument(metavar="NAME@V", help="Version of a dataset, or a name: the newest.")]
 _PlaceArgument = Annotated[
-    str, typer.Argument(metavar="S3", help="s3://BUCKET/PREFIX; address and credentials from the environment.")
+    str, Argument(metavar="S3", help="s3://BUCKET/PREFIX; address and credentials from the environment.")
 ]
 
 
@@ -140,10 +135,8 @@ def pull(
 
 
 def _say_moved(dataset: Dataset, num_new: int, words: str, *, as_json: bool) -> None:
-    if as_json:
-        print_json({**_describe(dataset), "num_new": num_new})
-    else:
-        typer.echo(f"{dataset.label} {words}: {counted(num_new, 'artifact')} new, digest {dataset.digest[:12]}")
+    line = f"{dataset.label} {words}: {counted(num_new, 'artifact')} new, digest {dataset.digest[:12]}"
+    answer({**_describe(dataset), "num_new": num_new}, [line], as_json=as_json)
 
 
 def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:

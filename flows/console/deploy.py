@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from flows.console.context import (
     ClusterOption,
@@ -16,6 +17,7 @@ from flows.console.context import (
     StoreOption,
     StudyArgument,
     WorkersOption,
+    app,
     graph_of,
     open_store,
 )
@@ -23,8 +25,6 @@ from flows.machine import cluster_settings
 from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, telemetry_off
 from flows.study import load_study
-
-app = typer.Typer(rich_markup_mode=None)
 
 _DEPLOY = """Put a study on Prefect's server as a build that a worker runs, on a schedule or when it is asked for.
 
@@ -45,15 +45,13 @@ def deploy(
     study: StudyArgument = "duets",
     settings: SettingOption = None,
     store: StoreOption = Path("store"),
-    cron: Annotated[
-        str | None, typer.Option(metavar="EXPRESSION", help="When, in UTC: '0 2 * * *' is at 2:00.")
-    ] = None,
-    every: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Time between builds.")] = None,
+    cron: Annotated[str | None, Option(metavar="EXPRESSION", help="When, in UTC: '0 2 * * *' is at 2:00.")] = None,
+    every: Annotated[float | None, Option(min=1, metavar="SECONDS", help="Time between builds.")] = None,
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,
     scheduler: SchedulerOption = None,
     cluster: ClusterOption = None,
-    pool: Annotated[str, typer.Option(help="Work pool; made where it is missing.")] = "pasdedeux",
+    pool: Annotated[str, Option(help="Work pool; made where it is missing.")] = "pasdedeux",
 ) -> None:
     """Put a study on Prefect's server."""
     cluster_settings(workers, scheduler=scheduler, cluster=cluster, oversubscribe=oversubscribe)

@@ -11,15 +11,14 @@ from typing import Any
 import typer
 
 from flows.costs import Cost, Work
-from flows.listener import Listener, Progress
 from flows.machine import GIB
 from flows.outcomes import Outcome
 from flows.planning import Plan, StagePlan, State
+from flows.progress import Listener, Progress
 from flows.records import last_manifests, read_last_run
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, Store
-from tasks.shards import ShardDone
 from tasks.summary import summary_of
 
 _SILENCE_S = 5.0
@@ -86,63 +85,34 @@ class LineListener(Listener):
         typer.echo(f"[{time.monotonic() - self._started:6.1f} s] {text}", err=True)
 
 
-class BarListener(Listener):
-    """Shows a bar per stage that has work."""
+class BarListener(LineListener):
+    """Says the same above a bar that moves, at a terminal."""
 
     def __init__(self) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-        self._progress: Any = Progress(
-            TextColumn("{task.description:<16}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[last]}"),
-            console=Console(stderr=True),
-        )
-        self._progress.start()
-        self._bars: dict[str, Any] = {}
-        self._whole: Any = None
-
-    def note(self, text: str) -> None:
-        """Show a sentence above the bars."""
-        self._progress.console.print(text, markup=False, highlight=False)
-
-    def stage_started(self, plan: StagePlan) -> None:
-        """Show a bar with as much as is there already."""
-        bar = self._bar_of(plan.stage.name)
-        self._progress.update(bar, total=len(plan.shards), advance=len(plan.shards) - len(plan.todo))
-
-    def shard_done(self, done: ShardDone) -> None:
-        """Move the bar."""
-        bar = self._bar_of(done.shard.stage)
-        self._progress.update(bar, advance=1, last=f"{done.shard.partition} {done.shard.name}"[:40])
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        self._bar: Any = Progress(*columns, console=Console(stderr=True))
+        self._run = self._bar.add_task("", total=None)
+        self._bar.start()
+        super().__init__()
 
     def progressed(self, progress: Progress) -> None:
-        """Move the bar of the whole run, which stands above those of its stages."""
-        if self._whole is None:
-            self._whole = self._progress.add_task("run", total=None, last="")
-        self._progress.update(
-            self._whole, total=progress.num_shards, completed=progress.num_done, last=left_text(progress)
-        )
-
-    def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
-        """Let the finished bar stand, with whether the stage is good."""
-        words = verdict_words(verdict) if verdict else plan.empty_reason or ("" if plan.todo else "fresh")
-        bar = self._bar_of(plan.stage.name)
-        self._progress.update(bar, last=words)
-        self._progress.stop_task(bar)
+        """Move the bar."""
+        words = "; ".join(filter(None, [_running_text(progress), left_text(progress)]))
+        self._bar.update(self._run, total=progress.num_shards, completed=progress.num_done, description=words)
 
     def close(self) -> None:
         """Give the terminal back."""
-        self._progress.stop()
+        super().close()
+        self._bar.stop()
 
-    def _bar_of(self, stage: str) -> Any:
-        """Return the bar of a stage; some of its shards may be there before it is known how many there are."""
-        if stage not in self._bars:
-            self._bars[stage] = self._progress.add_task(stage, total=None, last="")
-        return self._bars[stage]
+    def _break_silence(self) -> None:
+        """Leave it to the bar."""
+
+    def _say(self, text: str) -> None:
+        self._bar.console.print(text, markup=False, highlight=False)
 
 
 def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
@@ -177,15 +147,8 @@ def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
 def outcome_lines(outcome: Outcome) -> list[str]:
     """Return what a run did as a short table."""
     rows = [
-        (
-            stage.name,
-            str(stage.num_shards),
-            str(stage.num_shards - stage.num_computed),
-            str(stage.num_computed),
-            f"{stage.seconds:.1f}",
-            stage.empty_reason,
-        )
-        for stage in outcome.stages
+        (one.name, one.num_shards, one.num_shards - one.num_computed, one.num_computed, one.seconds, one.empty_reason)
+        for one in outcome.stages
     ]
     return format_table(("stage", "shards", "fresh", "computed", "seconds", ""), rows, text_columns=(0, 5))
 
@@ -203,11 +166,15 @@ def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:
 
 def progress_text(progress: Progress) -> str:
     """Return how far a run is in one line: `12 of 45 shards, computing chains ic 0; about 40 s left`."""
+    words = [f"{progress.num_done} of {counted(progress.num_shards, 'shard')}", _running_text(progress)]
+    return "; ".join(filter(None, [", ".join(filter(None, words)), left_text(progress)]))
+
+
+def _running_text(progress: Progress) -> str:
+    """Return what workers are at: `computing chains ic 0`."""
     running = [f"{one.stage} {one.partition} {one.name}" for one in progress.running]
-    shown = ", ".join(running[:_NAMED]) + (f" and {len(running) - _NAMED} more" if len(running) > _NAMED else "")
-    words = [f"{progress.num_done} of {counted(progress.num_shards, 'shard')}"]
-    words += [f"computing {shown}"] if shown else []
-    return "; ".join([", ".join(words), *filter(None, [left_text(progress)])])
+    more = f" and {len(running) - _NAMED} more" if len(running) > _NAMED else ""
+    return f"computing {', '.join(running[:_NAMED])}{more}" if running else ""
 
 
 def left_text(progress: Progress) -> str:
@@ -222,7 +189,7 @@ def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
     gigabytes = "" if work.worker_bytes is None else f"{work.worker_bytes / GIB:.1f}"
     rows = [
         (
-            str(cost.num_workers),
+            cost.num_workers,
             duration_text(cost.wall_s),
             f"{cost.core_hours:.3g}",
             f"{100 * cost.busy_share:.0f} %",
@@ -250,25 +217,17 @@ def duration_text(seconds: float) -> str:
 
 
 def format_table(
-    header: Sequence[str], rows: Iterable[Sequence[str]], *, text_columns: Collection[int] = (0,)
+    header: Sequence[str], rows: Iterable[Sequence[object]], *, text_columns: Collection[int] = (0,)
 ) -> list[str]:
     """Return rows as aligned lines under a header; columns of text to the left, the others (numbers) to the right."""
-    rows = [tuple(row) for row in rows]
-    widths = [max(len(row[i]) for row in [tuple(header), *rows]) for i in range(len(header))]
+    cells = [tuple(f"{cell:.1f}" if isinstance(cell, float) else str(cell) for cell in row) for row in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
 
     def line(row: Sequence[str]) -> str:
-        aligned = [
-            f"{cell:{'<' if column in text_columns else '>'}{widths[column]}}" for column, cell in enumerate(row)
-        ]
-        return "  ".join(aligned).rstrip()
+        signs = ("<" if column in text_columns else ">" for column in range(len(row)))
+        return "  ".join(f"{cell:{sign}{width}}" for cell, sign, width in zip(row, signs, widths, strict=True)).rstrip()
 
-    return [line(header), *(line(row) for row in rows)]
-
-
-def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, text_columns: Collection[int] = (0,)) -> None:
-    """Print rows as `format_table` aligns them, on standard output."""
-    for line in format_table(header, rows, text_columns=text_columns):
-        typer.echo(line)
+    return [line(row) for row in cells]
 
 
 def _stage_words(stage: StagePlan) -> str:

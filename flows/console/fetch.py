@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
+from flows.console.context import app
 from flows.exports.credits import CREDITS_NAME, add_notice
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
@@ -25,7 +27,8 @@ _NUM_ATTEMPTS = 4
 _NO_ANSWER_S = 30.0
 _FIRST_WAIT_S = 0.5
 
-app = typer.Typer(help="Bring motion capture from the sites that give it freely.", no_args_is_help=True)
+_group = typer.Typer(help="Bring motion capture from the sites that give it freely.", no_args_is_help=True)
+app.add_typer(_group, name="fetch")
 
 
 class FetchError(Exception):
@@ -41,20 +44,18 @@ class Fetched:
     was_there: bool
 
 
-@app.callback()
-def _group() -> None:
-    """Bring motion capture from the sites that give it freely."""
+@_group.callback()
+def _has_subcommands() -> None:
+    """Make of one command a group: `fetch cmu`."""
 
 
-@app.command("cmu")
+@_group.command("cmu")
 def cmu(
-    out: Annotated[Path, typer.Option(help="Folder for the files.")],
-    study: Annotated[str, typer.Option(help="Study whose takes are brought where no subjects are named.")] = "everyday",
-    subjects: Annotated[str | None, typer.Option(help="Subjects, such as 60,61.")] = None,
-    takes: Annotated[
-        str | None, typer.Option(help="Their takes, such as 01,03; by default all that the site lists.")
-    ] = None,
-    base_url: Annotated[str, typer.Option(help="Address of the site.")] = CMU_BASE_URL,
+    out: Annotated[Path, Option(help="Folder for the files.")],
+    study: Annotated[str, Option(help="Study whose takes are brought where no subjects are named.")] = "everyday",
+    subjects: Annotated[str | None, Option(help="Subjects, such as 60,61.")] = None,
+    takes: Annotated[str | None, Option(help="Their takes, such as 01,03; by default all that the site lists.")] = None,
+    base_url: Annotated[str, Option(help="Address of the site.")] = CMU_BASE_URL,
 ) -> None:
     """Bring ASF/AMC files of the CMU motion capture database: those of a study, or of some subjects."""
     if subjects is None and takes is not None:

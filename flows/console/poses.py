@@ -24,7 +24,7 @@ def pose_lines(values: npt.NDArray[np.floating], joints: str, *, unit: str) -> l
     """Return the lines of people (*batch, joint, 2 or 3) of the working skeleton of this name.
 
     People in space are seen along -Z (front) and along +X (side), images as they are.  NaN, joints that are not there,
-    are left out of the drawing.
+    are not drawn.
     """
     skeleton = WORKING_SKELETONS[joints]
     people = values.reshape(-1, *values.shape[-2:]).astype(np.float64)
@@ -46,7 +46,7 @@ def pose_lines(values: npt.NDArray[np.floating], joints: str, *, unit: str) -> l
 
 
 def braille_lines(segments: Array, *, width: int, height: int) -> list[str]:
-    """Draw segments (n, 2, 2) in dots, x right and y down, into width x height letters; what lies outside is left out.
+    """Draw segments (n, 2, 2) in dots, x right and y down, into width x height letters; nothing outside.
 
     >>> braille_lines(np.array([[[0.0, 0.0], [3.0, 3.0]]]), width=2, height=1)
     ['⠑⢄']

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import typer
 from threadpoolctl import threadpool_limits
 
-from flows.console.context import open_store
-from flows.console.display import print_table
-from flows.console.following import STOP_NAME, follow_folder
-from flows.console.live_lines import follow_lines, lines_into, told_to_stop
+from flows.console.context import open_store, say
+from flows.console.display import format_table
+from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
+from flows.machine import remembered_ctrl_c
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import say_units, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.people import reconstruct_people
+from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
@@ -43,172 +46,163 @@ _HOW_TO_GET_ONE = (
 )
 
 
-@dataclass(frozen=True)
-class Live:
-    """How a live video is reconstructed: a file for the lines (None for standard output), and the command's options."""
-
-    out: Path | None
-    rate_hz: float = 30.0
-    size: str | None = None
-    pitch_deg: float | None = None
-    idle_s: float = 5.0
-    lag: int = 6
-    has_clean_up: bool = True
-
-
-@dataclass(frozen=True)
-class Whole:
-    """How whole videos are reconstructed: a folder for the files (None for this one), and the command's options."""
-
-    out: Path | None
-    rate_hz: float | None = None
-    size: str | None = None
-    focal_px: float | None = None
-    fov_deg: float | None = None
-    min_confidence: float | None = None
-    person_ids: tuple[int, ...] = ()
-    statures: tuple[str, ...] = ()
-    pitch_deg: float | None = None
-    camera_height_m: float | None = None
-    people: Path | None = None
-    has_clean_up: bool = True
-    units: str = "cm"
-
-    def source(self, path: Path) -> AnnotationOptions:
-        """Return the source of 2D poses that a path and the options are, as a study would name it."""
-        told = {
-            "rate_hz": self.rate_hz,
-            "image_size_px": _image_size(self.size),
-            "focal_px": self.focal_px,
-            "fov_deg": self.fov_deg,
-            "min_confidence": self.min_confidence,
-            "people_file": self.people,
-        }
-        name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
-        known = {key: value for key, value in told.items() if value is not None}
-        return AnnotationOptions.model_validate({"id": name or "video", "path": path, **known})
-
-
-def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
-    """Write a line per person and frame while a folder's files are being written.
+def follow_video(
+    folder: Path,
+    database: str,
+    store: Path,
+    out: Path | None,
+    *,
+    rate_hz: float = 30.0,
+    size: str | None = None,
+    pitch_deg: float | None = None,
+    idle_s: float = 5.0,
+    lag: int = 6,
+    has_clean_up: bool = True,
+) -> None:
+    """Write a line per person and frame, to a file or standard output, while a folder's files are being written.
 
     Raises:
         InputError: No folder, no projections, an image size of another form, or keypoints that are not people.
     """
-    _check_folder(folder)
-    image_size = _image_size(live.size)
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder of OpenPose files")
+    image_size = _image_size(size)
     source, refs = _projections(database, store)
-    (searcher,), _ = _searchers(source, refs, _LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg)
-    options = LiveOptions(lag=live.lag, has_clean_up=live.has_clean_up)
+    (searcher,), _ = _searchers(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
+    options = LiveOptions(lag=lag, has_clean_up=has_clean_up)
     warm_up(searcher, options)
-    people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
+    people = LivePeople(searcher, rate_hz=rate_hz, image_size_px=image_size, options=options)
     typer.echo(f"following {folder}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
     # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
-    with lines_into(live.out) as out, told_to_stop() as is_stopped, threadpool_limits(limits=1):
-        files = follow_folder(folder, idle_s=live.idle_s, is_stopped=is_stopped)
-        follow_lines(people, files, out, rate_hz=live.rate_hz)
+    with ExitStack() as stack:
+        lines = None
+        if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            lines = stack.enter_context(out.open("w", encoding="utf-8"))
+        stack.enter_context(threadpool_limits(limits=1))
+        is_stopped = stack.enter_context(remembered_ctrl_c(is_passed_on=False))
+        files = follow_folder(folder, idle_s=idle_s, is_stopped=is_stopped)
+        follow_lines(people, files, lines, rate_hz=rate_hz)
 
 
-def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> None:
+def annotation_source(path: Path, size: str | None, **stated: Any) -> AnnotationOptions:
+    """Return the source of 2D poses that a path and options of the command are, as a study would name it."""
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
+    known = {key: value for key, value in {**stated, "image_size_px": _image_size(size)}.items() if value is not None}
+    return AnnotationOptions.model_validate({"id": name or "video", "path": path, **known})
+
+
+def reconstruct_video(
+    video: AnnotationOptions,
+    database: str,
+    store: Path,
+    out: Path,
+    *,
+    units: str = "cm",
+    pitch_deg: float | None = None,
+    camera_height_m: float | None = None,
+    person_ids: Sequence[int] = (),
+    statures: Sequence[str] = (),
+    has_clean_up: bool = True,
+) -> None:
     """Write a BVH and an npz file per person of every sequence of 2D poses, read as a study reads them.
 
     Raises:
         InputError: Nothing that can be read, no projections, an option of another form, keypoints that are not people,
             or nobody who can be reconstructed.
     """
-    sources = find_annotations(whole.source(path))
+    videos = find_annotations(video)
     source, refs = _projections(database, store)
-    searchers, take_ids = _searchers(source, refs, whole.pitch_deg)
+    searchers, take_ids = _searchers(source, refs, pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
-    found: list[tuple[ResolvedPeople, SequencePeople]] = []
+
+    def reconstruct_sequence(resolved: ResolvedPeople, sequence: SequencePeople) -> None:
+        if sequence.why_not_followed:
+            raise InputError(sequence.why_not_followed)
+        tracks = _tracks(resolved, sequence.sequence_id, person_ids)
+        if not tracks:
+            raise InputError("no frame shows enough joints of a person")
+        pitch, searcher = None, searchers[0]
+        if len(searchers) > 1:
+            pitch = choose_pitch(searchers, tracks)
+            searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
+        found = reconstruct_people(
+            searcher,
+            tracks,
+            [Method.FIT],
+            has_clean_up=has_clean_up,
+            pairs_m=pairs_m,
+            camera_height_m=camera_height_m,
+            statures_m=_statures(statures, [one.person_id for one in tracks]),
+            pitch=pitch,
+        )
+        if not found.methods:
+            raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
+        doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
+        unseen_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
+        _write_sequence(found, sequence, out, units, unseen_m, doubts)
+
     failed: list[InputError] = []
-    for one in sources:
+    num_made = 0
+    for one in videos:
         typer.echo(one.in_words(), err=True)
         try:
             resolved = one.resolve()
         except InputError as error:
             failed.append(error)
-        else:
-            found += [(resolved, sequence) for sequence in resolved.sequences]
-    num_made = 0
-    for resolved, sequence in found:
-        try:
-            _reconstruct_sequence(resolved, sequence, searchers, take_ids, pairs_m, whole)
-            num_made += 1
-        except InputError as error:
-            failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
+            continue
+        for sequence in resolved.sequences:
+            try:
+                reconstruct_sequence(resolved, sequence)
+                num_made += 1
+            except InputError as error:
+                failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
     for reason in failed if num_made else failed[:-1]:
-        typer.echo(f"left out: {reason}", err=True)
+        typer.echo(f"skipped: {reason}", err=True)
     if not num_made:
         raise failed[-1]
 
 
-def _reconstruct_sequence(
-    resolved: ResolvedPeople,
+def _write_sequence(
+    found: ReconstructedTracks,
     sequence: SequencePeople,
-    searchers: list[Searcher],
-    take_ids: npt.NDArray[np.object_],
-    pairs_m: npt.NDArray[np.floating],
-    whole: Whole,
+    out: Path,
+    units: str,
+    unseen_m: float,
+    doubts: Sequence[str],
 ) -> None:
     """Write files of every person of one sequence, and say how good they are."""
-    if sequence.why_not_followed:
-        raise InputError(sequence.why_not_followed)
-    tracks = _tracks(resolved, sequence.sequence_id, whole.person_ids)
-    if not tracks:
-        raise InputError("no frame shows enough joints of a person")
-    pitch, searcher = None, searchers[0]
-    if len(searchers) > 1:
-        pitch = choose_pitch(searchers, tracks)
-        searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
-    found = reconstruct_people(
-        searcher,
-        tracks,
-        [Method.FIT],
-        has_clean_up=whole.has_clean_up,
-        pairs_m=pairs_m,
-        camera_height_m=whole.camera_height_m,
-        statures_m=_statures(whole.statures, [one.person_id for one in tracks]),
-        pitch=pitch,
-    )
-    if not found.methods:
-        raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
-    target = whole.out or Path()
-    target.mkdir(parents=True, exist_ok=True)
-    names = FileNames(target)
-    left_out_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
-    doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
+    out.mkdir(parents=True, exist_ok=True)
+    names = FileNames(out)
     rows = []
     for made in found.methods[-1].people:
-        track = made.track
-        path = names.path(sequence.sequence_id, track.person_id, suffix=".bvh")
-        motion = found.motions[track.person_id]
-        path.write_text(motion.bvh(whole.units), encoding="utf-8")
+        track, motion = made.track, found.motions[made.track.person_id]
+        path = write_text(names.path(sequence.sequence_id, track.person_id, suffix=".bvh"), motion.bvh(units))
         path.with_suffix(".npz").write_bytes(write_npz(motion))
-        judged = judge_person(made, left_out_m, doubts=doubts)
+        judged = judge_person(made, unseen_m, doubts=doubts)
         rows.append(
             (
                 str(path),
                 f"{track.first_frame}-{int(track.frames[-1])}",
                 f"{100 * judged.expected_error_m:.0f} cm",
                 f"{100 * judged.misfit_m:.1f} cm",
-                f"{100 * left_out_m:.1f} cm" if math.isfinite(left_out_m) else "",
+                f"{100 * unseen_m:.1f} cm" if math.isfinite(unseen_m) else "",
                 f"{judged.share_seen:.0%}",
                 f"{judged.share_bridged:.0%}",
                 judged.verdict.level.value + (f": {judged.verdict.reason}" if judged.verdict.reason else ""),
             )
         )
-    print_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1))
-    write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), say_units(motion, whole.units))
-    table = names.path(sequence.sequence_id, "people", suffix=".csv")
-    table.write_text(write_decisions(sequence.decisions), encoding="utf-8")
-    typer.echo(f"{table}: who is who; --people with a changed copy overrules it", err=True)
+    say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
+    write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), say_units(motion, units))
+    people = names.path(sequence.sequence_id, "people", suffix=".csv")
+    write_text(people, write_decisions(sequence.decisions))
+    typer.echo(f"{people}: who is who; --people with a changed copy overrules it", err=True)
     for person_id, reason in found.skipped.items():
-        typer.echo(f"person {person_id} was left out: {reason}", err=True)
+        typer.echo(f"person {person_id} was skipped: {reason}", err=True)
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
-def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[Track]:
+def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: Sequence[int]) -> list[Track]:
     """Return the tracks of the people of a sequence that are wanted, of everybody where nobody is named."""
     frames = resolved.frames
     is_own = np.array([name == sequence_id for name in frames.sequence_id])
@@ -231,7 +225,7 @@ def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: tuple[int, .
     )
 
 
-def _statures(texts: tuple[str, ...], person_ids: list[int]) -> dict[int, float]:
+def _statures(texts: Sequence[str], person_ids: list[int]) -> dict[int, float]:
     """Return the statures by person that options say: METRES for everybody, or PERSON=METRES."""
     statures: dict[int, float] = {}
     for text in texts:
@@ -241,11 +235,6 @@ def _statures(texts: tuple[str, ...], person_ids: list[int]) -> dict[int, float]
             raise InputError(f"stature '{text}' is none of METRES or PERSON=METRES; allowed: 0.5 to 2.5 m, as 1.72")
         statures |= dict.fromkeys([int(match[1])] if match[1] else person_ids, metres)
     return statures
-
-
-def _check_folder(folder: Path) -> None:
-    if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder of OpenPose files")
 
 
 def _image_size(text: str | None) -> tuple[int, int] | None:

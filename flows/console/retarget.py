@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
+from flows.console.context import app
 from flows.exports import RestPose, Units
 
 _HELP = """Give a take the bodies of other people, its contacts kept, and write it on its own skeletons.
@@ -31,39 +32,36 @@ A BVH and an npz file a person are written, as by `export`, with UNITS.txt and C
 """
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("retarget", help=_HELP)(retarget)
-
-
+@app.command(help=_HELP)
 def retarget(
-    take: Annotated[
-        list[str], typer.Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or a motion file for each person.")
-    ],
-    to: Annotated[list[str], typer.Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
-    store: Annotated[Path, typer.Option(metavar="DIR", help="Store of TAKE and NAME.")] = Path("store"),
+    take: Annotated[list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or a motion file a person.")],
+    to: Annotated[list[str], Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    store: Annotated[Path, Option(metavar="DIR", help="Store of TAKE and NAME.")] = Path("store"),
     unit: Annotated[
-        list[float] | None,
-        typer.Option("--unit", min=1e-6, metavar="M", help="Metres per unit of the motion files, where not told."),
+        list[float] | None, Option("--unit", min=1e-6, metavar="M", help="Metres per unit of the files.")
     ] = None,
     body_unit: Annotated[
-        list[float] | None,
-        typer.Option("--body-unit", min=1e-6, metavar="M", help="Metres per unit of each BVH after --to."),
+        list[float] | None, Option("--body-unit", min=1e-6, metavar="M", help="Metres per unit of --to.")
     ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(min=1.0, max=1000.0, metavar="HZ", help="True rate of the motion files, if they lie."),
-    ] = None,
-    model: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Trained model: NAME, NAME@STUDY/SPLIT or a .safetensors file.")
-    ] = None,
-    rest_pose: Annotated[RestPose, typer.Option(help="The source's, or a standing T-pose.")] = "source",
-    units: Annotated[Units, typer.Option(help="Lengths of BVH files; `source`: as in each source's file.")] = "cm",
+    rate: Annotated[float | None, Option(min=1, max=1000, metavar="HZ", help="True rate of the files.")] = None,
+    model: Annotated[str | None, Option(metavar="NAME", help="Trained model: NAME, NAME@STUDY/SPLIT, file.")] = None,
+    rest_pose: Annotated[RestPose, Option(help="The source's, or a standing T-pose.")] = "source",
+    units: Annotated[Units, Option(help="Lengths of BVH files; `source`: as in each source's file.")] = "cm",
 ) -> None:
     """Run the command."""
     # Here, because the solver's kernels take a second that the other commands need not wait for.
-    from flows.console.retargeting import FileOptions, retarget_take
+    from flows.console.retargeting import retarget_take
 
-    options = FileOptions(units_m=tuple(unit or ()), body_units_m=tuple(body_unit or ()), rate_hz=rate)
-    retarget_take(tuple(take), tuple(to), store, out, options, rest_pose=rest_pose, units=units, model=model)
+    retarget_take(
+        take,
+        to,
+        store,
+        out,
+        units_m=unit or (),
+        body_units_m=body_unit or (),
+        rate_hz=rate,
+        rest_pose=rest_pose,
+        units=units,
+        model=model,
+    )

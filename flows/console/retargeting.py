@@ -6,15 +6,14 @@ import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from string import ascii_uppercase
 
 import numpy as np
 import typer
 
-from flows.console.context import open_store
-from flows.console.display import print_table
+from flows.console.context import open_store, say
+from flows.console.display import format_table
 from flows.exports import RestPose, Units, write_credits
 from flows.exports.model_weights import stored_weights
 from flows.exports.own_skeletons import Person, RigFiles, people_of_take
@@ -49,43 +48,42 @@ KEPT = "source"
 """Word for the body of somebody who stays as captured."""
 
 
-@dataclass(frozen=True)
-class FileOptions:
-    """What files do not say themselves.
-
-    Args:
-        units_m: Metres per unit of the motion files, one for all or one each; told from the files where empty.
-        body_units_m: The same of the bodies that are BVH files, in their order.
-        rate_hz: True rate of the motion files.
-    """
-
-    units_m: tuple[float, ...] = ()
-    body_units_m: tuple[float, ...] = ()
-    rate_hz: float | None = None
-
-
 def retarget_take(
     take: Sequence[str],
     bodies: Sequence[str],
     store_root: Path,
     out: Path,
-    options: FileOptions,
     *,
+    units_m: Sequence[float] = (),
+    body_units_m: Sequence[float] = (),
+    rate_hz: float | None = None,
     rest_pose: RestPose = "source",
     units: Units = "cm",
     model: str | None = None,
 ) -> None:
     """Find take and bodies, solve or ask a trained model, write, and say what came of it.
 
+    Args:
+        take: The take, or its motion files.
+        bodies: A file for each person, or `source`.
+        store_root: Store of the take and of the model.
+        out: Folder for the files.
+        units_m: Metres per unit of the motion files, one for all or one each; guessed from the files where empty.
+        body_units_m: The same of the bodies that are BVH files, in their order.
+        rate_hz: True rate of the motion files.
+        rest_pose: Of the skeletons that are written.
+        units: Lengths of BVH files.
+        model: Trained model in place of the solver.
+
     Raises:
         InputError: The take is not there, there are more bodies than people, a body cannot be read or be anybody's, or
             the model is not there, cannot be read, or is of pairs and the take is none.
     """
     weights = None if model is None else _find_model(model, store_root)
-    body_units = iter(options.body_units_m)
-    targets = [None if body == KEPT else _read_target(Path(body), body_units) for body in bodies]
+    left = iter(body_units_m)
+    targets = [None if body == KEPT else _read_target(Path(body), left) for body in bodies]
     if len(take) > 1 or Path(take[0]).is_file():
-        with _take_of_files(take, options) as (store, ref):
+        with _take_of_files(take, units_m, rate_hz) as (store, ref):
             _retarget(store, ref, targets, out, rest_pose, units, weights)
         return
     store = open_store(store_root)
@@ -100,26 +98,28 @@ def retarget_take(
 
 
 @contextmanager
-def _take_of_files(files: Sequence[str], options: FileOptions) -> Iterator[tuple[Store, ArtifactRef]]:
+def _take_of_files(
+    files: Sequence[str], units_m: Sequence[float], rate_hz: float | None
+) -> Iterator[tuple[Store, ArtifactRef]]:
     """Read motion files as a study would, at their own rate, into a store that is gone afterwards."""
     if len(files) > len(ascii_uppercase):
         raise InputError(f"{len(files)} motion files are given, one a person; a take has at most 26 people")
-    if len(options.units_m) > len(files):
-        raise InputError(f"--unit is given {len(options.units_m)} times for {len(files)} file{'s' * (len(files) > 1)}")
-    last = len(options.units_m) - 1
-    units = [options.units_m[min(person, last)] if options.units_m else None for person in range(len(files))]
+    if len(units_m) > len(files):
+        raise InputError(f"--unit is given {len(units_m)} times for {len(files)} file{'s' * (len(files) > 1)}")
+    last = len(units_m) - 1
+    units = [units_m[min(person, last)] if units_m else None for person in range(len(files))]
     take = {
         "id": re.sub(r"[^A-Za-z0-9_-]", "_", Path(files[0]).stem).lstrip("_-")[:100] or "take",
         "files": [str(Path(file).resolve()) for file in files],
-        "rate_hz": options.rate_hz,
+        "rate_hz": rate_hz,
         "persons": [{"metres_per_unit": unit} for unit in units],
     }
     section = IngestParameters.model_validate({"takes": [take]})
     try:
         planned = STAGE.plan(StageInputs(manifests={}, seed=0), section)[0].parameters
         assert isinstance(planned, TakeParameters)
-        rate_hz = min(person.rate_hz for person in planned.persons)
-        shard = STAGE.plan(StageInputs(manifests={}, seed=0), section.model_copy(update={"rate_hz": rate_hz}))[0]
+        own_hz = min(person.rate_hz for person in planned.persons)
+        shard = STAGE.plan(StageInputs(manifests={}, seed=0), section.model_copy(update={"rate_hz": own_hz}))[0]
     except InputError as error:
         said = str(error).replace("set metres_per_unit for this take", "say --unit")
         raise type(error)(said.replace("set rate_hz for this take", "say --rate")) from None
@@ -229,12 +229,11 @@ def _retarget(
         wanted_m = positions_m[:, index]
         own = person.own.worn(wanted_m, bone_scale[index])
         files.write((take_id, "retarget", person.letter), person, own, wanted_m)
-    for path in (*files.close(), write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)):
-        typer.echo(str(path))
+    credits_path = write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)
+    say(map(str, (*files.close(), credits_path)))
     if rows:
-        print_table(
-            ("person", "body", "size", "bones", "misfit mean", "greatest", "between"), rows, text_columns=(0, 1, 3, 6)
-        )
+        header = ("person", "body", "size", "bones", "misfit mean", "greatest", "between")
+        say(format_table(header, rows, text_columns=(0, 1, 3, 6)))
     for person, worst_m in contradictions:
         typer.echo(
             f"warning: the body for person {person.letter} is missed by {1e3 * worst_m:.0f} mm: "
@@ -256,7 +255,7 @@ def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:
         target.name,
         f"{np.median(fit.bone_scale[1:]):.3f}",
         f"{fit.bone_scale[1:].min():.2f}-{fit.bone_scale[1:].max():.2f}"
-        + (f", {fit.num_guessed} not told" if fit.num_guessed else ""),
+        + (f", {fit.num_guessed} guessed" if fit.num_guessed else ""),
         f"{1e3 * np.mean(list(misfit_m.values())):.1f} mm",
         f"{1e3 * misfit_m[worst]:.1f} mm",
         " and ".join(BODY22.joint_names[joint] for joint in worst),

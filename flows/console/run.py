@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import errno
+import os
+import signal
 import tempfile
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from flows.console.context import (
     ClusterOption,
@@ -21,29 +29,30 @@ from flows.console.context import (
     StoreOption,
     StudyArgument,
     WorkersOption,
+    answer,
+    app,
     graph_of,
     next_command,
     open_store,
-    print_json,
 )
 from flows.console.display import cost_lines, counted, make_listener, outcome_lines, plan_lines, summary_lines
 from flows.costs import estimate_cost, planned_work
-from flows.execution import outcome_of_fresh
+from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, nearest_folder
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
+from flows.prefect_server import check_server, starting_server
 from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
 from flows.records import uncollected
-from flows.study import Study, load_study
+from flows.study import load_study
 from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
-from tasks.graph import Graph
 from tasks.shards import ClusterSettings
-
-app = typer.Typer(rich_markup_mode=None)
 
 MIN_FREE_BYTES = 64 * 1024**2
 PREVIEW_S = 4.0
+_IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.utilities.visualization", "fastapi")
+"""What Prefect imports when the first flow begins, and all else waits for it."""
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
 """That `plan --cost` tells of where nothing is said."""
 
@@ -77,12 +86,12 @@ class FailOn(StrEnum):
     FAIL = Level.FAIL.value
 
 
-OnlyOption = Annotated[list[str] | None, typer.Option("--only", metavar="STAGE", help="These stages alone.")]
-FromOption = Annotated[str | None, typer.Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
-UntilOption = Annotated[str | None, typer.Option("--until", metavar="STAGE", help="This stage and what it needs.")]
+OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="These stages alone.")]
+FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
+UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="This stage and what it needs.")]
 ForceOption = Annotated[
     list[str] | None,
-    typer.Option("--force", metavar="STAGE", help="Compute this stage again, in place; what a dataset needs stays."),
+    Option("--force", metavar="STAGE", help="Compute this stage again, in place; what a dataset needs stays."),
 ]
 
 
@@ -94,21 +103,15 @@ def run(
     store: StoreOption = Path("store"),
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,
-    worker_memory: Annotated[
-        float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")
-    ] = WORKER_MEMORY_GB,
+    worker_memory: Annotated[float, Option(min=0.25, metavar="GB", help="Memory of a worker.")] = WORKER_MEMORY_GB,
     scheduler: SchedulerOption = None,
     cluster: ClusterOption = None,
     only: OnlyOption = None,
     start: FromOption = None,
     until: UntilOption = None,
     force: ForceOption = None,
-    is_preview: Annotated[
-        bool, typer.Option("--preview", help=f"On {PREVIEW_S:g} s of each take and video, kept as <study>-preview.")
-    ] = False,
-    fail_on: Annotated[
-        FailOn | None, typer.Option("--fail-on", help="End with exit code 1 when a verdict is at least so bad.")
-    ] = None,
+    is_preview: Annotated[bool, Option("--preview", help=f"{PREVIEW_S:g} s of each take, as <study>-preview.")] = False,
+    fail_on: Annotated[FailOn | None, Option("--fail-on", help="Exit code 1 where a verdict is so bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Build a study."""
@@ -120,69 +123,52 @@ def run(
         chosen = chosen.model_copy(update={"head": head, "publish": None})
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     worst = None if fail_on is None else Level(fail_on.value)
-    build_and_report(chosen, graph, open_store(store), selection, where, fail_on=worst, as_json=as_json)
+    build_and_report(Run(chosen, graph, open_store(store), selection), where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         typer.echo(f"all of it: {next_command('run', study, *selection.words, store=store, settings=settings)}")
 
 
-def build_and_report(
-    chosen: Study,
-    graph: Graph,
-    opened: Store,
-    selection: Selection,
-    cluster: ClusterSettings,
-    *,
-    as_json: bool,
-    fail_on: Level | None = None,
-) -> None:
-    """Bring a study up to date and say what was done."""
+def build_and_report(run: Run, cluster: ClusterSettings, *, as_json: bool, fail_on: Level | None = None) -> None:
+    """Bring a study up to date, say what was done, and fail where nothing was made or a verdict is too bad."""
     started = time.perf_counter()
-    outcome, made = build(chosen, graph, opened, selection, cluster, is_quiet=as_json)
+    outcome, made = build(run, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
-    with in_use(opened):
-        run = Run(chosen, graph, opened)
+    with in_use(run.store):
         published = publish(run, outcome)
-    if as_json:
-        said = {} if published is None else {"published": published.to_json()}
-        print_json({**outcome.to_json(), "seconds": round(seconds, 3), **said})
-        _refuse(outcome, published, run, fail_on)
-        return
-    for line in (*outcome_lines(outcome), *(f"warning: {w}" for w in made.warnings)):
-        typer.echo(line)
-    if made.is_fresh:
-        typer.echo(f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)")
-    else:
-        memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
-        typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
-    for line in summary_lines(opened, chosen.name, made.manifests if made.is_fresh else ()):
-        typer.echo(line)
-    if outcome.report is not None:
-        typer.echo(f"report: {_shown(outcome.report)}")
-    if published is not None and not published.failures:
-        typer.echo(published.words)
-    _refuse(outcome, published, run, fail_on)
-
-
-def _refuse(outcome: Outcome, published: Published | None, run: Run, fail_on: Level | None) -> None:
-    """Fail where nothing was made of what was asked for, or a verdict is too bad to publish or for who asked."""
+    more = {} if published is None else {"published": published.to_json()}
+    lines = _report_lines(run, outcome, made, seconds, published)
+    answer({**outcome.to_json(), "seconds": round(seconds, 3), **more}, lines, as_json=as_json)
     refuse_nothing(outcome.missing)
     refuse_unpublished(published)
     if fail_on is not None:
         refuse_bad_verdicts(run, outcome, fail_on)
 
 
-def build(
-    chosen: Study, graph: Graph, opened: Store, selection: Selection, cluster: ClusterSettings, *, is_quiet: bool
-) -> tuple[Outcome, Plan]:
+def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, published: Published | None) -> Iterator[str]:
+    """Return what a run did, what is there now, and where the report is."""
+    yield from (*outcome_lines(outcome), *(f"warning: {words}" for words in made.warnings))
+    if made.is_fresh:
+        yield f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)"
+    else:
+        memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
+        yield f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}"
+    yield from summary_lines(run.store, run.study.name, made.manifests if made.is_fresh else ())
+    if outcome.report is not None:
+        page = outcome.report / "report.html"
+        yield f"report: {page if page.is_file() else outcome.report}"
+    if published is not None and not published.failures:
+        yield published.words
+
+
+def build(run: Run, cluster: ClusterSettings, *, is_quiet: bool) -> tuple[Outcome, Plan]:
     """Bring a study up to date; gives what was done and the plan.  Nothing is removed from the store meanwhile."""
-    with in_use(opened):
-        made = make_plan(chosen, graph, opened, selection)
-        run = Run(chosen, graph, opened, selection)
+    with in_use(run.store):
+        made = make_plan(run.study, run.graph, run.store, run.selection)
         if made.is_fresh:
             return outcome_of_fresh(run, made), made
-        _refuse_full_disk(opened)
-        opened.prepare()
-        with in_use(opened):  # a store that is new was not there to be locked before
+        _refuse_full_disk(run.store)
+        run.store.prepare()
+        with in_use(run.store):  # a store that is new was not there to be locked before
             return _build(run, made, cluster, is_quiet=is_quiet), made
 
 
@@ -197,13 +183,11 @@ def plan(
     start: FromOption = None,
     until: UntilOption = None,
     force: ForceOption = None,
-    is_long: Annotated[bool, typer.Option("--long", help="Show fresh partitions too.")] = False,
-    cost: Annotated[bool, typer.Option("--cost", help="Say what the run would take, on how many workers.")] = False,
-    workers: Annotated[
-        list[int] | None, typer.Option("--workers", min=1, help="With --cost: on so many; may be given again.")
-    ] = None,
+    is_long: Annotated[bool, Option("--long", help="Show fresh partitions too.")] = False,
+    cost: Annotated[bool, Option("--cost", help="Say what the run would take, on how many workers.")] = False,
+    workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: on so many.")] = None,
     measured: Annotated[
-        Path | None, typer.Option("--measured", metavar="DIR", help="With --cost: store that has a build of the study.")
+        Path | None, Option("--measured", metavar="DIR", help="With --cost: where it was built.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -216,17 +200,13 @@ def plan(
     if cost and not made.is_fresh:
         work = planned_work(made, graph, open_store(store), open_store(measured or store))
         costs = [estimate_cost(work, count) for count in workers or NUMBERS_OF_WORKERS]
-        if as_json:
-            print_json({"work": work.to_json(), "costs": [asdict(one) for one in costs]})
-            return
-        for line in cost_lines(work, costs):
-            typer.echo(line)
+        described = {"work": work.to_json(), "costs": [asdict(one) for one in costs]}
+        answer(described, cost_lines(work, costs), as_json=as_json)
         return
+    lines = plan_lines(made, is_long=is_long)
+    answer({**made.to_json(), "settings": chosen.resolved()}, lines, as_json=as_json)
     if as_json:
-        print_json({**made.to_json(), "settings": chosen.resolved()})
         return
-    for line in plan_lines(made, is_long=is_long):
-        typer.echo(line)
     refuse_nothing(made.missing)
     typer.echo(
         "everything is fresh"
@@ -236,15 +216,32 @@ def plan(
 
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:
-    """Run what is not fresh; only here are Prefect and Dask imported."""
+    """Run what is not fresh: Prefect's server and the workers start while Prefect is loaded, and only here."""
     listener = make_listener(is_quiet=is_quiet)
-    listener.note("loading Prefect")
+    run = replace(run, listener=listener)
+    if named := os.environ.get("PREFECT_API_URL"):
+        check_server(named)
+    else:
+        listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
     try:
-        from flows.dataset import orchestrate
-
-        return orchestrate(replace(run, listener=listener), plan, cluster)
+        with nullcontext() if named else starting_server() as server, ThreadPoolExecutor(1) as threads:
+            if cluster.is_shared or cluster.num_workers:
+                import distributed  # noqa: F401 - first: threads that import at once may meet half-loaded modules
+            loading = threads.submit(_load_prefect)
+            with open_pool(run, cluster) as pool:
+                outcome: Outcome = loading.result().build_in_flow(run, plan, pool, server)
+                return outcome
     finally:
         listener.close()
+
+
+def _load_prefect() -> ModuleType:
+    """Import what needs Prefect, in a thread that leaves Ctrl-C to the main one."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    module = import_module("flows.dataset")
+    for name in _IMPORTED_BY_FLOWS:
+        import_module(name)
+    return module
 
 
 def _refuse_full_disk(store: Store) -> None:
@@ -262,8 +259,3 @@ def _refuse_full_disk(store: Store) -> None:
     free = free_bytes(store.root)
     if free < MIN_FREE_BYTES:
         raise PlanError(f"the disk of {store.root} has {free / 1e6:.0f} MB left; free some space first")
-
-
-def _shown(path: Path) -> str:
-    page = path / "report.html"
-    return str(page if page.is_file() else path)

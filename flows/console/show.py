@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from typer import Argument, Option
 
-from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import counted, format_table, print_table
+from flows.console.context import JsonOption, StoreOption, answer, app, open_store, say
+from flows.console.display import counted, format_table
 from flows.console.poses import pose_lines
 from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference
 from pasdedeux.evaluation.score_tables import mean_table, score_table
@@ -28,13 +29,11 @@ from storage_schema import (
     table_files,
 )
 
-app = typer.Typer(rich_markup_mode=None)
-
 SCORES = "scores"
 _ROWS, _SCORE_ROWS = 5, 12
 
 ReferenceArgument = Annotated[
-    str, typer.Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
+    str, Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
 ]
 
 _SHOW = """Show what a reference names: columns, rows, a look at the first ones, and where it comes from.
@@ -62,73 +61,57 @@ _EXPORT = """Write what a reference names into files, with licence and credits b
 def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
-    rows: Annotated[
-        int | None, typer.Option(min=0, help=f"Rows to show ({_ROWS}), of scores those of each topic ({_SCORE_ROWS}).")
-    ] = None,
-    has_files: Annotated[
-        bool, typer.Option("--files", help="Only the paths of the Parquet files, one a line.")
-    ] = False,
+    rows: Annotated[int | None, Option(min=0, help=f"Rows to show: {_ROWS}, of scores {_SCORE_ROWS} a topic.")] = None,
+    has_files: Annotated[bool, Option("--files", help="Only the paths of the Parquet files, one a line.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what a reference names."""
+    opened = open_store(store)
     if has_files:
-        for path in table_files(reference, open_store(store)):
-            typer.echo(str(path))
+        say(map(str, table_files(reference, opened)))
         return
-    described = _describe(open_store(store), reference, _ROWS if rows is None else rows)
-    if as_json:
-        print_json(described)
-        return
-    typer.echo(f"{described['table']}: {described['meaning']}")
-    typer.echo(f"{counted(described['num_rows'], 'row')} in {counted(len(described['artifacts']), 'artifact')}")
+    described = _describe(opened, reference, _ROWS if rows is None else rows)
     if described["table"] == SCORES and described["row"] is None:
-        for line in _score_lines(open_store(store), reference, _SCORE_ROWS if rows is None else rows):
-            typer.echo(line)
+        lines = _score_lines(opened, reference, _SCORE_ROWS if rows is None else rows)
     else:
-        _echo_rows(described, open_store(store), reference)
-    for source in described["sources"]:
-        typer.echo(f"  source {source['name']}: {source['licence']}; {source['credit']}")
+        lines = _row_lines(described, opened, reference)
+    heading = [
+        f"{described['table']}: {described['meaning']}",
+        f"{counted(described['num_rows'], 'row')} in {counted(len(described['artifacts']), 'artifact')}",
+    ]
+    sources = [f"  source {one['name']}: {one['licence']}; {one['credit']}" for one in described["sources"]]
+    answer(described, chain(heading, lines, sources), as_json=as_json)
 
 
-def _echo_rows(described: Mapping[str, Any], store: Store, reference: str) -> None:
-    """Print columns, rows and where they come from."""
+def _row_lines(described: Mapping[str, Any], store: Store, reference: str) -> Iterator[str]:
+    """Return columns, rows and where they come from."""
     cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
-    print_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
+    yield from format_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:
-        typer.echo("first rows:" if described["row"] is None else "the row:")
+        yield "first rows:" if described["row"] is None else "the row:"
     for number, row in enumerate(described["rows"], described["row"] or 0):
-        typer.echo(f"  #{number} " + ", ".join(f"{name}={value}" for name, value in row.items()))
+        yield f"  #{number} " + ", ".join(f"{name}={value}" for name, value in row.items())
     if described["row"] is not None:
-        for line in _drawn(store, reference):
-            typer.echo(line)
-    typer.echo("comes from:")
+        yield from _drawn(store, reference)
+    yield "comes from:"
     for step in described["lineage"]:
-        typer.echo(
-            f"  {'  ' * step['depth']}{step['stage']}@{step['key'][:12]} {step['partition']} {step['name']}".rstrip()
-        )
+        place = f"{step['stage']}@{step['key'][:12]} {step['partition']} {step['name']}".rstrip()
+        yield f"  {'  ' * step['depth']}{place}"
     for file in described["files"]:
-        typer.echo(f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})")
+        yield f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})"
 
 
 @app.command(help=_EXPORT)
 def export(
     reference: ReferenceArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
-    file_format: Annotated[
-        str, typer.Option("--format", metavar="NAME", help=f"What to write: {', '.join(EXPORT_FORMATS)}.")
-    ] = "npz",
-    rest_pose: Annotated[
-        RestPose, typer.Option(help="Rest pose of poses and variants: the source's, or a standing T-pose.")
-    ] = "source",
-    units: Annotated[
-        Units, typer.Option(help="Lengths of their BVH files; `source`: as in each source's file.")
-    ] = "cm",
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    file_format: Annotated[str, Option("--format", metavar="NAME", help=f"{', '.join(EXPORT_FORMATS)}.")] = "npz",
+    rest_pose: Annotated[RestPose, Option(help="Of poses and variants: the source's, or a T-pose.")] = "source",
+    units: Annotated[Units, Option(help="Lengths of their BVH files; `source`: as in each source's file.")] = "cm",
     store: StoreOption = Path("store"),
 ) -> None:
     """Write what a reference names into files."""
-    written = export_reference(open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units)
-    for path in written:
-        typer.echo(str(path))
+    say(map(str, export_reference(open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units)))
 
 
 def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
@@ -176,7 +159,7 @@ def _drawn(store: Store, text: str) -> list[str]:
     return lines
 
 
-def _score_lines(store: Store, text: str, num_rows: int) -> list[str]:
+def _score_lines(store: Store, text: str, num_rows: int) -> Iterator[str]:
     """Return scores as a table a topic: means over items where there are several, the best of a row with a star."""
     topics: dict[str, list[Score]] = {}
     for batch in iter_rows(text, store):
@@ -187,16 +170,15 @@ def _score_lines(store: Store, text: str, num_rows: int) -> list[str]:
             values = {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
             topics.setdefault(str(row["topic"]), []).append(Score(**values))
     num_figures = sum(map(len, topics.values()))
-    lines = ["* is the best of a row, where it is known what is better"]
+    yield "* is the best of a row, where it is known what is better"
     for topic, scores in topics.items():
         means = mean_table(scores, caption="means over items", has_marks=True)
         table = means or score_table(scores, caption="figures", has_marks=True)
-        lines += ["", f"{topic}: {table.caption}"]
-        lines += format_table(table.headings, table.rows[:num_rows], text_columns=range(len(table.headings)))
+        yield from ("", f"{topic}: {table.caption}")
+        yield from format_table(table.headings, table.rows[:num_rows], text_columns=range(len(table.headings)))
         if len(table.rows) > num_rows:
             more = f"... {len(table.rows) - num_rows} more rows: --rows {len(table.rows)}"
-            lines.append(f"{more}; all figures: --json --rows {num_figures}")
-    return lines
+            yield f"{more}; all figures: --json --rows {num_figures}"
 
 
 def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""`study` and `fetch`: the studies there are, what may be said in one, and where one of your own begins."""
+"""`study`: the studies there are, what may be said in one, and where one of your own begins."""
 
 from __future__ import annotations
 
@@ -9,21 +9,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from flows.console import fetch
-from flows.console.context import JsonOption, SettingOption, graph_of, print_json
-from flows.console.display import print_table
+from flows.console.context import JsonOption, SettingOption, answer, app, graph_of, say
+from flows.console.display import format_table
 from flows.study import load_study
 from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
 from tasks.graph import Graph
 
-app = typer.Typer(rich_markup_mode=None)
 _group = typer.Typer(
     help="Studies: those that ship, new ones, and what may be said in one.", no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(_group, name="study")
-app.add_typer(fetch.app, name="fetch")
 
 _MAX_CHARACTERS = 40  # of a default that is shown
 
@@ -55,21 +53,16 @@ def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the studies that ship."""
     graph = graph_of(context)
     found = [_describe(name, graph) for name in shipped_studies()]
-    if as_json:
-        print_json(found)
-        return
     header = ("name", "what it is", "stages", "data it needs")
     rows = [(d["name"], d["title"], _stage_words(d["stages"], graph), d["data"]) for d in found]
-    print_table(header, rows, text_columns=range(4))
+    answer(found, format_table(header, rows, text_columns=range(4)), as_json=as_json)
 
 
 @_group.command(help=_SHOW)
 def show(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")],
-    is_resolved: Annotated[
-        bool, typer.Option("--resolved", help="Every key, with what is extended and all defaults filled in.")
-    ] = False,
+    name: Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")],
+    is_resolved: Annotated[bool, Option("--resolved", help="With defaults and what is extended.")] = False,
     settings: SettingOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -78,17 +71,13 @@ def show(
         typer.echo(study_text(name, Path.cwd()), nl=False)
         return
     study, _ = load_study(name, graph_of(context), settings=settings or ())
-    if as_json:
-        print_json(study.resolved())
-        return
-    for line in _toml_lines("", study.resolved()):
-        typer.echo(line)
+    answer(study.resolved(), _toml_lines("", study.resolved()), as_json=as_json)
 
 
 @_group.command(help=_KEYS)
 def keys(
     context: typer.Context,
-    section: Annotated[str | None, typer.Argument(metavar="[SECTION]", help="One section; all when none.")] = None,
+    section: Annotated[str | None, Argument(metavar="[SECTION]", help="One section; all when none.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Print the keys of a study."""
@@ -98,30 +87,22 @@ def keys(
         raise StudyError(
             [f"there is no section '{section}'; sections: {', '.join((HEAD, PUBLISH, *graph.shared, *graph.names))}"]
         )
-    if as_json:
-        print_json([asdict(key) for key in found])
-        return
     rows = [(k.name, k.type, "needed" if k.is_needed else _short(k.default), k.unit, k.meaning) for k in found]
-    print_table(("key", "type", "default", "unit", "meaning"), rows, text_columns=range(5))
+    header = ("key", "type", "default", "unit", "meaning")
+    answer([asdict(key) for key in found], format_table(header, rows, text_columns=range(5)), as_json=as_json)
 
 
 @_group.command(help=_NEW)
 def new(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="The study to write, a .toml file that is not there yet.")
-    ],
+    file: Annotated[Path, Argument(metavar="FILE", help="The study to write, a .toml file that is not there yet.")],
     sources: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--from", metavar="PATH", help="A motion file, a file of 2D poses, or a folder; may be given again."
-        ),
+        list[Path] | None, Option("--from", metavar="PATH", help="Motion, 2D poses, or a folder.")
     ] = None,
 ) -> None:
     """Write a commented study to start from."""
     from flows.console.study_new import write_new_study
 
-    for line in write_new_study(file, sources or []).in_lines():
-        typer.echo(line)
+    say(write_new_study(file, sources or []).in_lines())
     typer.echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 
 
@@ -145,10 +126,10 @@ def _describe(name: str, graph: Graph) -> dict[str, Any]:
 def _stage_words(stages: list[str] | None, graph: Graph) -> str:
     if stages is None:
         return "(to extend)"
-    left_out = [name for name in graph.names if name not in stages]
-    if not left_out:
+    missing = [name for name in graph.names if name not in stages]
+    if not missing:
         return "all"
-    return f"all but {', '.join(left_out)}" if len(left_out) <= 2 else ", ".join(stages)
+    return f"all but {', '.join(missing)}" if len(missing) <= 2 else ", ".join(stages)
 
 
 def _short(value: Any) -> str:
@@ -157,7 +138,7 @@ def _short(value: Any) -> str:
 
 
 def _toml_lines(path: str, value: Any) -> list[str]:
-    """Return a value as lines of TOML, one key a line with its whole path; what is not said is left out."""
+    """Return a value as lines of TOML, one key a line with its whole path; what is not set is absent."""
     if isinstance(value, dict) and value:
         return [line for name, item in value.items() for line in _toml_lines(f"{path}.{_key(name)}".lstrip("."), item)]
     return [] if value is None else [f"{path} = {_toml(value)}"]

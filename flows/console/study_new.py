@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,9 +27,72 @@ from tasks.views import ViewsParameters
 SURE, LIKELY = 0.9, 0.6
 ONE_TAKE = 0.98
 """Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""
-_SAID = 12
+_MAX_SHOWN = 12
 """Takes that are named on the screen, of many."""
 _SUFFIXES = {end for kind in (*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()) for end in kind.suffixes}
+
+_HEAD = """\
+# A study: what comes in, and what is made of it.  Everything not said here has its default;
+# `pasdedeux plan` shows what a run would do, `pasdedeux run` does it.
+# Lines that start with # are notes, and settings to be switched on by removing it.
+
+[study]
+name = {name}
+title = {name}
+seed = 1
+
+[ingest]
+rate_hz = 30            # frame rate of all poses of the study
+"""
+_NO_SOURCES = """\
+# Without sources a study gets the default duets: waltz, hug, judo, push_hands.
+# [[ingest.takes]]
+# id = "dance"
+# files = ["a.bvh", "b.bvh"]
+"""
+_VIRTUAL_VIDEO = """
+[ingest.virtual_video]  # virtual cameras that see the takes
+num_videos = 1          # cameras that see each whole take
+num_random_views = 100  # annotated pairs from random views, of each take that is not held out
+distance_m = 4.0
+noise_px = 1.0          # for a person 600 px tall
+"""
+_ASSUMED = """
+[views]                     # 2D shows neither how far away the camera is nor how it is tilted: assumed
+distance_m = {0.distance_m}            # from the camera to the people, metres
+camera_pitch_deg = {0.camera_pitch_deg}     # how far the camera looks down
+camera_pitch_deviation_deg = {0.camera_pitch_deviation_deg}   # how sure that is: standard deviation
+lean_deviation_deg = {0.lean_deviation_deg}   # backs are upright, this far from it: standard deviation
+"""
+_FROM_2D_ALONE = f"""
+[seeds]                     # no take is there to start from: pairs of two people are lifted from 2D alone
+num_lifted = {LIFTED_OF_2D_ALONE}             # annotated pairs that stand for all
+num_grown = {GROWN_OF_2D_ALONE}            # at most: annotated pairs that those lift in turn
+
+[chains]                    # 3D pairs that agree with the annotations
+densities = ["ic"]
+num_chains = 1              # of each seed
+num_draws = 250             # of each chain; more of both show whether chains agree
+
+[lifting]
+max_frames = 40             # annotated pairs of each source that are lifted with the draws
+"""
+_MOTION_FROM_DRAWS = """
+[projections]               # the draws are the database that motion is reconstructed from; takes of such
+include_draws = true        # motion are a better one: [[ingest.takes]], `pasdedeux fetch cmu`
+
+[reconstruction]            # motion of everybody, also where only one person is seen
+sequences = "given"
+"""
+_ONE_PERSON_ALONE = """
+# Nobody is seen with a partner, so nothing can be lifted from 2D alone: takes of such motion are needed.
+# [[ingest.takes]]          # or `pasdedeux fetch cmu`, see `pasdedeux study show everyday`
+# id = "walk"
+# files = ["walk.bvh"]
+
+[reconstruction]
+sequences = "given"
+"""
 
 
 @dataclass(frozen=True)
@@ -47,27 +111,33 @@ class NewStudy:
 
     def in_lines(self) -> list[str]:
         """Return what was found and what is doubted, of many files the first."""
-        found = [f"found {line}" for line in self.found[:_SAID]]
-        return (
-            found
-            + [f"found {len(self.found) - _SAID} more"] * (len(self.found) > _SAID)
-            + [f"in doubt: {line}" for line in self.doubts]
-        )
+        more = len(self.found) - _MAX_SHOWN
+        found = [*self.found[:_MAX_SHOWN], *([f"{more} more"] if more > 0 else [])]
+        return [f"found {line}" for line in found] + [f"in doubt: {line}" for line in self.doubts]
+
+
+class _Line(NamedTuple):
+    """A line of the study, and what is doubted of it; either may be empty."""
+
+    text: str
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """A motion file, its length, its digest, and what can be told of it."""
+    """A motion file, its length, its digest, what its content shows, and what is known of it otherwise."""
 
     path: Path
     num_frames: int
     sha256: str
     guess: MotionGuess
+    known: KnownSource
 
     @property
-    def is_fetched(self) -> bool:
-        """Whether `fetch` brought it from CMU."""
-        return was_fetched(self.path, self.sha256)
+    def height_m(self) -> float:
+        """Return about how tall the person is."""
+        unit = self.guess.unit
+        return unit.height_m / unit.metres_per_unit * (self.known.metres_per_unit or unit.metres_per_unit)
 
 
 @dataclass(frozen=True)
@@ -79,26 +149,6 @@ class _Annotations:
     note: str
     num_persons: int
     is_video: bool
-
-    @classmethod
-    def read(cls, path: Path) -> _Annotations:
-        """Read a source as a study will; what is no video are single images, such as key frames."""
-        found = find_annotations(AnnotationOptions(id=_identifier(path.stem), path=path))
-        formats = {source.parameters.format for source in found}
-        people: Counter[tuple[str, int]] = Counter()
-        for source in found:
-            frames = source.read()
-            people.update(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
-        numbers: dict[str, list[int]] = {}
-        for sequence_id, frame in people:
-            numbers.setdefault(sequence_id, []).append(frame)
-        return cls(
-            path,
-            formats.pop() if len(formats) == 1 else "auto",
-            "; ".join(source.in_words() for source in found),
-            max(people.values(), default=0),
-            any(not why_no_video(np.array(own)) for own in numbers.values()),
-        )
 
 
 def write_new_study(path: Path, files: Sequence[Path] = ()) -> NewStudy:
@@ -132,60 +182,50 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
     Raises:
         InputError: A file does not exist, is given twice, or is none of the known formats.
     """
-    sources = [source for path in _spread(files) if (source := _look_at(path)) is not None]
+    sources = [source for path in _spread(files) if (source := _inspect(path)) is not None]
     motions = [source for source in sources if isinstance(source, _Motion)]
     annotations = [source for source in sources if isinstance(source, _Annotations)]
-    lines = [
-        "# A study: what comes in, and what is made of it.  Everything not said here has its default;",
-        "# `pasdedeux plan` shows what a run would do, `pasdedeux run` does it.",
-        "# Lines that start with # are notes, and settings to be switched on by removing it.",
-        "",
-        "[study]",
-        f"name = {_quoted(name)}",
-        f"title = {_quoted(name)}",
-        "seed = 1",
-        "",
-        "[ingest]",
-        "rate_hz = 30            # frame rate of all poses of the study",
-    ]
     takes = _pair_up(motions)
-    if takes:
-        lines.append(f"# held_out = [{_quoted(next(iter(takes)))}]   # takes kept for evaluation, never learned from")
-    if not sources:
-        lines += [
-            "# Without sources a study gets the default duets: waltz, hug, judo, push_hands.",
-            "# [[ingest.takes]]",
-            '# id = "dance"',
-            '# files = ["a.bvh", "b.bvh"]',
-        ]
-    found: list[str] = []
+    text, found = _HEAD.format(name=_quoted(name)), []
     doubted: dict[str, list[str]] = {}
+    if takes:
+        text += f"# held_out = [{_quoted(next(iter(takes)))}]   # takes kept for evaluation, never learned from\n"
+    if not sources:
+        text += _NO_SOURCES
     for take_id, people in takes.items():
-        lines += ["", *_take(take_id, people, base)]
         found.append(_found(take_id, people))
-        for doubt in _doubts(people, motions):
-            doubted.setdefault(doubt, []).append(take_id)
+        shown = ", ".join(_quoted(_shown(one.path, base)) for one in people)
+        text += f"\n[[ingest.takes]]\nid = {_quoted(take_id)}\nfiles = [{shown}]\n"
+        alone = [_Line("", "it has one person: no other file of this take and this length was given")]
+        lines = alone if len(people) == 1 < len(motions) else _lengths(people)
+        for line in (*lines, _layout(people), _up_axis(people), _rate(people), *_units(people)):
+            text += f"{line.text}\n" if line.text else ""
+            if line.doubt:
+                doubted.setdefault(line.doubt, []).append(take_id)
     for source in annotations:
-        lines += ["", *_annotations(source, base)]
         found.append(f"2D poses {source.path.name}: {source.note}")
-    doubts = tuple(f"{_named(take_ids)}: {doubt}" for doubt, take_ids in doubted.items())
+        text += "\n".join(
+            [
+                "",
+                "[[ingest.annotations]]",
+                f"id = {_quoted(_identifier(source.path.stem))}",
+                f"path = {_quoted(_shown(source.path, base))}",
+                f"# {source.note}",
+                f"format = {_quoted(source.format)}",
+                "# rate_hz = 30",
+                "# image_size_px = [1920, 1080]",
+                '# on_unreadable = "skip"   # go on without damaged OpenPose files, and count them\n',
+            ]
+        )
     are_pairs = any(one.num_persons >= 2 for one in annotations)
-    if are_pairs:
-        lines += ["", *_assumptions()]
-    if annotations and not takes:
-        are_videos = any(one.is_video for one in annotations)
-        lines += ["", *(_from_2d_alone(are_videos=are_videos) if are_pairs else _one_person_alone())]
-        return NewStudy("\n".join([*lines, ""]), tuple(found), doubts)
-    lines += [
-        "",
-        "[ingest.virtual_video]  # virtual cameras that see the takes",
-        "num_videos = 1          # cameras that see each whole take",
-        "num_random_views = 100  # annotated pairs from random views, of each take that is not held out",
-        "distance_m = 4.0",
-        "noise_px = 1.0          # for a person 600 px tall",
-        "",
-    ]
-    return NewStudy("\n".join(lines), tuple(found), doubts)
+    text += _ASSUMED.format(ViewsParameters()) if are_pairs else ""
+    if takes or not annotations:
+        text += _VIRTUAL_VIDEO
+    elif are_pairs:
+        text += _FROM_2D_ALONE + (_MOTION_FROM_DRAWS if any(one.is_video for one in annotations) else "")
+    else:
+        text += _ONE_PERSON_ALONE
+    return NewStudy(text, tuple(found), tuple(f"{_named(ids)}: {doubt}" for doubt, ids in doubted.items()))
 
 
 def _spread(files: Sequence[Path]) -> list[Path]:
@@ -197,18 +237,15 @@ def _spread(files: Sequence[Path]) -> list[Path]:
         if not path.exists():
             raise InputError(f"file {path} does not exist")
         inside = sorted(item for item in path.iterdir() if item.suffix.lower() in _SUFFIXES) if path.is_dir() else []
-        if inside and not any(item.suffix.lower() == ".json" for item in inside):
-            found += inside
-        else:
-            found.append(path)
+        found += [path] if not inside or any(item.suffix.lower() == ".json" for item in inside) else inside
     return list(dict.fromkeys(found))
 
 
-def _look_at(path: Path) -> _Motion | _Annotations | None:
+def _inspect(path: Path) -> _Motion | _Annotations | None:
     """Tell what a file is and what its content says; None for one that only serves those beside it."""
     try:
         if path.is_dir():
-            return _Annotations.read(path)
+            return _read_annotations(path)
         refuse_film([path], path)
         loaded = load_file(path)
         if is_companion(loaded.data):
@@ -217,12 +254,36 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
         if isinstance(kind, AnnotationFormat):
             if kind.is_file_per_frame:
                 raise InputError("a single file of this format is one frame; give the folder")
-            return _Annotations.read(path)
+            return _read_annotations(path)
         companion = find_companion(path, kind)
         motion = kind.read(loaded.data, read_again(companion) if companion else b"")
-        return _Motion(path, motion.num_frames, loaded.file.sha256, guess_motion(motion))
+        sha256, guess = loaded.file.sha256, guess_motion(motion)
+        known = known_source(
+            path.name, guess.layout or "", stated_hz=guess.rate_hz, is_fetched=was_fetched(path, sha256)
+        )
+        return _Motion(path, motion.num_frames, sha256, guess, known)
     except InputError as error:
         raise type(error)(f"{path.name}: {error}") from None
+
+
+def _read_annotations(path: Path) -> _Annotations:
+    """Read a source as a study will; what is no video are single images, such as key frames."""
+    found = find_annotations(AnnotationOptions(id=_identifier(path.stem), path=path))
+    formats = {source.parameters.format for source in found}
+    people: Counter[tuple[str, int]] = Counter()
+    for source in found:
+        frames = source.read()
+        people.update(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
+    numbers: dict[str, list[int]] = {}
+    for sequence_id, frame in people:
+        numbers.setdefault(sequence_id, []).append(frame)
+    return _Annotations(
+        path,
+        formats.pop() if len(formats) == 1 else "auto",
+        "; ".join(source.in_words() for source in found),
+        max(people.values(), default=0),
+        any(not why_no_video(np.array(own)) for own in numbers.values()),
+    )
 
 
 def _pair_up(motions: Sequence[_Motion]) -> dict[str, list[_Motion]]:
@@ -230,11 +291,11 @@ def _pair_up(motions: Sequence[_Motion]) -> dict[str, list[_Motion]]:
     if len(motions) == 2:
         return {_identifier(motions[0].path.stem): list(motions)}
     takes: dict[str, list[_Motion]] = {}
-    open_takes: dict[tuple[Path, str], str] = {}
+    open_takes: dict[tuple[Path, str], list[_Motion]] = {}
     for source in motions:
         subject, _, take = source.path.stem.rpartition("_")
         key = (source.path.parent, take)
-        partner = takes[open_takes[key]] if key in open_takes else []
+        partner = open_takes.get(key, [])
         if subject and partner and partner[0].num_frames == source.num_frames:
             partner.append(source)
             continue
@@ -243,198 +304,108 @@ def _pair_up(motions: Sequence[_Motion]) -> dict[str, list[_Motion]]:
             take_id += "_2"
         takes[take_id] = [source]
         if subject:
-            open_takes[key] = take_id
+            open_takes[key] = takes[take_id]
     return takes
-
-
-def _take(take_id: str, people: Sequence[_Motion], base: Path | None) -> list[str]:
-    files = ", ".join(_quoted(_shown(source.path, base)) for source in people)
-    lines = ["[[ingest.takes]]", f"id = {_quoted(take_id)}", f"files = [{files}]"]
-    first = people[0].guess
-    lengths = [source.num_frames for source in people]
-    if len(set(lengths)) > 1:
-        said = f"the files have {' and '.join(map(str, lengths))} frames"
-        is_near = min(lengths) >= ONE_TAKE * max(lengths)
-        lines.append(
-            f'on_unequal = "trim"      # {said}'
-            if is_near
-            else f'# on_unequal = "trim"    # {said}: ARE THEY OF ONE TAKE? Then switch this on'
-        )
-    if first.layout is None:
-        lines.append("# layout: its joints fit no known layout; write one under [ingest.mappings]")
-    else:
-        lines.append(f"layout = {_quoted(first.layout)}    # told from the names of the joints: sure")
-    up = common_up_axis([one.guess.up for one in people])
-    lines.append(f"up_axis = {_quoted(up.axis)}         # bodies stand along it: {_words(up.confidence)}")
-    known = _known(people[0])
-    if known.rate_hz is not None:
-        lines.append(
-            f"rate_hz = {known.rate_hz:g}         # known of CMU's files{_against(first.rate_hz, known.rate_hz)}"
-        )
-    elif first.rate_hz is None:
-        usual = usual_rate_hz(people[0].path.name)
-        lines.append(
-            "# rate_hz = 120       # the files state none: A GUESS - SET IT, it is needed"
-            if usual is None
-            else f"rate_hz = {usual:g}         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
-        )
-    else:
-        seconds = people[0].num_frames / first.rate_hz
-        lines.append(
-            f"rate_hz = {first.rate_hz:g}         # stated by the file; then it lasts {seconds:.1f} s - "
-            "files lie about this: compare with the video or a clock"
-        )
-    for source in people:
-        unit = source.guess.unit
-        lines.append("[[ingest.takes.persons]]")
-        known_unit = _known(source).metres_per_unit
-        if known_unit is not None:
-            lines.append(f"metres_per_unit = {known_unit:g}   # known of CMU's salsa BVH: sure")
-        elif unit.confidence >= MIN_UNIT_CONFIDENCE:
-            why = f"{unit.reason}, stature {unit.height_m:.2f} m: {_words(unit.confidence)}"
-            lines.append(f"metres_per_unit = {unit.metres_per_unit:.10g}   # {source.path.name}: {why}")
-        else:
-            value = unit.metres_per_unit * USUAL_HEIGHT_M / (unit.height_m or 1.0)
-            why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
-            lines.append(f"# metres_per_unit = {value:.10g}   # {source.path.name}: {why}")
-    return lines
 
 
 def _found(take_id: str, people: Sequence[_Motion]) -> str:
     """Say what a take is: its files, its length, how tall its people are."""
     first = people[0]
-    rate_hz = _known(first).rate_hz or first.guess.rate_hz or usual_rate_hz(first.path.name)
+    rate_hz = first.known.rate_hz or first.guess.rate_hz or usual_rate_hz(first.path.name)
     lasts = "" if rate_hz is None else f" ({first.num_frames / rate_hz:.1f} s at {rate_hz:g} Hz)"
-    tall = " and ".join(f"{_height_m(one):.2f}" for one in people)
+    tall = " and ".join(f"{one.height_m:.2f}" for one in people)
     names = " and ".join(one.path.name for one in people)
     return f"take {take_id}: {names}, {first.num_frames} frames{lasts}, about {tall} m tall"
 
 
-def _doubts(people: Sequence[_Motion], motions: Sequence[_Motion]) -> list[str]:
-    """Return what is doubted of a take, in words; a second person who is a copy of the first is refused."""
-    doubts = []
+def _lengths(people: Sequence[_Motion]) -> list[_Line]:
+    """Say whether the files are of one take; a second person who is a copy of the first is refused."""
+    by_content = {one.sha256: one for one in people}
     for one in people:
-        other = next(motion for motion in motions if motion.sha256 == one.sha256)
-        if other is not one and other in people:
+        if (other := by_content[one.sha256]) is not one:
             raise InputError(
-                f"{other.path} and {one.path} are the same, byte for byte; a person has a file of their own"
+                f"{one.path} and {other.path} are the same, byte for byte; a person has a file of their own"
             )
-        if other is not one:
-            doubts.append(f"{one.path.name} is the same as {other.path.name}, byte for byte")
     lengths = [one.num_frames for one in people]
-    numbers = {one.path.stem.rpartition("_")[2] for one in people if one.path.stem.rpartition("_")[0]}
-    if len(set(lengths)) > 1:
-        doubts.append(f"its files have {' and '.join(map(str, lengths))} frames: are they of one take?")
-    if len(numbers) > 1 and all(number.isdigit() for number in numbers):
-        doubts.append(f"by their names its files are of takes {' and '.join(sorted(numbers))}")
-    if len(people) == 1 and len(motions) > 1:
-        doubts.append("it has one person: no other file of this take and this length was given")
+    if len(set(lengths)) == 1:
+        return []
+    words = f"files have {' and '.join(map(str, lengths))} frames"
+    text = f'on_unequal = "trim"      # the {words}'
+    is_near = min(lengths) >= ONE_TAKE * max(lengths)
+    if not is_near:
+        text = f'# on_unequal = "trim"    # the {words}: ARE THEY OF ONE TAKE? Then switch this on'
+    return [_Line(text, f"its {words}: are they of one take?")]
+
+
+def _layout(people: Sequence[_Motion]) -> _Line:
+    layout = people[0].guess.layout
+    if layout is None:
+        return _Line("# layout: its joints fit no known layout; write one under [ingest.mappings]")
+    return _Line(f"layout = {_quoted(layout)}    # by the names of the joints: sure")
+
+
+def _rate(people: Sequence[_Motion]) -> _Line:
     first = people[0]
-    if _known(first).rate_hz is None and first.guess.rate_hz is None:
-        usual = usual_rate_hz(first.path.name)
-        why = f"{usual:g} Hz is a guess from its name; check" if usual else "set"
-        doubts.append(f"no file states its frame rate; {why} rate_hz")
+    stated_hz, known_hz = first.guess.rate_hz, first.known.rate_hz
+    if known_hz is not None:
+        is_other = stated_hz is not None and abs(stated_hz - known_hz) > 0.01
+        header = f"; the header says {stated_hz:g}" if is_other else ""
+        return _Line(f"rate_hz = {known_hz:g}         # known of CMU's files{header}")
+    if stated_hz is not None:
+        lasts = f"then it lasts {first.num_frames / stated_hz:.1f} s"
+        lie = "files lie about this: compare with the video or a clock"
+        return _Line(f"rate_hz = {stated_hz:g}         # stated by the file; {lasts} - {lie}")
+    usual_hz = usual_rate_hz(first.path.name)
+    if usual_hz is None:
+        return _Line(
+            "# rate_hz = 120       # the files state none: A GUESS - SET IT, it is needed",
+            "no file states its frame rate; set rate_hz",
+        )
+    return _Line(
+        f"rate_hz = {usual_hz:g}         # the file states none, CMU's of this name has it: A GUESS - CHECK IT",
+        f"no file states its frame rate; {usual_hz:g} Hz is a guess from its name; check rate_hz",
+    )
+
+
+def _up_axis(people: Sequence[_Motion]) -> _Line:
     up = common_up_axis([one.guess.up for one in people])
-    if up.confidence < LIKELY:
-        doubts.append(f"its up axis {up.axis} is a guess; check up_axis")
+    return _Line(
+        f"up_axis = {_quoted(up.axis)}         # bodies stand along it: {_words(up.confidence)}",
+        "" if up.confidence >= LIKELY else f"its up axis {up.axis} is a guess; check up_axis",
+    )
+
+
+def _units(people: Sequence[_Motion]) -> list[_Line]:
+    """Return the length unit of each person, under a heading of their own."""
+    lines = []
     for one in people:
-        unit = one.guess.unit
-        if _known(one).metres_per_unit is not None or unit.confidence >= LIKELY:
-            continue
-        todo = "check" if unit.confidence >= MIN_UNIT_CONFIDENCE else "set"
-        doubts.append(f"{one.path.name}: {unit.reason}; {todo} metres_per_unit")
-    return doubts
-
-
-def _named(take_ids: Sequence[str]) -> str:
-    """Name takes, of many the first."""
-    more = f" and {len(take_ids) - _SAID} more" if len(take_ids) > _SAID else ""
-    return f"take{'s' if len(take_ids) > 1 else ''} {', '.join(take_ids[:_SAID])}{more}"
-
-
-def _known(source: _Motion) -> KnownSource:
-    layout, stated_hz = source.guess.layout or "", source.guess.rate_hz
-    return known_source(source.path.name, layout, stated_hz=stated_hz, is_fetched=source.is_fetched)
-
-
-def _height_m(source: _Motion) -> float:
-    known, unit = _known(source).metres_per_unit, source.guess.unit
-    return unit.height_m if known is None else unit.height_m / unit.metres_per_unit * known
-
-
-def _against(stated_hz: float | None, known_hz: float) -> str:
-    """Say that a file states another rate than is known of it."""
-    return f"; the header says {stated_hz:g}" if stated_hz is not None and abs(stated_hz - known_hz) > 0.01 else ""
-
-
-def _annotations(source: _Annotations, base: Path | None) -> list[str]:
-    return [
-        "[[ingest.annotations]]",
-        f"id = {_quoted(_identifier(source.path.stem))}",
-        f"path = {_quoted(_shown(source.path, base))}",
-        f"# {source.note}",
-        f"format = {_quoted(source.format)}",
-        "# rate_hz = 30",
-        "# image_size_px = [1920, 1080]",
-        '# on_unreadable = "skip"   # go on without damaged OpenPose files, and count them',
-    ]
-
-
-def _assumptions() -> list[str]:
-    """Return what is assumed of the camera, as keys: the defaults, from where they stand."""
-    views = ViewsParameters()
-    return [
-        "[views]                     # 2D shows neither how far away the camera is nor how it is tilted: assumed",
-        f"distance_m = {views.distance_m}            # from the camera to the people, metres",
-        f"camera_pitch_deg = {views.camera_pitch_deg}     # how far the camera looks down",
-        f"camera_pitch_deviation_deg = {views.camera_pitch_deviation_deg}   # how sure that is: standard deviation",
-        f"lean_deviation_deg = {views.lean_deviation_deg}   # backs are upright, this far from it: standard deviation",
-    ]
-
-
-def _from_2d_alone(*, are_videos: bool) -> list[str]:
-    """Return the sections that make 3D of annotated pairs where no take is there; motion where they are videos."""
-    motion = [
-        "",
-        "[projections]               # the draws are the database that motion is reconstructed from; takes of such",
-        "include_draws = true        # motion are a better one: [[ingest.takes]], `pasdedeux fetch cmu`",
-        "",
-        "[reconstruction]            # motion of everybody, also where only one person is seen",
-        'sequences = "given"',
-    ]
-    return [
-        "[seeds]                     # no take is there to start from: pairs of two people are lifted from 2D alone",
-        f"num_lifted = {LIFTED_OF_2D_ALONE}             # annotated pairs that stand for all",
-        f"num_grown = {GROWN_OF_2D_ALONE}            # at most: annotated pairs that those lift in turn",
-        "",
-        "[chains]                    # 3D pairs that agree with the annotations",
-        'densities = ["ic"]',
-        "num_chains = 1              # of each seed",
-        "num_draws = 250             # of each chain; more of both show whether chains agree",
-        "",
-        "[lifting]",
-        "max_frames = 40             # annotated pairs of each source that are lifted with the draws",
-        *(motion if are_videos else ()),
-    ]
-
-
-def _one_person_alone() -> list[str]:
-    """Return the section that asks for motion of single people, which needs takes."""
-    return [
-        "# Nobody is seen with a partner, so nothing can be lifted from 2D alone: takes of such motion are needed.",
-        "# [[ingest.takes]]          # or `pasdedeux fetch cmu`, see `pasdedeux study show everyday`",
-        '# id = "walk"',
-        '# files = ["walk.bvh"]',
-        "",
-        "[reconstruction]",
-        'sequences = "given"',
-    ]
+        unit, name, known_m = one.guess.unit, one.path.name, one.known.metres_per_unit
+        is_told = unit.confidence >= MIN_UNIT_CONFIDENCE
+        if known_m is not None:
+            text = f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
+        elif is_told:
+            why = f"{unit.reason}, stature {unit.height_m:.2f} m: {_words(unit.confidence)}"
+            text = f"metres_per_unit = {unit.metres_per_unit:.10g}   # {name}: {why}"
+        else:
+            value = unit.metres_per_unit * USUAL_HEIGHT_M / (unit.height_m or 1.0)
+            why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
+            text = f"# metres_per_unit = {value:.10g}   # {name}: {why}"
+        is_doubted = known_m is None and unit.confidence < LIKELY
+        doubt = f"{name}: {unit.reason}; {'check' if is_told else 'set'} metres_per_unit" if is_doubted else ""
+        lines += [_Line("[[ingest.takes.persons]]"), _Line(text, doubt)]
+    return lines
 
 
 def _words(confidence: float) -> str:
     if confidence >= SURE:
         return "sure"
     return "likely" if confidence >= LIKELY else "A GUESS - CHECK IT"
+
+
+def _named(take_ids: Sequence[str]) -> str:
+    """Name takes, of many the first."""
+    more = f" and {len(take_ids) - _MAX_SHOWN} more" if len(take_ids) > _MAX_SHOWN else ""
+    return f"take{'s' if len(take_ids) > 1 else ''} {', '.join(take_ids[:_MAX_SHOWN])}{more}"
 
 
 def _shown(path: Path, base: Path | None) -> str:

@@ -60,7 +60,7 @@ def _read(store: Store, manifest: Manifest) -> list[Manifest]:
 
 
 def _card(store: Store, manifest: Manifest) -> Iterator[str]:
-    facts, told = ModelFacts.of(manifest), manifest.parameters
+    facts, settings = ModelFacts.of(manifest), manifest.parameters.get("settings", {})
     yield from (f"# {facts.model}, split {facts.split}", "")
     counted = {part: sum(map(len, getattr(facts, part).values())) for part in ("train", "validation", "test")}
     yield f"- class: `{facts.class_name}`; artifact: {manifest.ref.stage} {manifest.ref.key}"
@@ -72,7 +72,7 @@ def _card(store: Store, manifest: Manifest) -> Iterator[str]:
     if facts.shares_takes:
         yield "- the takes of its test variants are those it was trained on, at other scales"
     yield f"- trained by pasdedeux {manifest.code_version}, stage version {manifest.version}"
-    yield from ("", "## Parameters", "", "```json", json.dumps(told.get("settings", {}), indent=1), "```", "")
+    yield from ("", "## Parameters", "", "```json", json.dumps(settings, indent=1), "```", "")
     yield from ("## Metrics", "", "| what | value | baseline |", "|---|---|---|")
     said = verdict_of(manifest)
     if said is not None and said.figure:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from flows.console.app import command_line
+from flows.console.app import app
 from flows.study_files import shipped_studies
 from flows.study_keys import study_keys
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
@@ -45,7 +45,7 @@ def commands_shown() -> dict[str, list[str]]:
 
 @pytest.mark.parametrize(("where", "lines"), commands_shown().items(), ids=list(commands_shown()))
 def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[str]) -> None:
-    commands = typer.main.get_command(command_line())
+    commands = typer.main.get_command(app)
     for line in lines:
         words = line.split("#  ")[0].split(" # ")[0].split()[1:]
         command = commands

@@ -14,8 +14,7 @@ import pytest
 from flows.execution import begin, execute
 from flows.exports import export_reference
 from flows.outcomes import Run
-from flows.planning import Selection, make_plan
-from flows.study import Study
+from flows.planning import make_plan
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_bvh, write_pair_json
@@ -24,7 +23,6 @@ from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
 from tasks.evaluation.chains import TOPIC as CHAINS
-from tasks.graph import Graph
 from tasks.seeds import SeedsParameters
 from tasks.seeds.files import SeedFile, pair_of_draw
 from tasks.shards import HerePool
@@ -162,19 +160,19 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     stored = np.asarray(open_table("draws:edited", store)["pair17_m"][row])
     np.testing.assert_allclose(chosen.pair.pair_m, stored, atol=1e-6)
 
-    def build(study: Study, graph: Graph, opened: Store, selection: Selection, *_: object, **__: object) -> None:
-        run = Run(study, graph, opened, selection)
-        plan = make_plan(study, graph, opened, selection)
+    def build(run: Run, *_: object, **__: object) -> None:
+        plan = make_plan(run.study, run.graph, run.store, run.selection)
         execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
 
-    monkeypatch.setattr("flows.console.restart.build_and_report", build)
+    monkeypatch.setattr("flows.console.draws.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")
     # What has the same content is of that study too, such as what an older version of the stage has made.
     refused = call_in_process(capsys, "restart", f"draws@{OLD_KEY}#{chosen.row}", *options, "--set", "chains.bad=1")
     assert refused.code == 2
     assert "chains.bad: unknown" in refused.err
     assert not (tmp_path / "out").exists()
-    answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--draws", "4", "--chains", "1")
+    fewer = ("--set", "chains.num_draws=4", "--set", "chains.num_chains=1")
+    answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, *fewer)
     assert answer.code == 0, answer.err
     name = f"edited-restart-{chosen.ref.key[:12]}-{chosen.row}"
     assert f"pasdedeux show draws:{name}" in answer.out

@@ -292,7 +292,7 @@ FAULTS = (
           "is_near = min(lengths) >= ONE_TAKE * max(lengths)", "is_near = True",
           "unit/test_study_new.py::test_files_of_two_takes_are_doubted_and_not_trimmed"),
     Fault("a copy of a file is a second person", "flows/console/study_new.py",
-          "if other is not one and other in people:", "if other is None:",
+          "if (other := by_content[one.sha256]) is not one:", "if (other := by_content[one.sha256]) is None:",
           "unit/test_study_new.py::test_one_file_for_two_people_is_refused"),
     Fault("the frame rate of a file is nominal", "tasks/ingest/sources.py",
           "known.rate_hz or head.rest.rate_hz", "known.rate_hz or 120.0", "contract/test_ingest_stage.py::"
@@ -346,7 +346,7 @@ FAULTS = (
           "test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest"),
     Fault("the record has the order of finishing", "flows/building.py",
           "tuple(self._made[item.shard.key] for item in work.plan.shards)",
-          "tuple(m for m in self._made.values() if m.ref.stage == name)", "unit/test_flows_execution.py::"
+          "tuple(m for m in self._made.values() if m.ref.stage == stage.name)", "unit/test_flows_execution.py::"
           "test_neither_the_number_of_workers_nor_the_order_of_finishing_changes_anything"),
     Fault("a shard computes with all threads", "tasks/shards/running.py", ".limit(limits=1)", ".limit(limits=None)",
           "end_to_end/test_same_bytes.py::"
@@ -377,7 +377,7 @@ FAULTS = (
     Fault("rerun finds nothing beyond rounding", "storage_schema/comparison.py",
           "return not self.largest <= self.allowed", "return False",
           "unit/test_flows_rerunning.py::test_results_beyond_their_tolerance_are_named_by_table_and_column_with_the_reason"),
-    Fault("rerun takes files that have changed", "flows/console/rerun.py",
+    Fault("rerun takes files that have changed", "flows/console/compare.py",
           "if before is not None and (Path", "if before is None and (Path",
           "unit/test_flows_rerunning.py::test_an_input_that_has_changed_is_refused_before_any_work"),
     Fault("runs of other people are marked as crashed", "flows/schedules.py",
@@ -386,9 +386,9 @@ FAULTS = (
           "        match_related=[\n",
           "end_to_end/test_scheduled_builds.py::test_only_runs_of_our_deployments_are_marked_as_crashed"),
     Fault("a half stage is on record", "flows/building.py",
-          "self._failures[name] = joined(failed)\n            return",
-          "self._failures[name] = joined(failed)\n            record_stage(run.store, run.study.name, self._run_id, "
-          "name, ())\n            return",
+          "            work.error = joined(failed)\n            return",
+          "            work.error = joined(failed)\n            record_stage(self._run.store, self._run.study.name, "
+          "self._run_id, work.plan.stage.name, ())\n            return",
           "unit/test_flows_execution.py::"
           "test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest"),
     Fault("an unknown key of a study is passed over", "pasdedeux/settings.py", 'extra="forbid"', 'extra="ignore"',

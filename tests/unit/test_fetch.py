@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from flows.console.fetch import FetchError, app, fetch_cmu, takes_of_study
+from flows.console.app import app
+from flows.console.context import Context
+from flows.console.fetch import FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from tasks.ingest.known_sources import was_fetched
@@ -168,7 +170,9 @@ def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Pa
 
 
 def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["cmu", "--subjects", "60", "--out", str(tmp_path), "--base-url", site.url])
+    result = CliRunner().invoke(
+        app, ["fetch", "cmu", "--subjects", "60", "--out", str(tmp_path), "--base-url", site.url]
+    )
     assert result.exit_code == 0, result.output
     assert "60_01.amc" in result.output
     assert "3 files in" in result.output
@@ -179,7 +183,9 @@ def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_p
     study = tmp_path / "mine.toml"
     study.write_text('[ingest.pairs.a]\nfolder = "cmu"\nsubjects = ["60"]\ntakes = ["02"]\n')
     found = CliRunner().invoke(
-        app, ["cmu", "--study", str(study), "--out", str(tmp_path / "cmu"), "--base-url", site.url]
+        app,
+        ["fetch", "cmu", "--study", str(study), "--out", str(tmp_path / "cmu"), "--base-url", site.url],
+        obj=Context(),
     )
     assert found.exit_code == 0, found.output
     assert sorted(path.name for path in (tmp_path / "cmu").iterdir()) == [

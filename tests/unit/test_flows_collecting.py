@@ -16,6 +16,7 @@ import pytest
 from flows.collecting import StoreInUseError, collect, find_garbage
 from flows.console.app import run_command_line
 from flows.console.run import build
+from flows.outcomes import Run
 from flows.planning import Selection
 from flows.study import load_study
 from storage_schema import (
@@ -116,7 +117,7 @@ def test_a_first_run_keeps_its_new_store_from_being_collected(
 
     monkeypatch.setattr("flows.console.run._build", collect_instead)
     with pytest.raises(StorageError, match="plans or builds in the store"):
-        build(*load_study(str(study), TOYS), store, Selection(), ClusterSettings(), is_quiet=True)
+        build(Run(*load_study(str(study), TOYS), store), ClusterSettings(), is_quiet=True)
     assert collect(store, NOW).num_bytes == 0, "the lock is held no longer than the run"
 
 

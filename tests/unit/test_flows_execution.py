@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from flows.building import stages_behind
 from flows.console.display import LineListener, progress_text
 from flows.execution import begin, execute
-from flows.listener import Listener, Progress
 from flows.outcomes import Outcome, Run
 from flows.planning import Selection, StagePlan, make_plan
+from flows.progress import Listener, Progress
 from flows.records import describe_runs
 from flows.study import load_study
 from pasdedeux.errors import InputError

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
-from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list_frames
-from flows.console.live_lines import follow_lines, told_to_stop
+from flows.console.live import STOP_NAME, FollowedFile, follow_folder, follow_lines, list_frames
+from flows.machine import remembered_ctrl_c
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.live.chain import LivePeople
@@ -139,7 +139,7 @@ def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(
 
 
 def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_path: Path) -> None:
-    with told_to_stop() as is_stopped:
+    with remembered_ctrl_c(is_passed_on=False) as is_stopped:
         assert not is_stopped()
         signal.raise_signal(signal.SIGINT)
         assert is_stopped()

@@ -64,7 +64,7 @@ def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     built: list[Any] = []
-    monkeypatch.setattr(run_module, "build_and_report", lambda chosen, *rest, **more: built.append(chosen))
+    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: built.append(run.study))
     store = str(tmp_path / "store")
     with pytest.raises(SystemExit) as ended:
         main(["run", "duets", "--preview", "--store", store, "--set", "publish.name=kept"])

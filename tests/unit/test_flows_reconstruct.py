@@ -13,7 +13,7 @@ import pyarrow.parquet
 import pytest
 
 from flows.console.app import run_command_line
-from flows.console.following import list_frames
+from flows.console.live import list_frames
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
@@ -288,7 +288,7 @@ def test_a_camera_in_which_nobody_remains_is_said_and_the_others_are_made(
     command = ["reconstruct", *reference(store), "--pitch", "6", "--out", str(tmp_path / "out")]
     assert run_command_line([*command, str(folder)]) == 0
     assert {file.name for file in (tmp_path / "out").glob("*.bvh")} == {"both.left_0.bvh", "both.left_1.bvh"}
-    assert "left out: annotations both.right: no frame shows enough joints of a person" in capsys.readouterr().err
+    assert "skipped: annotations both.right: no frame shows enough joints of a person" in capsys.readouterr().err
     for path in folder.glob("left_*"):
         path.unlink()
     assert run_command_line([*command, str(folder)]) == 2
@@ -306,7 +306,7 @@ def test_a_sequence_of_a_file_in_which_nobody_remains_is_said_and_the_others_are
     path.write_text(json.dumps(left + right))
     assert run_command_line(["reconstruct", str(path), *reference(store), "--pitch", "6", "--out", str(out)]) == 0
     assert {file.name for file in out.glob("*.bvh")} == {"clip.left_0.bvh", "clip.left_1.bvh"}
-    assert "left out: clip.right: no frame shows enough joints of a person" in capsys.readouterr().err
+    assert "skipped: clip.right: no frame shows enough joints of a person" in capsys.readouterr().err
 
 
 def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from flows.console.bench import find_benchmarks
+from flows.console.this_machine import find_benchmarks
 
 
 def test_a_size_adds_the_benchmarks_that_take_one() -> None:

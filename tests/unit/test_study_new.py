@@ -115,7 +115,6 @@ def test_files_of_two_takes_are_doubted_and_not_trimmed(tmp_path: Path, capsys: 
     said = new_in_words(capsys, tmp_path, tmp_path / "60_01.bvh", tmp_path / "61_02.bvh")
     assert "found take 60_01: 60_01.bvh and 61_02.bvh, 40 frames" in said
     assert "in doubt: take 60_01: its files have 40 and 60 frames: are they of one take?" in said
-    assert "in doubt: take 60_01: by their names its files are of takes 01 and 02" in said
     assert ingest_of((tmp_path / "mine.toml").read_text()).takes[0].on_unequal == "refuse"
 
 

@@ -1,25 +1,22 @@
-"""Live poses as lines of JSON, and how long they took: what `reconstruct --follow` does with each frame that comes."""
+"""Live poses: a folder of OpenPose files read while they are written, lines of JSON, and how long they took."""
 
 from __future__ import annotations
 
 import json
-import signal
-import threading
+import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any, TextIO
 
 import numpy as np
 import typer
 
-from flows.console.following import FollowedFile
-from pasdedeux.errors import InputError
+from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, check_anatomy, in_pixels
 from pasdedeux.formats.humanoid import AXES
-from pasdedeux.formats.openpose import OpenPoseFrame, join_openpose_frames
+from pasdedeux.formats.openpose import OpenPoseFrame, join_openpose_frames, openpose_frame_number, read_openpose_frame
 from pasdedeux.reconstruction.body import Body
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.person import LivePose
@@ -27,42 +24,105 @@ from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
+STOP_NAME = "STOP"
+"""A file of this name in the folder says that no more frames will come."""
+
+_POLL_S = 0.01
+
+
+@dataclass(frozen=True)
+class FollowedFile:
+    """A frame that was read.
+
+    Args:
+        number: Frame number, from the file's name.
+        path: The file.
+        frame: Its people; None when the file never became whole.
+        problem: Why it did not.
+    """
+
+    number: int
+    path: Path
+    frame: OpenPoseFrame | None
+    problem: str = ""
+
+
+def list_frames(folder: Path) -> list[tuple[int, Path]]:
+    """Return the files of a folder that have a frame number, by it; several of one number are taken by name."""
+    return _new_frames(folder, set(), -1)
+
+
+def follow_folder(
+    folder: Path,
+    *,
+    idle_s: float,
+    is_stopped: Callable[[], bool] = lambda: False,
+    sleep: Callable[[float], object] = time.sleep,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[FollowedFile]:
+    """Return frames as their files become whole; ends with a file `STOP` or when nothing new came for `idle_s`.
+
+    A file that is not whole yet (it cannot be read as OpenPose) holds up those after it until a later file is there
+    that is whole: the writer is past it then, and it is given without people.  Files that come late, with a number
+    before one that was already given, are left alone.
+
+    Args:
+        folder: Folder to watch.
+        idle_s: Seconds without anything new after which the video is over.
+        is_stopped: Tells that the video is over, as a file `STOP` does.
+        sleep: Waits; tests write in it.
+        clock: Seconds.
+    """
+    last = -1
+    old: set[str] = set()
+    since = clock()
+    while True:
+        is_told = is_stopped() or (folder / STOP_NAME).exists()
+        waiting = _new_frames(folder, old, last)
+        frames = [_read(number, path) for number, path in waiting]
+        whole = [index for index, one in enumerate(frames) if one.frame is not None]
+        is_over = is_told or clock() - since > idle_s
+        ready = len(frames) if is_over else (whole[-1] + 1 if whole else 0)
+        for one in frames[:ready]:
+            last = one.number
+            yield one
+        if ready:
+            since = clock()
+        if is_over:
+            return
+        if not ready:
+            sleep(_POLL_S)
+
+
+def _new_frames(folder: Path, old: set[str], last: int) -> list[tuple[int, Path]]:
+    """Do `list_frames` for frames after the last one given; names of others are remembered in `old`.
+
+    A night's folder has hundreds of thousands of files: names that were looked at are not looked at again.
+    """
+    with os.scandir(folder) as entries:
+        names = sorted(entry.name for entry in entries if entry.name not in old)
+    numbered = []
+    for name in names:
+        number = openpose_frame_number(name) if name.endswith(".json") else None
+        if number is None or number <= last:
+            old.add(name)
+        else:
+            numbered.append((number, folder / name))
+    return sorted(dict(reversed(numbered)).items())
+
+
+def _read(number: int, path: Path) -> FollowedFile:
+    try:
+        return FollowedFile(number, path, read_openpose_frame(path.read_bytes()))
+    except (FormatError, FileNotFoundError) as error:
+        return FollowedFile(number, path, None, str(error))
+
+
 _DECIMALS = 7
 """Digits of metres and of rotations: bones do not change by more than 1e-6 m because of them."""
 
 _CHECKED_ROWS = 30
 """Detections after which a live video's keypoints are checked for looking like people."""
-
-
-@contextmanager
-def lines_into(path: Path | None) -> Iterator[TextIO | None]:
-    """Return the file that lines go to, None for standard output."""
-    if path is None:
-        yield None
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8") as file:
-        yield file
-
-
-@contextmanager
-def told_to_stop() -> Iterator[Callable[[], bool]]:
-    """Return a function that tells whether Ctrl-C was pressed, which ends the video; a second one ends everything."""
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    is_told = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        is_told.set()
-        signal.signal(signal.SIGINT, before)
-
-    signal.signal(signal.SIGINT, stop)
-    try:
-        yield is_told.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def follow_lines(
@@ -86,7 +146,7 @@ def follow_lines(
     layout: str | None = None
     for file in files:
         if file.frame is None:
-            typer.echo(f"{file.path.name} was left out: {file.problem}", err=True)
+            typer.echo(f"{file.path.name} was skipped: {file.problem}", err=True)
             continue
         frame = file.frame
         times.start(file)
@@ -219,8 +279,4 @@ class _Lines:
             self._put(line)
 
     def _put(self, line: dict[str, Any]) -> None:
-        if self._out is None:
-            typer.echo(json.dumps(line))
-        else:
-            self._out.write(json.dumps(line) + "\n")
-            self._out.flush()
+        typer.echo(json.dumps(line), file=self._out)

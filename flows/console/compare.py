@@ -1,0 +1,153 @@
+"""`diff` and `rerun`: two runs or datasets side by side, and one that is on record built once more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from flows.console.context import (
+    JsonOption,
+    OversubscribeOption,
+    SchedulerOption,
+    StoreOption,
+    WorkersOption,
+    answer,
+    app,
+    graph_of,
+    open_store,
+)
+from flows.console.display import counted, format_table, outcome_lines
+from flows.console.run import build
+from flows.differences import Changes, compare, differences
+from flows.machine import cluster_settings
+from flows.outcomes import Run
+from flows.planning import Plan, PlanError, make_plan
+from flows.reasons import shorten
+from flows.recorded import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
+from flows.study import study_from_record
+from pasdedeux.errors import InputError
+from storage_schema import in_use
+
+_DIFF = """Put two finished runs, or two versions of datasets, side by side: only what differs, the scores last.
+
+\b
+  pasdedeux diff 20260301T020000-salsa-3fa9c0 20260302T020000-salsa-77b2d1
+  pasdedeux diff salsa@1 salsa@2 --store /data/store
+  pasdedeux diff salsa@1 salsa@2 --json
+
+Parameters are those of the resolved studies; the environment is what each ran on; files from outside go by their
+digests; artifacts are counted by stage; the scores that differ come by how much they do.
+"""
+_NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run, or a version of a dataset.")]
+
+
+@app.command(help=_DIFF)
+def diff(
+    a: _NameArgument,
+    b: _NameArgument,
+    store: StoreOption = Path("store"),
+    rows: Annotated[int, Option(min=0, help="Scores to show.")] = 20,
+    as_json: JsonOption = False,
+) -> None:
+    """Put two runs or versions side by side."""
+    opened = open_store(store)
+    one, other = read_recorded(opened, a), read_recorded(opened, b)
+    found = differences(opened, one, other)
+    changed = {name: {key: {"a": x, "b": y} for key, (x, y) in pairs.items()} for name, pairs in found.pairs.items()}
+    described = {
+        "a": one.label,
+        "b": other.label,
+        **changed,
+        "artifacts": found.by_stage,
+        "num_scores": found.num_scores,
+        "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in found.scores],
+    }
+    lines = [f"a: {one.label}", f"b: {other.label}", *_change_lines(found, rows)]
+    answer(described, lines, as_json=as_json)
+
+
+def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
+    for name, pairs in found.pairs.items():
+        yield f"{name}: {len(pairs) or 'nothing'} differ{'s' if len(pairs) < 2 else ''}"
+        cells = [(f"  {key}", shorten(x) or "-", shorten(y) or "-") for key, (x, y) in pairs.items()]
+        yield from format_table(("", "a", "b"), cells, text_columns=range(3)) if cells else ()
+    rows = [(f"  {stage}", *counts.values()) for stage, counts in found.by_stage.items()]
+    yield from format_table(("artifacts", "same", "other", "only a", "only b"), rows)
+    yield f"scores: {len(found.scores)} of {found.num_scores} differ"
+    scores = [(f"  {score.name}", *score.cells) for score in found.scores[:num_rows]]
+    yield from format_table(("", "a", "b", ""), scores, text_columns=(0, 3)) if scores else ()
+    if len(found.scores) > num_rows:
+        yield f"  and {counted(len(found.scores) - num_rows, 'more')}; --rows shows them"
+
+
+_RERUN = """Build a finished run, or a version of a dataset, once more elsewhere, and compare artifact by artifact.
+
+\b
+  pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again
+  pasdedeux rerun salsa@2 --from /data/store --store /tmp/again --json
+
+The study is the one on record, with every key as it was; files from outside have to be what they were.  On one platform
+the bytes are the same.  Where they are not, the first table and column that differ by more than the tolerances of the
+data dictionary are named, with how much (exit code 1), and what of program, packages and processor is different now.
+"""
+
+
+@app.command(help=_RERUN)
+def rerun(
+    context: typer.Context,
+    name: Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run (`pasdedeux status`), or a dataset.")],
+    store: Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store to build in.")],
+    source: Annotated[Path, Option("--from", metavar="DIR", help="Store that has it on record.")] = Path("store"),
+    workers: WorkersOption = None,
+    oversubscribe: OversubscribeOption = False,
+    scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Build what is on record once more, and compare."""
+    cluster = cluster_settings(workers, scheduler=scheduler, oversubscribe=oversubscribe)
+    origin, target = open_store(source), open_store(store)
+    if origin.root.resolve() == target.root.resolve():
+        raise PlanError(f"{store} is the store that has {name}; --store names another one, to build in")
+    with in_use(origin):
+        old = read_recorded(origin, name)
+        study, graph = study_from_record(old.sections, old.stages, graph_of(context))
+        try:
+            plan = make_plan(study, graph, origin)
+        except InputError as error:
+            raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
+        _refuse_changed_files(old, plan)
+        outcome, made = build(Run(study, graph, target), cluster, is_quiet=as_json)
+        named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
+        new = artifacts_by_place(target, named)
+        found = compare(origin, old.artifacts, target, new)
+    changes = environment_changes(old.environment, read_environment(target, outcome.run_id))
+    changes |= {
+        f"version of stage {place[0]}": (str(was.version), str(new[place].version))
+        for place, was in old.artifacts.items()
+        if place in new and was.version != new[place].version
+    }
+    stale = f"{store} had results of other sources, which were compared; --store names an empty folder"
+    warnings = [stale] if made.warnings else []
+    lines = [*outcome_lines(outcome), *found.lines(), *(f"warning: {words}" for words in warnings)]
+    for what, (was, now) in changes.items():
+        lines.append(f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}")
+    described = {"name": old.label, "run_id": outcome.run_id, **found.to_json()}
+    answer({**described, "changes": changes, "warnings": warnings}, lines, as_json=as_json)
+    if not found.is_same:
+        raise typer.Exit(1)
+
+
+def _refuse_changed_files(old: Recorded, plan: Plan) -> None:
+    """Refuse files from outside that are not what they were; `plan` is of the old study in the store that has it."""
+    for shard in (item.shard for stage in plan.stages for item in stage.shards):
+        before = old.artifacts.get((shard.stage, shard.partition, shard.name))
+        for file in shard.files:
+            if before is not None and (Path(file.path).name, file.sha256) not in before.files:
+                raise PlanError(
+                    f"{file.path} is not what {old.label} read ({shard.stage} {shard.partition}): its sha256 is "
+                    f"{file.sha256[:12]}; put the old file there, or run the study itself for the new one"
+                )

@@ -1,0 +1,173 @@
+"""`doctor` and `bench`: what this machine is, whether a run has all it needs there, and how fast it is."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import platform
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+import pasdedeux.benchmarks
+from flows.console.context import JsonOption, StoreOption, answer, app
+from flows.console.display import format_table
+from flows.machine import GIB, free_bytes, memory_bytes, nearest_folder, usable_cores
+from flows.planning import PlanError
+from flows.prefect_server import ServerError, check_server, telemetry_off
+from pasdedeux.benchmarks.benchmark import BenchmarkResult
+from tasks.shards import ClusterError, ClusterSettings, connect, worker_environment
+
+_MIN_MEMORY_BYTES = 2 * GIB
+_MIN_DISK_BYTES = GIB
+_PACKAGES = [
+    "numpy",
+    "scipy",
+    "numba",
+    "pyarrow",
+    "opencv-contrib-python-headless",
+    "prefect",
+    "dask",
+    "distributed",
+    "pydantic",
+]
+"""Packages that every run needs."""
+
+
+class _BadError(Exception):
+    """A run cannot do with what was found; the message says what that is."""
+
+
+@app.command(help="Check that everything a run needs is there; exit code 1 when something is not.")
+def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Look at the machine and say what is found."""
+    checks: dict[str, Callable[[], str]] = {
+        "python": lambda: _at_least(sys.version_info >= (3, 11), platform.python_version()),
+        **{name: partial(_check_package, name) for name in _PACKAGES},
+        "cores": lambda: f"{usable_cores()} usable of {os.cpu_count()}; a run starts one worker per usable core",
+        "memory": _check_memory,
+        "store": partial(_check_store, store),
+        "compiled kernels": _check_kernel_cache,
+        "prefect server": _check_prefect,
+        "dask": _check_dask,
+    }
+    findings = []
+    for name, check in checks.items():
+        try:
+            findings.append({"name": name, "found": check(), "is_ok": True})
+        except (_BadError, ServerError, ClusterError) as error:
+            findings.append({"name": name, "found": str(error), "is_ok": False})
+    lines = [f"{'ok  ' if one['is_ok'] else 'BAD '} {one['name']:<34} {one['found']}" for one in findings]
+    answer(findings, lines, as_json=as_json)
+    if not all(one["is_ok"] for one in findings):
+        raise typer.Exit(1)
+
+
+def _at_least(is_enough: bool, found: str) -> str:
+    if not is_enough:
+        raise _BadError(found)
+    return found
+
+
+def _check_package(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        raise _BadError("not installed") from None
+
+
+def _check_memory() -> str:
+    try:
+        total = memory_bytes()
+    except (ValueError, OSError):
+        return "unknown"
+    return _at_least(total >= _MIN_MEMORY_BYTES, f"{total / GIB:.1f} GB; 2 GB per worker is planned for")
+
+
+def _check_store(store: Path) -> str:
+    if not os.access(nearest_folder(store), os.W_OK):
+        raise _BadError(f"{store} cannot be written to")
+    free = free_bytes(store)
+    return _at_least(free >= _MIN_DISK_BYTES, f"{store} can be written to, {free / GIB:.1f} GB free")
+
+
+def _check_kernel_cache() -> str:
+    """Say where compiled kernels are kept, trying to write there."""
+    folder = Path(worker_environment().get("NUMBA_CACHE_DIR") or Path(pasdedeux.__file__).parent)
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder):
+            return f"kept in {folder}"
+    except OSError as error:
+        raise _BadError(f"{folder} cannot be written to: {error.strerror}") from None
+
+
+def _check_prefect() -> str:
+    telemetry_off()
+    from prefect.settings import get_current_settings
+
+    address = get_current_settings().api.url
+    if address is None:
+        return "none set (PREFECT_API_URL): a run starts its own and ends it"
+    check_server(address)
+    return f"{address} answers"
+
+
+def _check_dask() -> str:
+    """Start one worker and ask it for its process id."""
+    with tempfile.TemporaryDirectory() as folder, connect(ClusterSettings(num_workers=1), store_root=folder) as client:
+        return f"a local worker starts and answers (process {next(iter(client.run(os.getpid).values()))})"
+
+
+@app.command(help="Measure the speed of what is compiled on this machine, each beside its plain form in the same run.")
+def bench(
+    stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage; all when none.")] = None,
+    large: Annotated[int | None, Option(min=1, metavar="N", help="Also databases of N projections.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure and show a table."""
+    os.environ.update(worker_environment())
+    found = find_benchmarks(large=large)
+    if stage is not None and stage not in found:
+        raise PlanError(f"there are no benchmarks for '{stage}'; there are for: {', '.join(found)}")
+    results: list[tuple[str, BenchmarkResult]] = []
+    for name, functions in found.items():
+        if stage in (None, name):
+            for label, function in functions.items():
+                typer.echo(f"measuring {name}: {label}", err=True)
+                results.append((name, function()))
+    described = [{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results]
+    rows = [(r.name, _rate(r.fast_per_s), _rate(r.plain_per_s), f"{r.unit}/s", f"x {r.ratio:.1f}") for _, r in results]
+    lines = format_table(("benchmark", "fast", "plain", "", "ratio"), rows)
+    for number, (_, result) in enumerate(results, start=1):
+        lines[number] += f"\n    {result.fast_name} against {result.plain_name}"
+        lines[number] += f"; {result.note}" if result.note else ""
+    answer(described, lines, as_json=as_json)
+
+
+def find_benchmarks(*, large: int | None = None) -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
+    """Return the benchmarks of every stage that has a module of its name in `pasdedeux.benchmarks`.
+
+    Those of its `LARGE_BENCHMARKS`, which take a size, are among them when a size is given.
+    """
+    found: dict[str, dict[str, Callable[[], BenchmarkResult]]] = {}
+    for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__):
+        benchmarks = importlib.import_module(f"pasdedeux.benchmarks.{module.name}")
+        if hasattr(benchmarks, "BENCHMARKS"):
+            found[module.name] = dict(benchmarks.BENCHMARKS)
+            if large is not None:
+                for label, function in getattr(benchmarks, "LARGE_BENCHMARKS", {}).items():
+                    found[module.name][label] = partial(function, large)
+    return found
+
+
+def _rate(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10 else f"{value:.3g}"

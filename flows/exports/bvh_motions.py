@@ -26,40 +26,32 @@ from tasks.facts import MotionFacts
 _TABLES = ("poses", "variants", "motions")
 
 
-class BvhMotions(ExportFormat):
-    """Degrees, Y up, at the true rate; centimetres unless asked otherwise."""
-
-    has_rest_pose = True
-    writes = f"whole {', '.join(_TABLES)}, seeds and single draws"
-
-    def can_write(self, reference: Reference) -> bool:
-        """Tell whether the reference names whole motions, or pairs."""
-        return names_pairs(reference) or (reference.table in _TABLES and reference.row is None)
-
-    def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write a file for each person, of takes and variants an npz too."""
-        names = FileNames(out)
-        if names_pairs(export.reference):
-            return [
-                write_text(names.path(name, letter, suffix=".bvh"), person)
-                for name, pair in named_pairs(export)
-                for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True)
-            ]
-        if export.reference.table == "motions":
-            return [
-                write_text(names.path(*parts, suffix=".bvh"), write_bvh(motion)) for parts, motion in _motions(export)
-            ]
-        files = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
-        for ref in export.refs:
-            if export.reference.table == "poses":
-                for person in people_of_take(export.store, ref):
-                    files.write((person.take_id, person.letter), person, person.own)
-            else:
-                _write_variants(export.store, ref, files)
-        return files.close()
+def _can_write(reference: Reference) -> bool:
+    return names_pairs(reference) or (reference.table in _TABLES and reference.row is None)
 
 
-FORMAT = BvhMotions()
+def _write(export: Export, out: Path) -> Iterable[Path]:
+    """Write a file for each person, of takes and variants an npz too: degrees, Y up, at the true rate, centimetres."""
+    names = FileNames(out)
+    if names_pairs(export.reference):
+        return [
+            write_text(names.path(name, letter, suffix=".bvh"), person)
+            for name, pair in named_pairs(export)
+            for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True)
+        ]
+    if export.reference.table == "motions":
+        return [write_text(names.path(*parts, suffix=".bvh"), write_bvh(motion)) for parts, motion in _motions(export)]
+    files = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
+    for ref in export.refs:
+        if export.reference.table == "poses":
+            for person in people_of_take(export.store, ref):
+                files.write((person.take_id, person.letter), person, person.own)
+        else:
+            _write_variants(export.store, ref, files)
+    return files.close()
+
+
+FORMAT = ExportFormat(_write, _can_write, f"whole {', '.join(_TABLES)}, seeds and single draws", has_rest_pose=True)
 
 
 def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:

@@ -16,24 +16,21 @@ from storage_schema import TABLES, TableData, iter_rows
 from storage_schema.columns import Column
 
 
-class CsvTable(ExportFormat):
-    """A fixed array takes a column for each number, named by its axes; one of varying length is JSON."""
-
-    def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write the table."""
-        path = FileNames(out).path(export.reference.table, suffix=".csv")
-        columns = TABLES[export.reference.table].columns
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([name for column in columns for name in _names(column)])
-            for batch in iter_rows(export.text, export.store):
-                cells = [_cells(column, batch) for column in columns]
-                for index in range(batch.num_rows):
-                    writer.writerow([cell for column in cells for cell in column[index]])
-        return [path]
+def _write(export: Export, out: Path) -> Iterable[Path]:
+    """Write a table: a fixed array as a column for each number, named by its axes; one of varying length as JSON."""
+    path = FileNames(out).path(export.reference.table, suffix=".csv")
+    columns = TABLES[export.reference.table].columns
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([name for column in columns for name in _names(column)])
+        for batch in iter_rows(export.text, export.store):
+            cells = [_cells(column, batch) for column in columns]
+            for index in range(batch.num_rows):
+                writer.writerow([cell for column in cells for cell in column[index]])
+    return [path]
 
 
-FORMAT = CsvTable()
+FORMAT = ExportFormat(_write)
 
 
 def _names(column: Column) -> list[str]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Reference, Store
@@ -39,27 +38,22 @@ class Export:
     units: Units = "cm"
 
 
-class ExportFormat(ABC):
+@dataclass(frozen=True)
+class ExportFormat:
     """One format of files that go out.  Licence and credits are written beside the files for all of them.
 
-    Attributes:
+    Args:
+        write: Writes the files into a folder that is there, at paths of `FileNames`, and returns them.  Lengths, axes,
+            rate and joint names are in the files or their format fixes them: nothing leaves without units.
+        can_write: Tells whether it can hold what a reference names.
         writes: What it can write, in words, after "allowed are".
         has_rest_pose: Whether it writes skeletons, so that their rest pose and units can be chosen.
     """
 
-    writes: ClassVar[str] = "all tables"
-    has_rest_pose: ClassVar[bool] = False
-
-    def can_write(self, reference: Reference) -> bool:
-        """Tell whether it can hold what a reference names; everything unless a format says otherwise."""
-        return True
-
-    @abstractmethod
-    def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write the files into a folder that is there, at paths of `FileNames`, and return them.
-
-        Lengths, axes, rate and joint names are in the files or their format fixes them: nothing leaves without units.
-        """
+    write: Callable[[Export, Path], Iterable[Path]]
+    can_write: Callable[[Reference], bool] = lambda _: True
+    writes: str = "all tables"
+    has_rest_pose: bool = False
 
 
 class FileNames:

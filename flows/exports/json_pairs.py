@@ -7,28 +7,16 @@ from pathlib import Path
 
 from flows.exports.export_format import Export, ExportFormat, FileNames, names_pairs, write_text
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
-from storage_schema import Reference
 from tasks.seeds.files import pair_of_draw, pairs_of_seeds
 
 
-class JsonPairs(ExportFormat):
-    """A file for each pair, with every digit, its lineage and credits."""
-
-    writes = "seeds and single draws (draws@key#row)"
-
-    def can_write(self, reference: Reference) -> bool:
-        """Tell whether the reference names pairs."""
-        return names_pairs(reference)
-
-    def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write the pairs."""
-        names = FileNames(out)
-        return [
-            write_text(names.path(name, suffix=".json"), write_pair_json(pair)) for name, pair in named_pairs(export)
-        ]
+def _write(export: Export, out: Path) -> Iterable[Path]:
+    """Write a file for each pair, with every digit, its lineage and credits."""
+    names = FileNames(out)
+    return [write_text(names.path(name, suffix=".json"), write_pair_json(pair)) for name, pair in named_pairs(export)]
 
 
-FORMAT = JsonPairs()
+FORMAT = ExportFormat(_write, names_pairs, "seeds and single draws (draws@key#row)")
 
 
 def named_pairs(export: Export) -> Iterator[tuple[str, PairFile]]:

@@ -11,35 +11,26 @@ import numpy as np
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
 from flows.records import read_last_run
 from pasdedeux.learning import Weights, write_weights
-from storage_schema import Manifest, Reference, Store, latest_studies
+from storage_schema import Manifest, Store, latest_studies
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.stage import verdict_of
 from tasks.training.run import load_stored
 
 
-class ModelWeights(ExportFormat):
-    """A file of weights for each model, `retarget --model` reads it back, and a model card in markdown beside it."""
-
-    writes = "models"
-
-    def can_write(self, reference: Reference) -> bool:
-        """Tell whether the reference names models."""
-        return reference.table == "models" and reference.row is None
-
-    def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write weights and cards."""
-        names = FileNames(out)
-        paths = []
-        for ref in export.refs:
-            manifest = export.store.manifest(ref)
-            facts = ModelFacts.of(manifest)
-            path = names.path(facts.split, facts.model, suffix=".safetensors")
-            path.write_bytes(write_weights(stored_weights(export.store, manifest)))
-            paths += [path, write_text(path.with_suffix(".md"), "\n".join(_card(export.store, manifest)) + "\n")]
-        return paths
+def _write(export: Export, out: Path) -> Iterable[Path]:
+    """Write weights, which `retarget --model` reads, and a model card in markdown beside them."""
+    names = FileNames(out)
+    paths = []
+    for ref in export.refs:
+        manifest = export.store.manifest(ref)
+        facts = ModelFacts.of(manifest)
+        path = names.path(facts.split, facts.model, suffix=".safetensors")
+        path.write_bytes(write_weights(stored_weights(export.store, manifest)))
+        paths += [path, write_text(path.with_suffix(".md"), "\n".join(_card(export.store, manifest)) + "\n")]
+    return paths
 
 
-FORMAT = ModelWeights()
+FORMAT = ExportFormat(_write, lambda reference: reference.table == "models" and reference.row is None, "models")
 
 
 def stored_weights(store: Store, manifest: Manifest) -> Weights:

@@ -87,7 +87,7 @@ class _StageWork:
 
     @property
     def is_unplanned(self) -> bool:
-        """Tell whether it waits for what it reads."""
+        """Return whether it waits for what it reads."""
         return self.plan is None and self.made is None and self.error is None and not self.is_skipped
 
 
@@ -143,7 +143,7 @@ class Build:
         self._raise_failures()
 
     def end_tasks(self) -> None:
-        """Tell the tasks that nothing more comes, and drop what has not ended."""
+        """End the tasks, and cancel shards that have not ended."""
         self._is_over = True
         for work in self._work.values():
             for task in work.tasks:
@@ -151,7 +151,7 @@ class Build:
         self._pool.give_up()
 
     def _do_task(self, task: _Task) -> None:
-        """Be a task."""
+        """Run a task: submit its shards, collect them."""
         task.is_begun = True
         num_left, failures = 0, []
         try:
@@ -176,7 +176,7 @@ class Build:
             raise Stopped("given up")
 
     def _next(self) -> ShardDone | ShardFailed | None:
-        """Return what ended, None where nothing has for a moment; raise an error after which nothing can go on."""
+        """Return a shard that ended, None where none has within a moment; raise errors of tasks and pool."""
         is_computed = self._pool.work()
         while True:
             try:
@@ -189,7 +189,7 @@ class Build:
                 return message
 
     def _settle(self, ended: ShardDone | ShardFailed) -> None:
-        """Take note of a shard that has ended."""
+        """Record the end of a shard."""
         shard, work = ended.shard, self._work[ended.shard.stage]
         self._flying.discard(shard.key)
         self._ended[shard.key] = ended
@@ -204,7 +204,7 @@ class Build:
         self._close(work)
 
     def _advance(self) -> None:
-        """Begin every stage that can be planned, and what is certain of those that cannot; say how far the run is."""
+        """Begin every stage that can be planned, early plans of others, and report progress."""
         for name, work in self._work.items():
             if work.is_unplanned:
                 upstream = self._run.graph.needed(name, self._run.study.parameters[name])
@@ -245,7 +245,7 @@ class Build:
         self._close(work)
 
     def _begin_early(self, work: _StageWork, early: EarlyPlan) -> None:
-        """Have computed what is certain of a stage that cannot be planned yet."""
+        """Submit the shards of an early plan: those certain before the stage can be planned."""
         arrived = work.arrived[early]
         there = {table: self._writer[table].made for table in early.reads if table in self._writer}
         if (early.each and not arrived) or None in there.values():
@@ -262,7 +262,7 @@ class Build:
             self._take(work, [shard for shard in shards if self._run.store.find(stage.name, shard.key) is None])
 
     def _take(self, work: _StageWork, shards: Iterable[Shard]) -> None:
-        """Have shards of a stage computed, but those that were taken before, with the priority of how many follow."""
+        """Submit shards of a stage that were not submitted before, those with the longest chain behind them first."""
         new = {one.key: one for one in shards if one.key not in self._flying and one.key not in self._ended}
         before = {key: [other for other in one.after if other in new] for key, one in new.items()}
         order = list(TopologicalSorter(before).static_order())
@@ -288,7 +288,7 @@ class Build:
         return task
 
     def _release(self) -> None:
-        """Hand over what waits for no shard of another task any more."""
+        """Hand over shards that wait for no other task."""
         for task in (task for work in self._work.values() for task in work.tasks if task.waiting):
             ready: list[tuple[Shard, int]] = []
             for shard, priority in task.waiting:
@@ -306,12 +306,12 @@ class Build:
                 future.add_done_callback(partial(self._do_if_left, task))
 
     def _do_if_left(self, task: _Task, _: object) -> None:
-        """Do a task that could not be begun: Prefect shows less then, and is not needed."""
+        """Run a task that Prefect could not start: Prefect shows less then, and is not needed."""
         if not (task.is_begun or self._is_over):
             Thread(target=self._do_task, args=[task], daemon=True).start()
 
     def _announce(self, manifest: Manifest) -> None:
-        """Offer an artifact to the stages that can begin with it."""
+        """Offer an artifact to the early plans of other stages."""
         self._made[manifest.ref.key] = manifest
         for work in self._work.values():
             for early, arrived in work.arrived.items():
@@ -319,7 +319,7 @@ class Build:
                     arrived.append(manifest)
 
     def _close(self, work: _StageWork) -> None:
-        """Let tasks of a planned stage end that have nothing left; record it when all of it is there, or has failed."""
+        """End tasks of a planned stage that have nothing left; record the stage when it is complete or has failed."""
         if work.plan is None or work.made is not None or work.error is not None:
             return
         for task in work.tasks:
@@ -343,7 +343,7 @@ class Build:
         return [end.error for end in ends if isinstance(end, ShardFailed) and not end.is_behind]
 
     def _raise_failures(self) -> None:
-        """Raise one error for all that failed, stage by stage, and say what was not run because of it."""
+        """Raise one error for all failures, stage by stage, and note what was skipped because of them."""
         early = sorted((one.shard for one in self._ended.values()), key=lambda shard: (shard.partition, shard.name))
         errors: dict[str, ShardError | InputError] = {}
         for name, work in self._work.items():

@@ -1,4 +1,4 @@
-"""What of a store datasets, studies and recent runs need; the rest can be removed."""
+"""Garbage collection of a store: what datasets, studies and recent runs need stays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BEGUN = re.compile(r"\d{8}T\d{6}(?=-)")
 
 
 class StoreInUseError(Exception):
-    """A run is in progress in the store, so nothing is removed from it; says which."""
+    """A run is in progress in the store, so nothing is removed from it; the message names it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Collection:
 
 
 def find_garbage(store: Store, since: datetime) -> Collection:
-    """Tell what is needed in a store, and what is not.
+    """Return what is needed in a store, and what is not.
 
     Needed is what datasets name, what is on record of each study, what the last finished run of each of its stages
     made, what runs begun at or after a time made or found there, whatever was made since, and all these came from.

@@ -129,7 +129,7 @@ def dataset(
 
 
 def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
-    """Put what a build did, where its report is and what it made and published on the page of its flow run."""
+    """Show results, report and published version on the page of the flow run."""
     study = run.study.name
     _show_assets(run, outcome, published)
     rows = [
@@ -154,7 +154,7 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
 
 
 def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> None:
-    """Have each table that the build computed a part of, and the version it published, known as an asset."""
+    """Register each table that the build computed a part of, and the version it published, as assets."""
     made = {
         f"pasdedeux://{run.study.name}/{table}": {"stage": stage.name, "shards": stage.num_shards}
         for stage in outcome.stages
@@ -179,11 +179,11 @@ def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> Non
 
 @task(task_run_name="{name}", retries=0, cache_policy=NO_CACHE, persist_result=False)
 def _partition(name: str, work: Callable[[], None]) -> None:
-    """Compute shards of a stage, of one partition or of several: what Prefect shows, times and says to have failed."""
+    """Compute shards of a stage, of one partition or of several: a task run of Prefect."""
     work()
 
 
 def _submit_task(stage: str, name: str, work: Callable[[], None]) -> Any:
-    """Have a task done in a thread of the flow in whose body this is called."""
+    """Start a task in a thread of the flow in whose body this is called."""
     given: Any = quote(work)  # Prefect would look for futures in it, and gives the task what is quoted
     return _partition.with_options(name=stage).submit(name, given, return_state=False)

@@ -19,7 +19,7 @@ from tasks.shards.profiles import read_profile
 
 GIB = 1024**3
 WORKER_MEMORY_GB = 2.0
-"""Of one local worker, where nothing else is said."""
+"""Of one local worker, by default."""
 
 
 def usable_cores() -> int:
@@ -57,7 +57,7 @@ def cluster_settings(
     cluster: str | Path | None = None,
     oversubscribe: bool = False,
 ) -> ClusterSettings:
-    """Return where shards run; somebody's scheduler, or the cluster of a profile, has workers of its own.
+    """Return where shards run; a given scheduler, or the cluster of a profile, has workers of its own.
 
     Raises:
         InputError: As `num_workers`, both a scheduler and a profile are given, or the profile cannot be read.
@@ -80,7 +80,7 @@ def processor() -> dict[str, Any]:
 
 
 def thread_settings() -> dict[str, str]:
-    """Return what the environment says that can change the last bits of a result: threads and instructions to use."""
+    """Return the environment settings that can change the last bits of a result: threads and instructions."""
     settings = pinned_instructions() | worker_environment()
     settings.pop("NUMBA_CACHE_DIR", None)
     return settings

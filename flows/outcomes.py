@@ -1,4 +1,4 @@
-"""What a run is asked for, and what it did."""
+"""What a run is to build, and what it did."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tasks.summary import stage_verdict
 
 @dataclass(frozen=True)
 class Run:
-    """Everything one run needs to know; who computes its shards comes separately."""
+    """What one run builds; the pool that computes its shards comes separately."""
 
     study: Study
     graph: Graph

@@ -29,7 +29,7 @@ class PlanError(Exception):
 
 
 class NothingMadeError(Exception):
-    """Something was asked for of which nothing can be made; says what is needed, a stage a line."""
+    """A requested stage made nothing; the message names what it needs, a stage a line."""
 
 
 class State(StrEnum):
@@ -43,7 +43,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Selection:
-    """Which stages a run may work on; all of them when nothing is said.
+    """The stages that a run may work on; all by default.
 
     Args:
         only: These stages alone.
@@ -59,7 +59,7 @@ class Selection:
 
     @property
     def words(self) -> list[str]:
-        """Return what says the same on the command line."""
+        """Return the options of the command line that select the same."""
         lists, singles = {"only": self.only, "force": self.force}, {"from": self.start, "until": self.until}
         named = {**lists, **{name: (stage,) for name, stage in singles.items() if stage is not None}}
         return [word for name, stages in named.items() for stage in stages for word in (f"--{name}", stage)]
@@ -113,12 +113,12 @@ class StagePlan:
 
     @property
     def is_pending(self) -> bool:
-        """Tell whether the stage cannot be planned before what it reads is there."""
+        """Return whether the stage cannot be planned before what it reads is there."""
         return bool(self.pending_on)
 
     @property
     def is_fresh(self) -> bool:
-        """Tell whether nothing of the stage has to be computed."""
+        """Return whether nothing of the stage has to be computed."""
         return not self.is_pending and all(item.state is State.FRESH for item in self.shards)
 
     @property
@@ -189,7 +189,7 @@ class Plan:
 
     @property
     def is_fresh(self) -> bool:
-        """Tell whether a run would have nothing to do."""
+        """Return whether a run would have nothing to do."""
         return all(stage.is_fresh for stage in self.stages if stage.is_selected)
 
     @property
@@ -233,7 +233,7 @@ class Plan:
 
 @uncollected()
 def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | None = None) -> Plan:
-    """Tell for every stage how it stands; reads manifests and the headers of source files, computes nothing.
+    """Return the state of every stage; reads manifests and the headers of source files, computes nothing.
 
     Raises:
         PlanError: An unknown stage is selected, or a selected stage needs one that is neither fresh nor selected.
@@ -274,7 +274,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
 
 
 def what_is_missing(plan: StagePlan, found: Sequence[Manifest]) -> str:
-    """Say of what a stage makes something where nothing came of it; empty where something did, or nobody asked.
+    """Return what a stage needs that was requested and made nothing; empty where it made something.
 
     Args:
         plan: The stage as it was planned.
@@ -320,7 +320,7 @@ def plan_stage(
     *,
     is_forced: bool = False,
 ) -> StagePlan:
-    """Ask a stage for its shards and tell how each stands against the store and the last run."""
+    """Plan a stage's shards and compare each with the store and the last run."""
     last = last or _last_records(store, study.name)
     parameters = study.parameters[stage.name]
 

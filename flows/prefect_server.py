@@ -29,7 +29,7 @@ _QUIET = {
 
 
 class ServerError(Exception):
-    """Prefect's server did not start or does not answer; the message says which and what to do."""
+    """Prefect's server did not start or does not answer; the message names the case and the remedy."""
 
 
 def telemetry_off() -> None:

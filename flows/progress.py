@@ -1,4 +1,4 @@
-"""How far a run is: what has ended, what is left, what workers are at, how long that will take; and who hears of it."""
+"""Progress of a run: shards done, left and running, remaining time; and the listener that receives it."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Progress:
 
 
 class Listener:
-    """Is called with everything that happens in a run and does nothing; a console overrides what it wants to show.
+    """Receives the events of a run and does nothing; a console overrides what it shows.
 
     Shards of a stage may be done before it is said to start: what they read was there before all that the stage reads.
     """
 
     def note(self, text: str) -> None:
-        """Take a message for the person: what is being waited for, what was found."""
+        """A message for the user: what is awaited, what was found."""
 
     def stage_started(self, plan: StagePlan) -> None:
         """A stage is about to compute the shards that are not fresh."""
@@ -55,10 +55,10 @@ class Listener:
         """Shards have started or ended."""
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
-        """All of a stage is there; the verdict says whether it is good."""
+        """All of a stage is there; with its verdict."""
 
     def close(self) -> None:
-        """Nothing more will come, whether the run ended well or not."""
+        """The run has ended, well or not."""
 
 
 _SOME = 20

@@ -29,11 +29,11 @@ from storage_schema.errors import DatasetExists
 from tasks.summary import product_verdicts, summary_of
 
 CHANGES_FILE = "CHANGES.md"
-"""File of a dataset that says what is different from the version before."""
+"""File of a dataset: the differences from the version before."""
 
 
 class VerdictError(Exception):
-    """A run is not published, or not good enough for who asked, because of a verdict; says which, with the figure."""
+    """A run is not published, or not good enough, because of verdicts; the message names them, with figures."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Why a shard has to be computed again, in words: the shard as it is now against the shard of the last run."""
+"""Why a shard is stale, in words: the shard now against the shard of the last run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class StageRecord:
 
 
 class Reasons:
-    """Says of a stage's shards why they have to be computed; what all of them share is looked at once.
+    """Explains why shards of a stage have to be computed; what they share is compared once.
 
     Args:
         stage: The stage.
@@ -49,7 +49,7 @@ class Reasons:
         self._settings = [w for name, values in known.items() for w in _changes(last.sections[name], values, name)]
 
     def why_not_fresh(self, shard: Shard) -> tuple[bool, str]:
-        """Tell whether a shard without a valid artifact is stale (else it is missing), and why, in words."""
+        """Return whether a shard without a valid artifact is stale (else it is missing), and why, in words."""
         if self._is_new:
             return False, "never built"
         old = self._old.get((shard.partition, shard.name))

@@ -137,7 +137,7 @@ def environment_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[
 
 
 def portable_files(folder: Path) -> dict[str, bytes]:
-    """Return the files that go with a dataset as they travel, by name: a path has as many last parts as tell it apart.
+    """Return the files that go with a dataset as they travel, by name: a path keeps the last parts that identify it.
 
     Where this machine keeps its files is nobody's business, and means nothing elsewhere: there the study reads the same
     names from the folder in which it is built.

@@ -1,4 +1,4 @@
-"""What is remembered of a run beside its artifacts: the settings, the plan, the machine, how it ended, the report."""
+"""What is recorded of a run beside its artifacts: the settings, the plan, the machine, how it ended, the report."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: S
 
 
 def is_on_record(last: LatestRun, stage: str, manifests: Sequence[Manifest]) -> bool:
-    """Tell whether a stage consists of these artifacts on record: under their keys, and with their content."""
+    """Return whether a stage consists of these artifacts on record: under their keys, and with their content."""
     refs = [manifest.ref for manifest in manifests]
     return last.refs(stage) == refs and [ref.key for ref in last.refs(stage)] == [ref.key for ref in refs]
 

@@ -88,7 +88,7 @@ def _ensure_automation(client: SyncPrefectClient) -> None:
 
 
 def zombies() -> AutomationCore:
-    """Return the automation that marks runs of our deployments, and of nobody else's, as crashed."""
+    """Return the automation that marks runs of our deployments alone as crashed."""
     ends = [f"prefect.flow-run.{end}" for end in ("Completed", "Failed", "Cancelled", "Crashed")]
     trigger = EventTrigger(
         match=ResourceSpecification({"prefect.resource.id": "prefect.flow-run.*"}),

@@ -1,4 +1,4 @@
-"""A study: one TOML file that says what is built, as frozen models, one section per stage."""
+"""A study: one TOML file that defines a build, as frozen models, one section per stage."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Study(BaseModel):
         return {HEAD: self.head.model_dump(mode="json"), **sections, **published}
 
     def sections_of(self, stage: str) -> dict[str, dict[str, Any]]:
-        """Return what the study says of a stage as JSON values, by section: its own and those that it shares."""
+        """Return the settings of a stage as JSON values, by section: its own and those that it shares."""
         own = self.parameters[stage]
         shared = {name: section for name, section in self.shared.items() if isinstance(own, type(section))}
         sections = {name: section.model_dump(mode="json") for name, section in shared.items()}

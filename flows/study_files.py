@@ -14,9 +14,9 @@ from typing import Any
 
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 HEAD = "study"
-"""Section of a study that says what it is called, what it extends, and which stages it has."""
+"""Section of a study with its name, the study that it extends, and its stages."""
 PUBLISH = "publish"
-"""Section of a study that says as what a finished run is published, and what has to hold for that."""
+"""Section of a study with the dataset that a finished run becomes, and the verdicts required."""
 
 _NOT_INHERITED = ("name", "title")
 
@@ -35,7 +35,7 @@ class StudyError(Exception):
 
 @dataclass
 class StudyTree:
-    """What a study says, before anything is checked: its own file, what that extends, and overrides, as one.
+    """The unchecked values of a study: its own file, the one it extends, and overrides, merged.
 
     Args:
         label: What to call the study in messages.
@@ -167,7 +167,7 @@ def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path,
 def _overrides(
     settings: Sequence[str], environment: Mapping[str, str], problems: list[str]
 ) -> Iterator[tuple[tuple[str, ...], Any, str]]:
-    """Return the overrides, weakest first, as (path, value, where it was said)."""
+    """Return the overrides, weakest first, as (path, value, origin)."""
     for variable in sorted(environment):
         if variable.startswith(ENVIRONMENT_PREFIX):
             path = tuple(variable.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"))

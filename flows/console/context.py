@@ -106,5 +106,5 @@ def say(lines: Iterable[str]) -> None:
 
 
 def answer(value: Any, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print a value as JSON, or lines that tell a person the same."""
+    """Print a value as JSON, or the same as lines for people."""
     say([json.dumps(value, indent=1, ensure_ascii=False)] if as_json else lines)

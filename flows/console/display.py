@@ -22,7 +22,7 @@ from storage_schema import Manifest, Store
 from tasks.summary import summary_of
 
 _SILENCE_S = 5.0
-"""After which a line is said, where there is no terminal for bars."""
+"""Silence after which a progress line is printed, where there is no terminal for a bar."""
 _LOOK_UP_S = 0.5
 _NAMED = 3
 """Shards in work that are named."""
@@ -41,7 +41,7 @@ def make_listener(*, is_quiet: bool = False) -> Listener:
 
 
 class LineListener(Listener):
-    """Says one fact a line, and how far the run is where nothing else was said for five seconds."""
+    """Prints one fact a line, and progress after five seconds of silence."""
 
     def __init__(self) -> None:
         self._started = self._last_line = time.monotonic()
@@ -51,12 +51,12 @@ class LineListener(Listener):
         self._watch.start()
 
     def note(self, text: str) -> None:
-        """Say a sentence."""
+        """Print a message."""
         self._doing = f"still {text}"
         self._say(text)
 
     def stage_started(self, plan: StagePlan) -> None:
-        """Say what the stage has to do."""
+        """Print the shards to compute."""
         if plan.todo:
             self._say(f"{plan.stage.name}: {len(plan.todo)} of {counted(len(plan.shards), 'shard')} to compute")
 
@@ -65,13 +65,13 @@ class LineListener(Listener):
         self._doing = progress_text(progress)
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
-        """Say that the stage is done, and whether it is good."""
+        """Print that the stage is done, with its verdict."""
         done = f"done in {seconds:.1f} s" if plan.todo else f"{counted(len(plan.shards), 'shard')}, all fresh"
         words = [plan.empty_reason or done, *([verdict_words(verdict)] if verdict else [])]
         self._say(f"{plan.stage.name}: {'; '.join(words)}")
 
     def close(self) -> None:
-        """Say nothing more."""
+        """Stop printing."""
         self._closed.set()
         self._watch.join()
 
@@ -86,7 +86,7 @@ class LineListener(Listener):
 
 
 class BarListener(LineListener):
-    """Says the same above a bar that moves, at a terminal."""
+    """Prints the same above a progress bar, at a terminal."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -165,20 +165,20 @@ def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:
 
 
 def progress_text(progress: Progress) -> str:
-    """Return how far a run is in one line: `12 of 45 shards, computing chains ic 0; about 40 s left`."""
+    """Return the progress of a run in one line: `12 of 45 shards, computing chains ic 0; about 40 s left`."""
     words = [f"{progress.num_done} of {counted(progress.num_shards, 'shard')}", _running_text(progress)]
     return "; ".join(filter(None, [", ".join(filter(None, words)), left_text(progress)]))
 
 
 def _running_text(progress: Progress) -> str:
-    """Return what workers are at: `computing chains ic 0`."""
+    """Return the shards being computed, in words: `computing chains ic 0`."""
     running = [f"{one.stage} {one.partition} {one.name}" for one in progress.running]
     more = f" and {len(running) - _NAMED} more" if len(running) > _NAMED else ""
     return f"computing {', '.join(running[:_NAMED])}{more}" if running else ""
 
 
 def left_text(progress: Progress) -> str:
-    """Return how long a run will take, as far as that is known; empty where nothing is."""
+    """Return the remaining time in words; empty where it is unknown."""
     if not progress.left_s:
         return ""
     return f"{'about' if progress.is_all else 'more than'} {duration_text(progress.left_s)} left"
@@ -210,7 +210,7 @@ def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
 
 
 def duration_text(seconds: float) -> str:
-    """Return a duration as a person says it: 41 s, 3 min 20 s, 2.5 h."""
+    """Format a duration: 41 s, 3 min 20 s, 2.5 h."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds // 60:.0f} min {seconds % 60:.0f} s" if seconds < 7200 else f"{seconds / 3600:.1f} h"

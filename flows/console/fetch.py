@@ -32,7 +32,7 @@ app.add_typer(_group, name="fetch")
 
 
 class FetchError(Exception):
-    """A file could not be brought: says which, from where, and why."""
+    """A download failed; the message names the file, its address and the reason."""
 
 
 @dataclass(frozen=True)

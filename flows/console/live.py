@@ -25,7 +25,7 @@ from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
 STOP_NAME = "STOP"
-"""A file of this name in the folder says that no more frames will come."""
+"""A file of this name in the folder ends the video."""
 
 _POLL_S = 0.01
 
@@ -233,7 +233,7 @@ def _spread_ms(seconds: list[float]) -> str:
 
 
 class _Lines:
-    """The lines: the first says what the others hold, then one for each pose."""
+    """Lines of JSON: first a header, then one for each pose."""
 
     def __init__(self, people: LivePeople, out: TextIO | None, *, rate_hz: float) -> None:
         self._upright = people.camera_from_upright_rotmat

@@ -203,7 +203,7 @@ def _write_sequence(
 
 
 def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: Sequence[int]) -> list[Track]:
-    """Return the tracks of the people of a sequence that are wanted, of everybody where nobody is named."""
+    """Return the tracks of a sequence, of these people, or of all where none are named."""
     frames = resolved.frames
     is_own = np.array([name == sequence_id for name in frames.sequence_id])
     known = sorted(set(frames.person_id[is_own].tolist()))

@@ -45,7 +45,7 @@ from tasks.takes import read_take
 _MISFIT_M = 0.05
 """A body that is missed by more than this, in any distance, is warned of."""
 KEPT = "source"
-"""Word for the body of somebody who stays as captured."""
+"""Stands for a body that stays as captured."""
 
 
 def retarget_take(
@@ -247,7 +247,7 @@ def _retarget(
 
 
 def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:
-    """Return what is said of a fitted body: size, scales of bones, and how far they are from what was asked."""
+    """Describe a fitted body: size, scales of bones, and misfit to the target."""
     misfit_m = {ends: abs(value) for ends, value in fit.misfit_m.items()}
     worst = max(misfit_m, key=misfit_m.__getitem__)
     return (

@@ -54,7 +54,7 @@ PREVIEW_S = 4.0
 _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.utilities.visualization", "fastapi")
 """What Prefect imports when the first flow begins, and all else waits for it."""
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
-"""That `plan --cost` tells of where nothing is said."""
+"""Defaults of `plan --cost`."""
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
 
@@ -245,7 +245,7 @@ def _load_prefect() -> ModuleType:
 
 
 def _refuse_full_disk(store: Store) -> None:
-    """Refuse to begin where nothing, or next to nothing, can be written."""
+    """Refuse a disk that is full or cannot be written."""
     folder = nearest_folder(store.root)
     try:
         with tempfile.TemporaryFile(dir=folder):

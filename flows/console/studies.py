@@ -1,4 +1,4 @@
-"""`study`: the studies there are, what may be said in one, and where one of your own begins."""
+"""`study`: studies that ship, their keys, and new ones."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _KEYS = """Print every key that a study may have, with type, default, unit and m
 \b
 In a key, N is a position in a list, counted from 0, and NAME a name of your own.
 """
-_NEW = """Write a commented study to start from, with what the given files tell of themselves.
+_NEW = """Write a commented study to start from, with what was found in the given files.
 
 \b
   pasdedeux study new waltz.toml                               over the built-in duets
@@ -107,7 +107,7 @@ def new(
 
 
 def _describe(name: str, graph: Graph) -> dict[str, Any]:
-    """Return what the list says of a study that ships; `stages` is None for one that others extend only."""
+    """Describe a study that ships; `stages` is None for one that others extend only."""
     tree = read_study_tree(name, Path.cwd()).values
     head, ingest = tree[HEAD], tree.get("ingest", {})
     pairs = ingest.get("pairs", {}).values()

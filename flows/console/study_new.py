@@ -242,7 +242,7 @@ def _spread(files: Sequence[Path]) -> list[Path]:
 
 
 def _inspect(path: Path) -> _Motion | _Annotations | None:
-    """Tell what a file is and what its content says; None for one that only serves those beside it."""
+    """Inspect a file; None for one that only serves those beside it."""
     try:
         if path.is_dir():
             return _read_annotations(path)

@@ -44,7 +44,7 @@ _PACKAGES = [
 
 
 class _BadError(Exception):
-    """A run cannot do with what was found; the message says what that is."""
+    """A check failed; the message is what was found."""
 
 
 @app.command(help="Check that everything a run needs is there; exit code 1 when something is not.")

@@ -86,7 +86,7 @@ class FileNames:
 
 
 def names_pairs(reference: Reference) -> bool:
-    """Tell whether a reference names pairs of one moment: seeds, or one draw."""
+    """Return whether a reference names pairs of one moment: seeds, or one draw."""
     return reference.table == "seeds" or (reference.table == "draws" and reference.row is not None)
 
 

@@ -1,4 +1,4 @@
-"""Trained models as safetensors, each with a card that says what it was trained on and how good it is."""
+"""Trained models as safetensors, each with a card: training data, parameters and scores."""
 
 from __future__ import annotations
 

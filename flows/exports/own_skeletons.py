@@ -79,7 +79,7 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
 
 
 class RigFiles:
-    """Files of people, for each a BVH and an npz, and at the end a text that says what is in them.
+    """Files of people, for each a BVH and an npz, and at the end a text that describes them.
 
     Args:
         out: Folder, which is there.

@@ -192,21 +192,16 @@ def _value(text: str) -> Any:
 def _put(tree: dict[str, Any], path: tuple[str, ...], value: Any) -> str:
     """Put a value at a path of tables and list positions; the problem in words, or nothing."""
     node: Any = tree
-    for depth, step in enumerate(path):
-        is_last = depth == len(path) - 1
-        where = ".".join(path[: depth + 1])
+    for depth, step in enumerate(path, start=1):
+        key: str | int = step
         if isinstance(node, list):
             if not step.isdigit() or int(step) >= len(node):
-                return f"{where}: expected a position from 0 to {len(node) - 1}"
-            if is_last:
-                node[int(step)] = value
-            else:
-                node = node[int(step)]
-        elif isinstance(node, dict):
-            if is_last:
-                node[step] = value
-            else:
-                node = node.setdefault(step, {})
+                return f"{'.'.join(path[:depth])}: expected a position from 0 to {len(node) - 1}"
+            key = int(step)
+        elif not isinstance(node, dict):
+            return f"{'.'.join(path[: depth - 1])} is a single value, so {'.'.join(path[:depth])} cannot be set"
+        if depth == len(path):
+            node[key] = value
         else:
-            return f"{'.'.join(path[:depth])} is a single value, so {where} cannot be set"
+            node = node.setdefault(key, {}) if isinstance(node, dict) else node[key]
     return ""

@@ -11,11 +11,10 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, replace
-from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from typer import Option
@@ -79,13 +78,6 @@ pending  it depends on a stage that is not there yet; rebuilt only if that stage
 """
 
 
-class FailOn(StrEnum):
-    """How bad a verdict may be at most, and one less."""
-
-    WARN = Level.WARN.value
-    FAIL = Level.FAIL.value
-
-
 OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="These stages alone.")]
 FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
 UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="This stage and what it needs.")]
@@ -111,7 +103,7 @@ def run(
     until: UntilOption = None,
     force: ForceOption = None,
     is_preview: Annotated[bool, Option("--preview", help=f"{PREVIEW_S:g} s of each take, as <study>-preview.")] = False,
-    fail_on: Annotated[FailOn | None, Option("--fail-on", help="Exit code 1 where a verdict is so bad.")] = None,
+    fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 where a verdict is so bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Build a study."""
@@ -122,7 +114,7 @@ def run(
         head = chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})
         chosen = chosen.model_copy(update={"head": head, "publish": None})
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
-    worst = None if fail_on is None else Level(fail_on.value)
+    worst = None if fail_on is None else Level(fail_on)
     build_and_report(Run(chosen, graph, open_store(store), selection), where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         typer.echo(f"all of it: {next_command('run', study, *selection.words, store=store, settings=settings)}")

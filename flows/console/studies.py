@@ -13,6 +13,7 @@ from typer import Argument, Option
 
 from flows.console.context import JsonOption, SettingOption, answer, app, graph_of, say
 from flows.console.display import format_table
+from flows.reasons import shorten
 from flows.study import load_study
 from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
@@ -22,8 +23,6 @@ _group = typer.Typer(
     help="Studies: those that ship, new ones, and what may be said in one.", no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(_group, name="study")
-
-_MAX_CHARACTERS = 40  # of a default that is shown
 
 _SHOW = """Print a study: its file as it is, to start your own from, or with --resolved everything that holds in it.
 
@@ -87,7 +86,11 @@ def keys(
         raise StudyError(
             [f"there is no section '{section}'; sections: {', '.join((HEAD, PUBLISH, *graph.shared, *graph.names))}"]
         )
-    rows = [(k.name, k.type, "needed" if k.is_needed else _short(k.default), k.unit, k.meaning) for k in found]
+    defaults = ["" if key.default is None else json.dumps(key.default, ensure_ascii=False) for key in found]
+    rows = [
+        (key.name, key.type, "needed" if key.is_needed else shorten(default), key.unit, key.meaning)
+        for key, default in zip(found, defaults, strict=True)
+    ]
     header = ("key", "type", "default", "unit", "meaning")
     answer([asdict(key) for key in found], format_table(header, rows, text_columns=range(5)), as_json=as_json)
 
@@ -130,11 +133,6 @@ def _stage_words(stages: list[str] | None, graph: Graph) -> str:
     if not missing:
         return "all"
     return f"all but {', '.join(missing)}" if len(missing) <= 2 else ", ".join(stages)
-
-
-def _short(value: Any) -> str:
-    text = "" if value is None else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
 
 
 def _toml_lines(path: str, value: Any) -> list[str]:

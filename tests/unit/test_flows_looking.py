@@ -10,7 +10,7 @@ import pytest
 
 from flows.console import main
 from flows.console import run as run_module
-from flows.console.poses import braille_lines, pose_lines
+from flows.console.show import braille_lines, pose_lines
 from pasdedeux.evaluation.names import better_sign, in_words, meanings
 from pasdedeux.evaluation.score_tables import score_table
 from pasdedeux.evaluation.scores import Score

@@ -75,11 +75,7 @@ def cmu(
 
 
 def fetch_cmu(
-    wanted: Mapping[str, Sequence[str] | None],
-    out: Path,
-    *,
-    base_url: str = CMU_BASE_URL,
-    wait_s: float = _FIRST_WAIT_S,
+    wanted: Mapping[str, Sequence[str] | None], out: Path, *, base_url: str = CMU_BASE_URL
 ) -> Iterator[Fetched]:
     """Bring skeleton and takes of each subject into a folder, file by file.
 
@@ -90,7 +86,6 @@ def fetch_cmu(
             subject's page lists.
         out: Folder, made if needed.
         base_url: Address of the site.
-        wait_s: Wait before the first repetition, doubled each time.
 
     Raises:
         FetchError: The site cannot be reached, has no such file, or sends something that is no motion file.
@@ -104,10 +99,10 @@ def fetch_cmu(
     for subject, takes in wanted.items():
         folder = f"{base}/subjects/{subject}"
         skeleton = out / f"{subject}.asf"
-        yield _fetch_file(f"{folder}/{subject}.asf", skeleton, None, wait_s)
-        for take in _listed_takes(base, subject, wait_s) if takes is None else takes:
+        yield _fetch_file(f"{folder}/{subject}.asf", skeleton, None)
+        for take in _listed_takes(base, subject) if takes is None else takes:
             name = f"{subject}_{take}.amc"
-            yield _fetch_file(f"{folder}/{name}", out / name, skeleton, wait_s)
+            yield _fetch_file(f"{folder}/{name}", out / name, skeleton)
 
 
 def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
@@ -144,21 +139,21 @@ def _numbers(text: str, what: str) -> list[str]:
     return [number.zfill(2) for number in numbers]
 
 
-def _listed_takes(base: str, subject: str, wait_s: float) -> list[str]:
+def _listed_takes(base: str, subject: str) -> list[str]:
     url = f"{base}/search.php?subjectnumber={int(subject)}"
-    page = _download(url, wait_s)
+    page = _download(url)
     takes = sorted(set(re.findall(rf"\b{subject}_(\d{{2,3}})\.amc".encode(), page)))
     if not takes:
         raise FetchError(f"{url} lists no takes of subject {subject}; name them with --takes")
     return [take.decode() for take in takes]
 
 
-def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> Fetched:
+def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
     if path.exists() and _fault(path.read_bytes(), skeleton) is None:
         return Fetched(path=path, num_bytes=path.stat().st_size, was_there=True)
     from tasks.ingest.known_sources import note_fetched  # as for the credit
 
-    data = _download(url, wait_s)
+    data = _download(url)
     fault = _fault(data, skeleton)
     if fault is not None:
         raise FetchError(f"{url} did not send a motion file: {fault}")
@@ -189,7 +184,7 @@ def _fault(data: bytes, skeleton: Path | None) -> str | None:
     return None
 
 
-def _download(url: str, wait_s: float) -> bytes:
+def _download(url: str) -> bytes:
     """Return a whole file, asked for again a few times when the network fails."""
     for attempt in range(_NUM_ATTEMPTS):
         try:
@@ -204,5 +199,5 @@ def _download(url: str, wait_s: float) -> bytes:
         except (urllib.error.URLError, HTTPException, ConnectionError, TimeoutError) as error:
             problem = str(getattr(error, "reason", None) or error or type(error).__name__)
         if attempt + 1 < _NUM_ATTEMPTS:
-            time.sleep(wait_s * 2**attempt)
+            time.sleep(_FIRST_WAIT_S * 2**attempt)
     raise FetchError(f"{url}: {problem} ({_NUM_ATTEMPTS} attempts; the same command goes on from here)")

@@ -35,6 +35,11 @@ class Site:
     fail_times: dict[str, int] = field(default_factory=dict)
 
 
+@pytest.fixture(autouse=True)
+def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.console.fetch._FIRST_WAIT_S", 0.0)
+
+
 @pytest.fixture
 def site() -> Iterator[Site]:
     state = Site(
@@ -77,7 +82,7 @@ def site() -> Iterator[Site]:
 
 
 def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_path: Path) -> None:
-    found = list(fetch_cmu({"60": None}, tmp_path, base_url=site.url, wait_s=0.0))
+    found = list(fetch_cmu({"60": None}, tmp_path, base_url=site.url))
     assert [item.path.name for item in found] == ["60.asf", "60_01.amc", "60_02.amc"]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert "mocap.cs.cmu.edu" in (tmp_path / "CREDITS.txt").read_text()
@@ -86,17 +91,17 @@ def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_pa
 
 
 def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     site.requests.clear()
-    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     assert all(item.was_there for item in again)
     assert site.requests == []
 
 
 def test_a_damaged_file_that_is_there_is_brought_again(site: Site, tmp_path: Path) -> None:
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     (tmp_path / "60_01.amc").write_bytes(AMC.encode()[:60])
-    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     assert [item.was_there for item in again] == [True, False]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
@@ -104,7 +109,7 @@ def test_a_damaged_file_that_is_there_is_brought_again(site: Site, tmp_path: Pat
 def test_a_file_that_was_cut_off_is_asked_for_again(site: Site, tmp_path: Path) -> None:
     path = "/subjects/60/60_01.amc"
     site.cut_after[path] = [50, 20]
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert site.requests.count(path) == 3
 
@@ -124,9 +129,9 @@ def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_who
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", broken)
         with pytest.raises(FetchError, match=r"60_01.amc cannot be written: No space"):
-            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
 
@@ -144,29 +149,29 @@ def test_a_file_is_known_to_be_cmus_also_where_its_fetch_was_killed_as_it_came(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", killed)
         with pytest.raises(KeyboardInterrupt):
-            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
-    *_, motion = fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0)
+            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+    *_, motion = fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url)
     assert motion.was_there
     assert was_fetched(motion.path, hashlib.sha256(AMC.encode()).hexdigest())
 
 
 def test_a_site_that_is_busy_is_asked_again(site: Site, tmp_path: Path) -> None:
     site.fail_times["/subjects/60/60.asf"] = 2
-    assert len(list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))) == 2
+    assert len(list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))) == 2
 
 
 def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Path) -> None:
     with pytest.raises(FetchError, match=r"60_77.amc: the site answers 404"):
-        list(fetch_cmu({"60": ["77"]}, tmp_path, base_url=site.url, wait_s=0.0))
+        list(fetch_cmu({"60": ["77"]}, tmp_path, base_url=site.url))
     site.files["/subjects/60/60_03.amc"] = b"<html>down for maintenance</html>"
     with pytest.raises(FetchError, match=r"60_03.amc did not send a motion file: line 1"):
-        list(fetch_cmu({"60": ["03"]}, tmp_path, base_url=site.url, wait_s=0.0))
+        list(fetch_cmu({"60": ["03"]}, tmp_path, base_url=site.url))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
     site.files["/search.php?subjectnumber=60"] = b"nothing"
     with pytest.raises(FetchError, match="lists no takes of subject 60; name them with --takes"):
-        list(fetch_cmu({"60": None}, tmp_path, base_url=site.url, wait_s=0.0))
+        list(fetch_cmu({"60": None}, tmp_path, base_url=site.url))
     with pytest.raises(FetchError, match="the same command goes on from here"):
-        list(fetch_cmu({"60": ["01"]}, tmp_path / "new", base_url="http://127.0.0.1:9", wait_s=0.0))
+        list(fetch_cmu({"60": ["01"]}, tmp_path / "new", base_url="http://127.0.0.1:9"))
 
 
 def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:

@@ -60,18 +60,17 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
         ShardError: Shards failed; everything that needs none of them is committed.
     """
     results: list[Outcome | Exception] = []
-    settings = {}
+    settings: dict[Any, Any] = {}
     if address := get_current_settings().api.url:
         check_server(address)
-    elif server is not None:
+        if server is not None:
+            server.end()
+    folder = begin(run, plan)  # while the server starts
+    if address is None and server is not None:
         # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
         # Nobody starts it again either, so each request waits some seconds for that and not a minute.
-        settings = {
-            PREFECT_API_URL: server.wait(),
-            PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None,
-            PREFECT_CLIENT_MAX_RETRIES: 1,
-        }
-    folder = begin(run, plan)
+        settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 1}
+        settings[PREFECT_API_URL] = server.wait()
 
     @flow(name=dataset.name, flow_run_name=folder.run_id, retries=0, persist_result=False, task_runner=_threads())
     def build(study: str, run_id: str) -> None:

@@ -176,7 +176,7 @@ def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Pa
 
 def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:
     result = CliRunner().invoke(
-        app, ["fetch", "cmu", "--subjects", "60", "--out", str(tmp_path), "--base-url", site.url]
+        app, ["fetch", "cmu", "--subjects", "60", "--out", str(tmp_path), "--base-url", site.url], obj=Context()
     )
     assert result.exit_code == 0, result.output
     assert "60_01.amc" in result.output

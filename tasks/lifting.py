@@ -252,8 +252,8 @@ def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Ma
             rows.append(_row(one, "lifting_ik", by_ik))
         if "naive_sampling" in options.baselines:
             rng = stream(shard.seed, "lifting", *one.place)
-            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
-            rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))
+            nearest = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
+            rows.append(_row(one, "naive_sampling", nearest))
     return rows
 
 

@@ -78,11 +78,6 @@ def _constant(problem: Problem, one: Targets) -> float:
     return float(sum(part.sum() for part in parts))
 
 
-def total_energy(terms: Sequence[Term], positions: Array) -> float:
-    """Return the energy of one variant, stated by `fit_terms`, at positions (T, n, 3), metres."""
-    return sum(term.energy(positions) for term in terms)
-
-
 def descend(
     targets: Targets,
     variant: int,

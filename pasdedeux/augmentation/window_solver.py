@@ -9,12 +9,12 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk import BulkSolver
-from pasdedeux.augmentation.energy import descend, fit_terms, laplacian_residual, total_energy
+from pasdedeux.augmentation.energy import descend, fit_terms, laplacian_residual
 from pasdedeux.augmentation.problem import Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
-from pasdedeux.fitting import FitSettings, Term
+from pasdedeux.fitting import FitSettings, Term, total_energy
 from pasdedeux.interaction.known_contacts import UserContact
 
 SOLVERS = ("bulk", "polished", "plain_fk")

@@ -133,9 +133,11 @@ def frame_take(
     distance_m: float,
     yaw_rad: float,
     pitch_rad: float,
-    image_size_px: tuple[int, int] | None = None,
 ) -> VirtualView:
     """Return a camera that looks at the mean root and sees a person of 1.7 m about 600 px tall.
+
+    Its image is the smallest of at least 1280 x 720 in steps of 16 that holds every joint with a margin of 5 % of the
+    person's height.
 
     Args:
         positions: Every joint of every person and frame to be seen, (*batch, 3), metres.
@@ -144,8 +146,6 @@ def frame_take(
             1 m to the image plane.  The focal length grows with it, so people keep their size.
         yaw_rad: Azimuth of the camera.
         pitch_rad: Elevation of the camera.
-        image_size_px: Width and height; when not given, the smallest image of at least 1280 x 720 in steps of 16 that
-            holds every joint with a margin of 5 % of the person's height.
 
     Raises:
         InputError: There are no finite positions or roots.
@@ -167,11 +167,11 @@ def frame_take(
             target, distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad, focal_px=focal, image_size_px=size
         )
 
-    if image_size_px is None:
-        reach = np.abs(camera((2, 2)).project(points).px - 1.0).max(axis=0) + 0.05 * PERSON_HEIGHT_PX
-        size = np.maximum(np.ceil(2.0 * reach / 16.0).astype(int) * 16, [1280, 720])
-        image_size_px = (int(size[0]), int(size[1]))
-    return VirtualView(camera=camera(image_size_px), distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad)
+    reach = np.abs(camera((2, 2)).project(points).px - 1.0).max(axis=0) + 0.05 * PERSON_HEIGHT_PX
+    size = np.maximum(np.ceil(2.0 * reach / 16.0).astype(int) * 16, [1280, 720])
+    return VirtualView(
+        camera=camera((int(size[0]), int(size[1]))), distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad
+    )
 
 
 def annotate(

@@ -5,13 +5,10 @@ Both know one image, joint limits and bodies that do not pass through each other
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.completion.fit import fit_people
-from pasdedeux.errors import InputError
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.parameters import LENGTH_INDICES, POSITION_INDICES, ROTATION_INDICES, PairChart
@@ -23,6 +20,8 @@ _IMAGE_DEVIATION_M, _VALID_DEVIATION_M, _DEPTH_DEVIATION_M = 0.01, 0.02, 0.3
 _SLIDES_M = np.linspace(-0.6, 0.6, 61)
 _TOUCHING_M = 0.01
 """Summed penetration that counts as none, metres: captured bodies touch."""
+_ROTATION_RAD, _POSITION_M = 0.15, 0.03
+"""Deviations of naive samples: of a bone's turn, and of a root."""
 
 
 def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLimits) -> Array:
@@ -39,7 +38,6 @@ def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLim
     as it takes, until the two do not pass through each other.
     """
     pair = np.asarray(pair_m, dtype=np.float64)
-    deviation = np.array([_VALID_DEVIATION_M, _VALID_DEVIATION_M, _VALID_DEVIATION_M])
     image_weight, valid_weight = _IMAGE_DEVIATION_M**-2, _VALID_DEVIATION_M**-2
     is_seen = np.isfinite(image_m).all(axis=-1, keepdims=True)
     for _ in range(_NUM_ROUNDS):
@@ -47,7 +45,7 @@ def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLim
         blended = (image_weight * np.where(is_seen, image_m, 0.0) + valid_weight * targets[..., :2]) / (
             image_weight + valid_weight
         )
-        width = np.broadcast_to(deviation, targets.shape).copy()
+        width = np.full(targets.shape, _VALID_DEVIATION_M)
         width[..., :2] = np.where(is_seen, (image_weight + valid_weight) ** -0.5, _VALID_DEVIATION_M)
         targets[..., :2] = np.where(is_seen, blended, targets[..., :2])
         pair = fit_people(targets, width, pair, lengths_m, bone_deviation_m=_DEPTH_DEVIATION_M)
@@ -68,30 +66,10 @@ def resolve_penetration(pair_m: Array) -> Array:
     return np.asarray(slid[order[0]])
 
 
-@dataclass(frozen=True)
-class NaiveSamples:
-    """Pairs sampled round a lifted one.
-
-    Args:
-        pairs_m: Pairs (n, person=2, joint=17, 3), metres, camera axes.
-        nearest: The one whose image is nearest to the annotation.
-    """
-
-    pairs_m: Array
-    nearest: int
-
-
 def sample_naively(
-    rng: np.random.Generator,
-    image_m: Array,
-    pair_m: Array,
-    limits: JointLimits,
-    *,
-    num_samples: int = 1000,
-    rotation_rad: float = 0.15,
-    position_m: float = 0.03,
-) -> NaiveSamples:
-    """Sample pairs round a pair (person=2, joint=17, 3), metres, camera axes, and find the nearest to the image.
+    rng: np.random.Generator, image_m: Array, pair_m: Array, limits: JointLimits, *, num_samples: int
+) -> Array:
+    """Sample pairs round a pair and return the nearest to the image (person=2, joint=17, 3), metres, camera axes.
 
     Bone lengths are kept exactly.  Samples are drawn with probability in proportion to exp(-v / (2 sigma_p^2)), v the
     violation of eq. 2 (distance to valid poses and penetration), from twice as many normal perturbations.
@@ -102,19 +80,12 @@ def sample_naively(
         pair_m: Pair in camera axes, over the image.
         limits: Joint limits.
         num_samples: Samples in the database (Yin et al. 2018: 1,000).
-        rotation_rad: Deviation of a bone's turn, radians.
-        position_m: Deviation of a root, metres.
-
-    Raises:
-        InputError: No sample was asked for.
     """
-    if num_samples < 1:
-        raise InputError(f"{num_samples} samples were asked for, at least 1 is needed")
     chart = PairChart(pair_m)
     start = chart.seed_parameters()
-    step = np.full(len(start), rotation_rad)
-    step[POSITION_INDICES.ravel()] = position_m
-    step[ROTATION_INDICES.ravel()] = 0.5 * rotation_rad
+    step = np.full(len(start), _ROTATION_RAD)
+    step[POSITION_INDICES.ravel()] = _POSITION_M
+    step[ROTATION_INDICES.ravel()] = 0.5 * _ROTATION_RAD
     step[LENGTH_INDICES.ravel()] = 0.0
     tried = start + step * rng.normal(size=(2 * num_samples, len(start)))
     pairs = chart.positions(tried)
@@ -124,4 +95,4 @@ def sample_naively(
     kept = pairs[np.sort(np.argsort(-keys, kind="stable")[:num_samples])]
     is_seen = np.isfinite(image_m).all(axis=-1)
     distance = np.sum((kept[..., :2] - image_m)[:, is_seen] ** 2, axis=(1, 2))
-    return NaiveSamples(pairs_m=kept, nearest=int(np.argmin(distance)))
+    return np.asarray(kept[np.argmin(distance)])

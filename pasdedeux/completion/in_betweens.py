@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.errors import InputError
-from pasdedeux.fitting import BoneForest, DifferenceTerm, FitSettings, PointTerm, fit_bones
+from pasdedeux.fitting import AccelerationTerm, BoneForest, FitSettings, PointTerm, fit_bones
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
@@ -95,6 +95,6 @@ def _lead(ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, leng
     targets = np.concatenate([ends_m[:1], middle, ends_m[1:]])
     weights = np.concatenate([[1e8], total, [1e8]])[:, None, None]
     forest = BoneForest((PAIR17,), lengths_m)
-    smooth = DifferenceTerm(np.zeros(targets.shape), np.array(_BEND_M**-2), 2)
+    smooth = AccelerationTerm(np.array(_BEND_M**-2))
     result = fit_bones(forest, forest.state_of(targets), [PointTerm(targets, weights), smooth], FitSettings(10, 1e-4))
     return result.positions_m[1:-1]

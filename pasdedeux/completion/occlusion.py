@@ -18,8 +18,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
-NUM_NEAREST = 100
-"""Draws a median is taken over (Yin et al. 2018: 100)."""
 BLEND_DEVIATION_M = 0.2
 """Width of the Gaussian weights of visible joints, metres; the paper names none."""
 _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M = 0.005, 0.05
@@ -46,15 +44,15 @@ def complete_pair(
     pair_m: Array,
     draws_m: npt.NDArray[np.floating],
     *,
-    num_nearest: int = NUM_NEAREST,
-    num_ranked: int = 2 * NUM_NEAREST,
+    num_nearest: int,
+    num_ranked: int,
 ) -> Completion:
     """Complete the joints of a pair that are NaN.
 
     Args:
         pair_m: Pair (person=2, joint=17, 3), metres; NaN where a joint is hidden.
         draws_m: Draws (draw, 2, 17, 3), metres.
-        num_nearest: Draws the median is taken over.
+        num_nearest: Draws the median is taken over (Yin et al. 2018: 100).
         num_ranked: Draws that D_I is measured for.
 
     Raises:

@@ -22,6 +22,8 @@ _NUM_NEIGHBOURS = 8
 """Near draws that a pair's depth is averaged over."""
 _NEIGHBOUR_DEVIATION_M = 0.03
 """Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws."""
+_DRAWS_TRIED, _IMAGES_TRIED = 12, 20
+"""Draws and images nearest by place that d_I is computed of."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,6 @@ def retrieve(
     image_m: Array,
     directions: Array,
     *,
-    count: int = _NUM_NEIGHBOURS,
     without: Sequence[int] | npt.NDArray[np.int64] = (),
 ) -> Retrieval:
     """Return the draws nearest to an image, moved to where it saw them.
@@ -59,14 +60,13 @@ def retrieve(
         index: Draws.
         image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
-        count: How many draws.
         without: Draws that do not count, unless there are no others.
 
     Raises:
         InputError: No view, or fewer than 4 joints seen.
     """
-    near = index.nearest(image_m, directions, count=count + len(without))
-    others = np.flatnonzero(~np.isin(near.draw, without))[:count]
+    near = index.nearest(image_m, directions, count=_NUM_NEIGHBOURS + len(without))
+    others = np.flatnonzero(~np.isin(near.draw, without))[:_NUM_NEIGHBOURS]
     chosen = others if len(others) else slice(None)
     nearest = Nearest(near.draw[chosen], near.view[chosen], near.distance_m[chosen])
     squared = nearest.distance_m**2
@@ -75,9 +75,7 @@ def retrieve(
     return Retrieval(pairs_m=pairs, weight=weight / weight.sum(), nearest=nearest)
 
 
-def nearest_by_image(
-    index: DrawIndex, image_m: Array, directions: Array, *, count: int = 1, num_tried: int = 12
-) -> tuple[Array, Array]:
+def nearest_by_image(index: DrawIndex, image_m: Array, directions: Array, *, count: int = 1) -> tuple[Array, Array]:
     """Return the draws nearest to an image in d_I, each under its best view: the nearest by place, ranked anew.
 
     Args:
@@ -85,12 +83,11 @@ def nearest_by_image(
         image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
         count: Draws wanted.
-        num_tried: Draws nearest by place that d_I is computed of.
 
     Returns:
         The draws (k, 2, 17, 3) as the image's camera saw them, nearest first, and d_I, (k,), metres.
     """
-    near = index.nearest(image_m, directions, count=max(num_tried, count))
+    near = index.nearest(image_m, directions, count=max(_DRAWS_TRIED, count))
     placed = index.placed(near.draw, np.asarray(directions)[near.view], image_m)
     distance = image_distances(image_m[None], placed[..., :2])[0]
     order = np.argsort(distance, kind="stable")[:count]
@@ -98,7 +95,7 @@ def nearest_by_image(
 
 
 def nearest_images(
-    pair_m: Array, images_m: Array, directions: Array, *, count: int = 1, num_tried: int = 20
+    pair_m: Array, images_m: Array, directions: Array, *, count: int = 1
 ) -> tuple[npt.NDArray[np.int64], Array]:
     """Return the images that look most like a pair, each seen from where it was taken, by d_I.
 
@@ -107,7 +104,6 @@ def nearest_images(
         images_m: Images (n, 2, 17, 2), metres; NaN where a joint is not seen.
         directions: View of each in the pair's local frame, (n, 3).
         count: Images wanted.
-        num_tried: Images nearest by place that d_I is computed of.
 
     Returns:
         Which images, nearest first, and d_I, (k,), metres.
@@ -115,7 +111,7 @@ def nearest_images(
     seen = project_pair(pair_m, directions)
     flat, images = (one.reshape(len(images_m), -1, 2) for one in (seen, images_m))
     residual = plane_residual(flat, images) / np.isfinite(images).all(axis=-1).sum(axis=1)
-    tried = np.argsort(residual, kind="stable")[: max(num_tried, count)]
+    tried = np.argsort(residual, kind="stable")[: max(_IMAGES_TRIED, count)]
     distance = np.array([image_distances(seen[at][None], images_m[at][None])[0, 0] for at in tried])
     order = np.argsort(distance, kind="stable")[:count]
     return tried[order], distance[order]

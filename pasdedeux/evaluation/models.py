@@ -21,12 +21,13 @@ from functools import cached_property
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.augmentation.energy import fit_terms, total_energy
+from pasdedeux.augmentation.energy import fit_terms
 from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.quality import FIGURES, QualityMeter
 from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.terms import build_targets
 from pasdedeux.errors import InputError
+from pasdedeux.fitting import total_energy
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import DEFAULT_MODELS, VariantModel, VariantRequest

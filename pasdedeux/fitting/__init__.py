@@ -2,12 +2,20 @@
 
 from pasdedeux.fitting.bones import BoneForest, BoneState
 from pasdedeux.fitting.levenberg import FitResult, FitSettings, fit_bones
-from pasdedeux.fitting.terms import DifferenceTerm, DistanceTerm, HalfSpaceTerm, PointTerm, QuadraticTerm, Term
+from pasdedeux.fitting.terms import (
+    AccelerationTerm,
+    DistanceTerm,
+    HalfSpaceTerm,
+    PointTerm,
+    QuadraticTerm,
+    Term,
+    total_energy,
+)
 
 __all__ = [
+    "AccelerationTerm",
     "BoneForest",
     "BoneState",
-    "DifferenceTerm",
     "DistanceTerm",
     "FitResult",
     "FitSettings",
@@ -16,4 +24,5 @@ __all__ = [
     "QuadraticTerm",
     "Term",
     "fit_bones",
+    "total_energy",
 ]

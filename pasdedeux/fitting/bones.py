@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
-from pasdedeux.errors import InputError
 from pasdedeux.skeletons import Skeleton
 
 Indices = npt.NDArray[np.int64]
@@ -90,20 +89,10 @@ class BoneForest:
     Args:
         skeletons: One skeleton per person; their points follow each other.
         lengths_m: Length of the bone that ends in each point (N,), metres, 0 or more; roots' are unused.
-
-    Raises:
-        InputError: Lengths that do not fit, are negative or not finite.
     """
 
     skeletons: tuple[Skeleton, ...]
     lengths_m: Array
-
-    def __post_init__(self) -> None:
-        """Check the lengths."""
-        if self.lengths_m.shape != (self.num_points,):
-            raise InputError(f"bone lengths have shape {self.lengths_m.shape}, expected ({self.num_points},)")
-        if not (np.isfinite(self.lengths_m) & (self.lengths_m >= 0)).all():
-            raise InputError(f"bone lengths must be finite and 0 or more, found {np.min(self.lengths_m):g}")
 
     @property
     def topology(self) -> Topology:

@@ -18,7 +18,7 @@ from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest, BoneState
-from pasdedeux.fitting.terms import AXES, Normal, Term
+from pasdedeux.fitting.terms import AXES, Normal, Term, total_energy
 
 Indices = npt.NDArray[np.int64]
 
@@ -39,18 +39,10 @@ class FitSettings:
     Args:
         max_iterations: Most accepted or refused steps.
         tolerance: Stops when a step lowers the energy by less than this share.
-
-    Raises:
-        InputError: A value that is not allowed.
     """
 
     max_iterations: int = 30
     tolerance: float = 1e-6
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        if self.max_iterations < 0 or not self.tolerance >= 0:
-            raise InputError(f"fit settings {self}: allowed are iterations and tolerance from 0")
 
 
 @dataclass(frozen=True)
@@ -62,14 +54,12 @@ class FitResult:
         state: Roots and directions.
         energies: Energy at the start and after every accepted step; never rises.
         num_iterations: Steps tried.
-        is_converged: The last accepted step lowered the energy by less than the tolerance, or none could lower it.
     """
 
     positions_m: Array
     state: BoneState
     energies: tuple[float, ...]
     num_iterations: int
-    is_converged: bool
 
 
 def fit_bones(
@@ -89,7 +79,7 @@ def fit_bones(
     settings = settings or FitSettings()
     state = start
     positions = forest.positions(state)
-    energy = _energy(terms, positions)
+    energy = total_energy(terms, positions)
     if not np.isfinite(energy):
         raise InputError("the energy of the first guess is not finite: positions, targets and weights must be")
     constant = Normal.zeros(len(positions), forest.num_points)
@@ -117,7 +107,7 @@ def fit_bones(
             step = -solve_blocks(_damped(matrix, damping), gradient)
             moved = forest.retract(state, tangents, step)
             moved_positions = forest.positions(moved)
-            moved_energy = _energy(terms, moved_positions)
+            moved_energy = total_energy(terms, moved_positions)
         except NotPositiveDefinite:
             moved_energy = np.inf
         if moved_energy <= energy:
@@ -133,12 +123,7 @@ def fit_bones(
         state=state,
         energies=tuple(energies),
         num_iterations=iteration,
-        is_converged=is_converged,
     )
-
-
-def _energy(terms: Sequence[Term], positions: Array) -> float:
-    return sum(term.energy(positions) for term in terms)
 
 
 def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
@@ -182,10 +167,6 @@ def _reduce(
     for lag in (1, 2):
         if frames > lag:
             _reduce_between(carried[lag], basis, shape.related, shape.further, starts, lag, below)
-    for pairs, weights, unit in normal.pairs:
-        points = np.broadcast_to(pairs, (frames, *pairs.shape))
-        shares = np.broadcast_to(np.array([-1.0, 1.0]), points.shape)
-        _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
     for points, shares, weights, unit in normal.stencils:
         _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
     return BlockMatrix(diagonal=diagonal, below=below), gradient

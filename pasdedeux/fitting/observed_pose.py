@@ -20,7 +20,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.bones import BoneForest, topology_of
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
-from pasdedeux.fitting.terms import DifferenceTerm, Normal, PointTerm, Term
+from pasdedeux.fitting.terms import AccelerationTerm, Normal, PointTerm, Term
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import Skeleton
 
@@ -44,11 +44,9 @@ class BoneVectorTerm(Term):
     weights: Array
 
     def __post_init__(self) -> None:
-        """Check the weights and free the root."""
+        """Free the root, and what has no weight."""
         weights = np.array(np.broadcast_to(self.weights, self.targets_m.shape), dtype=np.float64)
         weights[:, self.skeleton.root] = 0.0
-        if not (np.isfinite(weights) & (weights >= 0)).all():
-            raise InputError("weights of a bone vector term must be finite and 0 or more")
         object.__setattr__(self, "weights", weights)
         object.__setattr__(self, "targets_m", np.where(weights > 0, self.targets_m, 0.0))
 
@@ -165,7 +163,7 @@ def fit_observed(
     state = forest.state_of(start_m)
     positions = forest.positions(state)
     time_deviation = settings.acceleration_m_s2 / rate_hz**2
-    smooth = DifferenceTerm(np.zeros(start_m.shape), np.array(1.0 / time_deviation**2), 2)
+    smooth = AccelerationTerm(np.array(1.0 / time_deviation**2))
     bones = BoneVectorTerm(skeleton, bone_m, (1.0 / bone_deviation_m**2)[..., None])
     for round_number in range(settings.num_rounds):
         image = image_term(observed_m, weight * robust / noise**2, positions, distance_m)

@@ -8,13 +8,13 @@ between frames one and two apart, and rank-one parts between pairs of points.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 
 AXES = 3
 
@@ -28,7 +28,6 @@ class Normal:
         matrix: Curvature within a frame (axis=3, T, N, N).
         lag1: Between frames t and t+1 at the same point (axis=3, T-1, N).
         lag2: Between frames t and t+2 (axis=3, T-2, N).
-        pairs: Rank-one parts: points i and j (m, 2), weights (T, m) and unit vectors (T, m, 3).
         stencils: Rank-one parts of several points each: points (T, m, k), their shares (T, m, k), weights (T, m) and
             unit vectors (T, m, 3).
     """
@@ -37,7 +36,6 @@ class Normal:
     matrix: Array
     lag1: Array
     lag2: Array
-    pairs: list[tuple[npt.NDArray[np.int64], Array, Array]] = field(default_factory=list)
     stencils: list[tuple[npt.NDArray[np.int64], Array, Array, Array]] = field(default_factory=list)
 
     @classmethod
@@ -54,6 +52,11 @@ class Normal:
     def diagonal(self) -> Array:
         """Curvature of each point with itself (axis=3, T, N), a view to write to."""
         return np.asarray(np.einsum("atii->ati", self.matrix))
+
+
+def total_energy(terms: Sequence[Term], positions_m: Array) -> float:
+    """Return the energy of all terms at positions (T, N, 3), metres."""
+    return sum(term.energy(positions_m) for term in terms)
 
 
 class Term(ABC):
@@ -88,12 +91,9 @@ class PointTerm(Term):
     weights: Array
 
     def __post_init__(self) -> None:
-        """Check the weights and give unseen targets none."""
-        weights = np.array(np.broadcast_to(self.weights, self.targets_m.shape), dtype=np.float64)
-        if not (np.isfinite(weights) & (weights >= 0)).all():
-            raise InputError("weights of a point term must be finite and 0 or more")
+        """Give unseen targets no weight."""
         is_seen = np.isfinite(self.targets_m)
-        object.__setattr__(self, "weights", np.where(is_seen, weights, 0.0))
+        object.__setattr__(self, "weights", np.where(is_seen, self.weights, 0.0))
         object.__setattr__(self, "targets_m", np.where(is_seen, self.targets_m, 0.0))
 
     def energy(self, positions_m: Array) -> float:
@@ -110,52 +110,36 @@ class PointTerm(Term):
 
 
 @dataclass(frozen=True)
-class DifferenceTerm(Term):
-    """sum w |D_k (p - reference)|^2: smoothness of first or second order, against a motion that need not be still.
+class AccelerationTerm(Term):
+    """sum w |p_t - 2 p_t+1 + p_t+2|^2: smoothness over time.
 
     Args:
-        reference_m: (T, N, 3), metres; zeros ask for a motion that is still (k = 1) or unaccelerated (k = 2).
-        weights: (T - k, N, 3) or what broadcasts to it.
-        order: k, 1 or 2.
+        weights: What broadcasts to (T - 2, N, 3).
     """
 
-    reference_m: Array
     weights: Array
-    order: int
-
-    def __post_init__(self) -> None:
-        """Check order and weights."""
-        if self.order not in (1, 2):
-            raise InputError(f"a difference term has order {self.order}; allowed are 1 and 2")
-        shape = (max(len(self.reference_m) - self.order, 0), *self.reference_m.shape[1:])
-        weights = np.array(np.broadcast_to(self.weights, shape), dtype=np.float64)
-        if not (np.isfinite(weights) & (weights >= 0)).all():
-            raise InputError("weights of a difference term must be finite and 0 or more")
-        object.__setattr__(self, "weights", weights)
 
     def energy(self, positions_m: Array) -> float:
         """Return E."""
-        return float((self.weights * np.diff(positions_m - self.reference_m, n=self.order, axis=0) ** 2).sum())
+        return float((self.weights * np.diff(positions_m, n=2, axis=0) ** 2).sum())
 
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
         """Add half the gradient."""
-        pull = self.weights * np.diff(positions_m - self.reference_m, n=self.order, axis=0)
-        for shift, factor in enumerate(_STENCILS[self.order]):
+        pull = self.weights * np.diff(positions_m, n=2, axis=0)
+        for shift, factor in enumerate(_SECOND_DIFFERENCE):
             normal.gradient[shift : shift + len(pull)] += factor * pull
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the curvature."""
-        stencil, diagonal = _STENCILS[self.order], normal.diagonal
-        weights = self.weights.transpose(2, 0, 1)
-        count = weights.shape[1]
-        for i, left in enumerate(stencil):
+        diagonal, count = normal.diagonal, normal.lag2.shape[1]
+        weights = np.broadcast_to(self.weights, (count, *positions_m.shape[1:])).transpose(2, 0, 1)
+        for i, left in enumerate(_SECOND_DIFFERENCE):
             diagonal[:, i : i + count] += left * left * weights
-            for j in range(i + 1, len(stencil)):
-                lag = normal.lag1 if j - i == 1 else normal.lag2
-                lag[:, i : i + count] += left * stencil[j] * weights
+            for lag, right in zip((normal.lag1, normal.lag2), _SECOND_DIFFERENCE[i + 1 :], strict=False):
+                lag[:, i : i + count] += left * right * weights
 
 
-_STENCILS = {1: (-1.0, 1.0), 2: (1.0, -2.0, 1.0)}
+_SECOND_DIFFERENCE = (1.0, -2.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -246,7 +230,8 @@ class DistanceTerm(Term):
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
         unit, _ = self._vectors(positions_m)
-        normal.pairs.append((self.pairs, self.weights, unit))
+        points = np.broadcast_to(self.pairs, (len(unit), *self.pairs.shape))
+        normal.stencils.append((points, np.broadcast_to(np.array([-1.0, 1.0]), points.shape), self.weights, unit))
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pasdedeux.cameras.virtual_video import VirtualView
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
@@ -378,8 +378,14 @@ def test_a_video_is_judged_by_the_share_of_the_joints_in_its_image(
     video = {"num_videos": 2, "num_random_views": 0}
     shards = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video=video)
     levels = {"large": judged(run(Store(tmp_path / "large"), shards)["d", "video"])}
-    small = partial(virtual_video.frame_take, image_size_px=(200, 200))
-    monkeypatch.setattr(virtual_video, "frame_take", small)
+    take_whole = virtual_video.frame_take
+
+    def take_middle(*args: Any, **kwargs: Any) -> VirtualView:
+        view = take_whole(*args, **kwargs)
+        middle = {"principal_point_px": np.full(2, 100.0), "image_size_px": (200, 200)}
+        return dataclasses.replace(view, camera=dataclasses.replace(view.camera, **middle))
+
+    monkeypatch.setattr(virtual_video, "frame_take", take_middle)
     levels["small"] = judged(run(Store(tmp_path / "small"), shards)["d", "video"])
     assert (levels["large"].level, levels["large"].value) == (Level.PASS, 100.0)
     assert levels["small"].level is Level.FAIL

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
-from pasdedeux.augmentation.energy import descend, fit_terms, total_energy
+from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.problem import Problem, Targets
@@ -18,7 +18,7 @@ from pasdedeux.augmentation.variations import (
     group_variations,
 )
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.fitting import BoneForest, FitSettings
+from pasdedeux.fitting import BoneForest, FitSettings, total_energy
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22

@@ -11,12 +11,13 @@ from pasdedeux.augmentation import (
     reference_motion,
     uniform_variations,
 )
-from pasdedeux.augmentation.energy import fit_terms, total_energy
+from pasdedeux.augmentation.energy import fit_terms
 from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import PAPER_SCALES, bone_variations, group_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import UNITS, ModelMeter, key_contacts, model_errors
+from pasdedeux.fitting import total_energy
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning import (
     SPLIT_NAMES,

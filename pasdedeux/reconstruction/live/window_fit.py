@@ -19,7 +19,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm, flatten_image, image_noise, image_term
-from pasdedeux.fitting.terms import DifferenceTerm
+from pasdedeux.fitting.terms import AccelerationTerm
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.reconstruction.depth import SignStep, bones_by_votes, place_depths, trace_signs, vote_on_signs
 from pasdedeux.reconstruction.proportions import retarget_image
@@ -198,7 +198,7 @@ class WindowFit:
         is_even = frames[2:] == frames[:-2] + 2
         terms = [
             points,
-            DifferenceTerm(np.zeros(start.shape), np.where(is_even, per_time, 0.0)[:, None, None], 2),
+            AccelerationTerm(np.where(is_even, per_time, 0.0)[:, None, None]),
             BoneVectorTerm(OP14, vectors, over),
         ]
         is_whole = all((one.seen.weights > 0).all() for one in window)

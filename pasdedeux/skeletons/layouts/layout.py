@@ -9,8 +9,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.skeletons.mapping import JointMap
 from pasdedeux.skeletons.working import WORKING_SKELETONS
 
-Table = Mapping[str, str | Mapping[str, float]]
-"""For each joint of a working skeleton its source joint, or source joints with weights that sum to 1."""
+Entry = str | Mapping[str, float]
+"""A source joint, or source joints with weights that sum to 1."""
+Table = Mapping[str, Entry]
+"""What each joint of a working skeleton is made of."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class Layout:
         def put(name: str) -> str:
             return name if name in added else prefix + name
 
-        def put_entry(entry: str | Mapping[str, float]) -> str | Mapping[str, float]:
+        def put_entry(entry: Entry) -> Entry:
             return put(entry) if isinstance(entry, str) else {put(name): weight for name, weight in entry.items()}
 
         return replace(
@@ -108,3 +110,51 @@ class Layout:
                 replace(point, joint=put(point.joint), unit_bone=put(point.unit_bone)) for point in self.points
             ),
         )
+
+
+LIMB_JOINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
+
+
+def working_tables(
+    *, limbs: tuple[str, ...], trunk: Table, collar: Entry, spine: Table, head: Entry, nose: str
+) -> dict[str, Table]:
+    """Return the tables of the three working skeletons.
+
+    Args:
+        limbs: Source joints of the left side, as `LIMB_JOINTS`.
+        trunk: pelvis, spine1, spine2, spine3, neck of body22.
+        collar: left_collar of body22.
+        spine: spine, chest of pair17.
+        head: The head (ear height, on the neck's line).
+        nose: Joint or added point for the nose.
+    """
+    left = {f"left_{joint}": source for joint, source in zip(LIMB_JOINTS, limbs, strict=True)}
+    sides = left | {_right(joint): _right(source) for joint, source in left.items()}
+    shared = {joint: source for joint, source in sides.items() if not joint.endswith("toe")}
+    shoulders, hips = ([sides[f"{side}_{joint}"] for side in ("left", "right")] for joint in ("shoulder", "hip"))
+    neck = trunk["neck"]
+    assert isinstance(neck, str), "the joint at the base of the neck"
+    collars = {"left_collar": collar, "right_collar": _right(collar) if isinstance(collar, str) else _mirrored(collar)}
+    return {
+        "pair17": {
+            **shared,
+            **spine,
+            "head": head,
+            "pelvis": dict.fromkeys(hips, 0.5),
+            "neck": {neck: 0.4, **dict.fromkeys(shoulders, 0.3)},
+        },
+        "op14": {**shared, "head": nose, "neck": dict.fromkeys(shoulders, 0.5)},
+        "body22": {**sides, **trunk, **collars, "head": head},
+    }
+
+
+def _mirrored(weights: Mapping[str, float]) -> dict[str, float]:
+    return {_right(name): weight for name, weight in weights.items()}
+
+
+def _right(name: str) -> str:
+    """Return the name of a joint on the right side for that on the left; a joint in the middle has its own."""
+    for left, right in (("Left", "Right"), ("left", "right"), ("l", "r")):
+        if name.startswith(left):
+            return right + name.removeprefix(left)
+    return name

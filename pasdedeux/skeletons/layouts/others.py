@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout, Table
-from pasdedeux.skeletons.layouts.table_building import Limbs, working_tables
+from pasdedeux.skeletons.layouts.layout import LIMB_JOINTS, AddedPoint, Layout, Table, working_tables
 from pasdedeux.skeletons.working import BODY22
+
+_CHARACTER_LIMBS = ("LeftArm", "LeftForeArm", "LeftHand", "LeftUpLeg", "LeftLeg", "LeftFoot")
 
 YIANNAKIDES = Layout(
     name="yiannakides",
@@ -19,34 +20,20 @@ YIANNAKIDES = Layout(
         AddedPoint(name="right_toe", joint="RightFoot", offset=(0.1, -0.45, 0.0), unit_bone="RightFoot"),
     ),
     tables=working_tables(
-        limbs={
-            "shoulder": ("LeftArm", "RightArm"),
-            "elbow": ("LeftForeArm", "RightForeArm"),
-            "wrist": ("LeftHand", "RightHand"),
-            "hip": ("LeftUpLeg", "RightUpLeg"),
-            "knee": ("LeftLeg", "RightLeg"),
-            "ankle": ("LeftFoot", "RightFoot"),
-            "toe": ("left_toe", "right_toe"),
-        },
+        limbs=(*_CHARACTER_LIMBS, "left_toe"),
         trunk={
             "pelvis": "Root",
             "spine1": {"Root": 0.5, "Spine": 0.5},
             "spine2": "Spine",
             "spine3": "Spine1",
             "neck": "Neck",
-            "left_collar": {"Spine1": 0.75, "LeftArm": 0.25},
-            "right_collar": {"Spine1": 0.75, "RightArm": 0.25},
         },
+        collar={"Spine1": 0.75, "LeftArm": 0.25},
         spine={"spine": {"Root": 0.65, "Spine": 0.35}, "chest": {"Spine": 0.95, "Spine1": 0.05}},
-        neck_base="Neck",
-        head={"head": "Head"},
+        head="Head",
         nose="nose",
     ),
 )
-
-
-def _own(joint: str) -> tuple[str, str]:
-    return (f"left_{joint}", f"right_{joint}")
 
 
 BODY22_LAYOUT = Layout(
@@ -55,31 +42,21 @@ BODY22_LAYOUT = Layout(
     signature=frozenset(BODY22.joint_names),
     points=(AddedPoint(name="nose", joint="head", offset=(0.0, -0.1, 0.6), unit_bone="head"),),
     tables=working_tables(
-        limbs={joint: _own(joint) for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")},
-        trunk={name: name for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar")},
+        limbs=tuple(f"left_{joint}" for joint in LIMB_JOINTS),
+        trunk={name: name for name in ("pelvis", "spine1", "spine2", "spine3", "neck")},
+        collar="left_collar",
         spine={"spine": "spine1", "chest": "spine3"},
-        neck_base="neck",
-        head={"head": "head"},
+        head="head",
         nose="nose",
     ),
 )
 
-_CHARACTER_LIMBS: Limbs = {
-    "shoulder": ("LeftArm", "RightArm"),
-    "elbow": ("LeftForeArm", "RightForeArm"),
-    "wrist": ("LeftHand", "RightHand"),
-    "hip": ("LeftUpLeg", "RightUpLeg"),
-    "knee": ("LeftLeg", "RightLeg"),
-    "ankle": ("LeftFoot", "RightFoot"),
-}
 _CHARACTER_TRUNK: Table = {
     "pelvis": "Hips",
     "spine1": "Spine",
     "spine2": "Spine1",
     "spine3": "Spine2",
     "neck": "Neck",
-    "left_collar": "LeftShoulder",
-    "right_collar": "RightShoulder",
 }
 _CHARACTER_SPINE: Table = {"spine": "Spine", "chest": {"Spine1": 0.5, "Spine2": 0.5}}
 _CHARACTER_SIGNATURE = frozenset(
@@ -92,11 +69,11 @@ MIXAMO = Layout(
     signature=_CHARACTER_SIGNATURE | {"LeftToeBase"},
     points=(AddedPoint(name="nose", joint="Head", offset=(0.0, 0.4, 1.0), unit_bone="Head"),),
     tables=working_tables(
-        limbs={**_CHARACTER_LIMBS, "toe": ("LeftToeBase", "RightToeBase")},
+        limbs=(*_CHARACTER_LIMBS, "LeftToeBase"),
         trunk=_CHARACTER_TRUNK,
+        collar="LeftShoulder",
         spine=_CHARACTER_SPINE,
-        neck_base="Neck",
-        head={"head": {"Neck": -0.6, "Head": 1.6}},
+        head={"Neck": -0.6, "Head": 1.6},
         nose="nose",
     ),
 )
@@ -106,11 +83,11 @@ LAFAN = Layout(
     meaning="Names of the LAFAN1 data set: LeftToe, Spine2; its joint frames do not tell where the face is",
     signature=_CHARACTER_SIGNATURE | {"LeftToe"},
     tables=working_tables(
-        limbs={**_CHARACTER_LIMBS, "toe": ("LeftToe", "RightToe")},
+        limbs=(*_CHARACTER_LIMBS, "LeftToe"),
         trunk=_CHARACTER_TRUNK,
+        collar="LeftShoulder",
         spine=_CHARACTER_SPINE,
-        neck_base="Neck",
-        head={"head": {"Neck": -0.6, "Head": 1.6}},
+        head={"Neck": -0.6, "Head": 1.6},
         nose="Head",
     ),
 )

@@ -59,7 +59,7 @@ def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[s
 
 
 def test_every_study_that_ships_stands_in_the_table_of_studies_and_no_other() -> None:
-    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8").partition("## Those that ship")[2]
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8").partition("## Studies that ship")[2]
     rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
     in_table = re.findall(r"`(\w+)`", " ".join(rows))
     runnable = [name for name, text in shipped_studies().items() if "name" in tomllib.loads(text)["study"]]

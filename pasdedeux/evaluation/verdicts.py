@@ -131,9 +131,9 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
             lead, low, high = -lead, -high, -low
         by, ends = format_interval(lead, low, high, unit)
         over = f"{len(set(paired.takes))} takes" if has_takes else f"{num_blocks} blocks of 1 s"
-        how = {Level.PASS: "better than", Level.WARN: "about as good as", Level.FAIL: "worse than"}[level]
+        how = {Level.PASS: "better than", Level.WARN: "about as well as", Level.FAIL: "worse than"}[level]
         lead_words = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
-        reason = f"{method} is {how} {beaten}, {lead_words} {by} ({ends}, over {over})"
+        reason = f"{method} performed {how} {beaten}, {lead_words} {by} ({ends}, over {over})"
     values = (mean[paired.method], unit, mean.get(hardest, math.nan), beaten)
     return Verdict(level, reason, figure, *values, count=paired.count, thing=thing, paired=paired)
 

@@ -272,10 +272,10 @@ def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Pa
     toys = [row for row in zip(*(table[name].tolist() for name in names), strict=True) if row[0].startswith("toys")]
     assert toys[0] == ("toys", "pass", 6.0, 7.0, "guessed", 12, "boxes")
     assert toys[1][:2] == ("toys broken toys", "not judged")
-    assert "counted is better than guessed, by 1 (1 to 1, over 12 blocks of 1 s)" in page
+    assert "counted performed better than guessed, by 1 (1 to 1, over 12 blocks of 1 s)" in page
     assert '<span class="badge not-judged">? not judged</span>' in page
     worse = page_of(store, evaluate(store, stage, num_toys=4))
-    assert "counted is worse than guessed, by 1" in worse, "better than the other guess is not enough"
+    assert "counted performed worse than guessed, by 1" in worse, "better than the other guess is not enough"
 
 
 def test_another_licence_of_the_same_data_is_another_page(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_a_method_has_to_beat_every_baseline_and_not_the_weakest() -> None:
     worse = items(takes=["a"], seconds=12, fitted=0.25, chance=0.4, lifting=0.2, mean_pair=0.3)
     verdict = verdict_on(worse)
     assert (verdict.level, verdict.baseline_name) == (Level.FAIL, "lifting alone")
-    assert verdict.reason == "fitted draws is worse than lifting alone, by 5 cm (5 to 5, over 12 blocks of 1 s)"
+    assert verdict.reason == "fitted draws performed worse than lifting alone, by 5 cm (5 to 5, over 12 blocks of 1 s)"
 
 
 def test_what_may_be_chance_is_a_warning() -> None:
@@ -77,7 +77,7 @@ def test_what_may_be_chance_is_a_warning() -> None:
     for chance, words in ((noise, "behind by"), (-noise, "ahead by")):
         verdict = verdict_on(items(takes=["a"], seconds=12, fitted=0.2 + chance, lifting=0.21))
         assert verdict.level is Level.WARN
-        assert f"about as good as lifting alone, {words}" in verdict.reason
+        assert f"about as well as lifting alone, {words}" in verdict.reason
 
 
 def test_larger_may_be_better() -> None:

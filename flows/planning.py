@@ -243,8 +243,6 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     selected = selection.stages(graph)
     asked = (study.asked | selection.targets) & selected
     for stage in graph.stages:
-        if stage.check is not None and stage.name in selected:
-            stage.check(study.parameters[stage.name])
         if stage.check_study is not None and stage.name in selected:
             stage.check_study(study.parameters)
     last = _last_records(store, study.name)

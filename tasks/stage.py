@@ -192,9 +192,8 @@ class Stage:
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
         needs: What it makes something of, with the keys that give it: the message where it made nothing.
-        check: Refuses parameters that are wrong whatever the input, such as files that cannot be used:
-            called before anything runs, also while the stage waits for what it reads.
-        check_study: The same for what other stages' sections say, given by stage.
+        check_study: Refuses what is wrong whatever the inputs, such as files that cannot be used, from the sections of
+            all stages by name: called before anything runs.
         early: What can be begun with before all that it reads is there.
         unread: Gives the tables among `reads` that are left alone with these parameters: nothing waits for them.
     """
@@ -208,7 +207,6 @@ class Stage:
     run_shard: Callable[[Shard, Store], ArtifactRef] = field(repr=False)
     meaning: str = ""
     needs: str = ""
-    check: Callable[[Any], None] | None = field(default=None, repr=False)
     check_study: Callable[[Mapping[str, Any]], None] | None = field(default=None, repr=False)
     early: tuple[EarlyPlan, ...] = field(default=(), repr=False)
     unread: Callable[[Any], tuple[str, ...]] | None = field(default=None, repr=False)

@@ -1,7 +1,7 @@
 """Stage `seeds`: where chains start: frames of takes, files, pairs lifted from 2D alone, and what grows from them."""
 
 from tasks.seeds.parameters import SEEDS, SeedFrame, SeedsParameters
-from tasks.seeds.plan import check, check_study, plan
+from tasks.seeds.plan import check_study, plan
 from tasks.seeds.run import run_shard
 from tasks.stage import Stage
 
@@ -9,7 +9,6 @@ __all__ = [
     "STAGE",
     "SeedFrame",
     "SeedsParameters",
-    "check",
     "check_study",
     "plan",
     "run_shard",
@@ -22,7 +21,6 @@ STAGE = Stage(
     parameters=SeedsParameters,
     plan=plan,
     run_shard=run_shard,
-    check=check,
     check_study=check_study,
     meaning="3D pose pairs from which chains start",
     needs="takes of two people that are not held out ([[ingest.takes]], ingest.held_out), "

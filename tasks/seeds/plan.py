@@ -64,23 +64,15 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     return shards
 
 
-def check(parameters: SeedsParameters) -> None:
-    """Refuse files that are no seeds, before anything runs.
-
-    Raises:
-        InputError: Names the file and what is wrong with it.
-    """
-    for file in parameters.files:
-        load_seed(file)
-
-
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse seeds of takes or of annotations where the study has none, as far as its section `ingest` tells.
+    """Refuse files that are no seeds, and seeds of takes or of annotations where the study has none, as far as known.
 
     Raises:
-        InputError: Says which key asks for what is not there.
+        InputError: Names the file and what is wrong with it, or the key that asks for what is not there.
     """
     own, ingest = sections["seeds"], sections.get("ingest")
+    for file in own.files:
+        load_seed(file)
     if ingest is None or any(family.takes is None for family in ingest.pairs.values()):
         return  # what lies in a folder is read with its files
     takes = ingest.take_ids()

@@ -70,14 +70,10 @@ class SeenPair:
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
     """Return the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
-    found = {manifest.ref: SequenceFacts.of(manifest) for manifest in inputs.of("annotations")}
-    usable = [
-        manifest
-        for manifest in inputs.of("annotations")
-        if not found[manifest.ref].is_held_out and found[manifest.ref].num_persons >= 2
-    ]
-    preferred = [manifest for manifest in usable if found[manifest.ref].purpose in ("random_views", "given")]
-    return preferred or usable
+    found = [(SequenceFacts.of(manifest), manifest) for manifest in inputs.of("annotations")]
+    usable = [(facts, manifest) for facts, manifest in found if not facts.is_held_out and facts.num_persons >= 2]
+    preferred = [manifest for facts, manifest in usable if facts.purpose in ("random_views", "given")]
+    return preferred or [manifest for _, manifest in usable]
 
 
 def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifest]:

@@ -246,14 +246,11 @@ def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Ma
         if lifted is None:
             continue
         by_ik = lift_by_ik(one.image_m, lifted, lengths, limits)
-        if "lifting" in options.baselines:
-            rows.append(_row(one, "lifting", lifted))
-        if "lifting_ik" in options.baselines:
-            rows.append(_row(one, "lifting_ik", by_ik))
+        made = {"lifting": lifted, "lifting_ik": by_ik}
         if "naive_sampling" in options.baselines:
             rng = stream(shard.seed, "lifting", *one.place)
-            nearest = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
-            rows.append(_row(one, "naive_sampling", nearest))
+            made["naive_sampling"] = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
+        rows += [_row(one, method, pair_m) for method, pair_m in made.items() if method in options.baselines]
     return rows
 
 

@@ -41,30 +41,8 @@ _DENSITY = "ic"
 """Density whose draws enter: the one that compares with annotations."""
 
 
-class ViewsOfPoses(Parameters):
-    """How the poses of a database are seen: yaw steps over the full turn, and the cameras in a study's words."""
-
-    num_yaws: int
-    camera: Literal["orthographic", "pinhole"]
-    pitches_deg: tuple[float, ...]
-    heights_m: tuple[float, ...]
-    distance_m: float
-
-    @property
-    def cameras(self) -> tuple[DatabaseCamera, ...]:
-        """The cameras by rising pitch."""
-        return cameras_of(
-            self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m
-        )
-
-    @property
-    def level_camera(self) -> DatabaseCamera:
-        """The camera at the height of the mid-hip."""
-        return replace(self.cameras[0], pitch_rad=0.0)
-
-
-class ProjectionsParameters(Parameters):
-    """Which poses enter the database, and what cameras see them."""
+class CameraSettings(Parameters):
+    """What cameras see the poses of a database."""
 
     camera: Literal["orthographic", "pinhole"] = Field(
         "orthographic", description="Rays of the camera: parallel, or through a pinhole distance_m from the mid-hip"
@@ -80,6 +58,38 @@ class ProjectionsParameters(Parameters):
         "stands distance_m away",
     )
     distance_m: float = Field(4.0, gt=1.5, le=100, description="Distance of the camera from the mid-hip")
+
+    @property
+    def cameras(self) -> tuple[DatabaseCamera, ...]:
+        """The cameras by rising pitch."""
+        return cameras_of(
+            self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m
+        )
+
+    @model_validator(mode="after")
+    def _check_cameras(self) -> Self:
+        """Refuse cameras that cannot be."""
+        try:
+            assert self.cameras
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+
+class ViewsOfPoses(CameraSettings):
+    """How the poses of a database are seen: yaw steps over the full turn, and the cameras."""
+
+    num_yaws: int
+
+    @property
+    def level_camera(self) -> DatabaseCamera:
+        """The camera at the height of the mid-hip."""
+        return replace(self.cameras[0], pitch_rad=0.0)
+
+
+class ProjectionsParameters(CameraSettings):
+    """Which poses enter the database, and what cameras see them."""
+
     include_draws: bool | None = Field(
         None,
         description="Poses of the chains' draws enter the database; when not given they do where no take is there to "
@@ -90,15 +100,6 @@ class ProjectionsParameters(Parameters):
         description="Poses of the variants enter the database; to search 14 million projections a worker needs 3 GB "
         "(--worker-memory 4)",
     )
-
-    @model_validator(mode="after")
-    def _check_views(self) -> Self:
-        """Refuse cameras that cannot be."""
-        try:
-            cameras_of(self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m)
-        except InputError as error:
-            raise ValueError(str(error)) from None
-        return self
 
     @property
     def views(self) -> ViewsOfPoses:

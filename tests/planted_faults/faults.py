@@ -94,7 +94,7 @@ FAULTS = (
           "    if both:", "    if not both and False:",
           "contract/test_coverage_topic.py::test_what_learned_from_a_take_is_not_evaluated_on_it"),
     Fault("held-out annotations enter chains", "tasks/annotated_pairs.py",
-          'if not found[manifest.ref].is_held_out and found', "if found",
+          'if not facts.is_held_out and facts.num', "if facts.num",
           "contract/test_sampling_stages.py::test_held_out_annotations_never_enter_a_chain"),
     Fault("images left out enter chains", "tasks/annotated_pairs.py",
           '(~np.asarray(table["is_held_out"]) | with_held_out)', '(np.asarray(table["frame"]) > -9)',

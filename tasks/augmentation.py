@@ -169,17 +169,14 @@ def _variations(take: Manifest, settings: VariationSettings) -> list[Variation]:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Solve a batch of variants of one take, or say why the take has none."""
-    match shard.parameters:
-        case NobodyParameters(persons=asked, num_persons=count):
-            who = "one person" if count == 1 else f"{count} people"
-            reason = f"{who}, and nobody of those who are scaled: {', '.join(asked)}"
-            skipped = (f"No variants of take {shard.partition}: {reason}.",)
-            facts = SkippedFacts(kind="nobody", takes=(shard.partition,), skipped=skipped)
-            return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
-        case BatchParameters() as batch:
-            return _solve_batch(shard, batch, store)
-        case other:
-            raise TypeError(f"a shard of stage augmentation has parameters {type(other).__name__}")
+    if isinstance(shard.parameters, NobodyParameters):
+        count = shard.parameters.num_persons
+        who = "one person" if count == 1 else f"{count} people"
+        reason = f"{who}, and nobody of those who are scaled: {', '.join(shard.parameters.persons)}"
+        skipped = (f"No variants of take {shard.partition}: {reason}.",)
+        facts = SkippedFacts(kind="nobody", takes=(shard.partition,), skipped=skipped)
+        return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
+    return _solve_batch(shard, shard.options(BatchParameters), store)
 
 
 def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> ArtifactRef:

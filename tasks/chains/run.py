@@ -45,13 +45,9 @@ _ONE_VIEW_RAD = float(np.deg2rad(15.0))
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Run one segment of a chain, or summarise the chains of a seed."""
-    match shard.parameters:
-        case SegmentParameters() as segment:
-            return _run_segment(shard, segment, store)
-        case SummaryParameters() as summary:
-            return _summarise(shard, summary, store)
-        case other:
-            raise TypeError(f"a shard of chains has parameters of the type {type(other).__name__}")
+    if isinstance(shard.parameters, SegmentParameters):
+        return _run_segment(shard, shard.parameters, store)
+    return _summarise(shard, shard.options(SummaryParameters), store)
 
 
 def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> ArtifactRef:

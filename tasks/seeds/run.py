@@ -42,10 +42,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return _take_in(shard, store, options)
         case LiftedSeeds() as options:
             return _lift(shard, store, options)
-        case GrownSeeds() as options:
-            return _grow(shard, store, options)
-        case other:
-            raise TypeError(f"the stage seeds has no shards with {type(other).__name__}")
+    return _grow(shard, store, shard.options(GrownSeeds))
 
 
 def _commit_frame(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -14,9 +14,10 @@ import numpy as np
 import typer
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, check_anatomy, in_pixels
+from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, check_anatomy, in_pixels
+from pasdedeux.formats.detections import Detection, join_detections
 from pasdedeux.formats.humanoid import AXES
-from pasdedeux.formats.openpose import OpenPoseFrame, join_openpose_frames, openpose_frame_number, read_openpose_frame
+from pasdedeux.formats.openpose import openpose_frame_number, read_people
 from pasdedeux.reconstruction.body import Body
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.person import LivePose
@@ -37,13 +38,15 @@ class FollowedFile:
     Args:
         number: Frame number, from the file's name.
         path: The file.
-        frame: Its people; None when the file never became whole.
-        problem: Why it did not.
+        people: Those who were seen.
+        frame: The same as annotations; None without anybody.
+        problem: Why the file never became whole; empty when it did.
     """
 
     number: int
     path: Path
-    frame: OpenPoseFrame | None
+    people: Sequence[Detection] = ()
+    frame: AnnotatedFrames | None = None
     problem: str = ""
 
 
@@ -80,7 +83,7 @@ def follow_folder(
         is_told = is_stopped() or (folder / STOP_NAME).exists()
         waiting = _new_frames(folder, old, last)
         frames = [_read(number, path) for number, path in waiting]
-        whole = [index for index, one in enumerate(frames) if one.frame is not None]
+        whole = [index for index, one in enumerate(frames) if not one.problem]
         is_over = is_told or clock() - since > idle_s
         ready = len(frames) if is_over else (whole[-1] + 1 if whole else 0)
         for one in frames[:ready]:
@@ -113,9 +116,10 @@ def _new_frames(folder: Path, old: set[str], last: int) -> list[tuple[int, Path]
 
 def _read(number: int, path: Path) -> FollowedFile:
     try:
-        return FollowedFile(number, path, read_openpose_frame(path.read_bytes()))
+        people = read_people(path.read_bytes())
+        return FollowedFile(number, path, people, join_detections(people, sequence_id="video") if people else None)
     except (FormatError, FileNotFoundError) as error:
-        return FollowedFile(number, path, None, str(error))
+        return FollowedFile(number, path, problem=str(error))
 
 
 _DECIMALS = 7
@@ -142,24 +146,24 @@ def follow_lines(
     """
     times = _Times(time.time() if began is None else began)
     lines = _Lines(people, out, rate_hz=rate_hz)
-    seen: list[tuple[int, OpenPoseFrame]] = []
+    seen: list[Detection] = []
     layout: str | None = None
     for file in files:
-        if file.frame is None:
+        if file.problem:
             typer.echo(f"{file.path.name} was skipped: {file.problem}", err=True)
             continue
         frame = file.frame
         times.start(file)
-        if frame.layout is None:
+        if frame is None:
             poses = people.push(file.number, np.zeros((0, OP14.num_joints, 2)), np.zeros((0, OP14.num_joints)))
         else:
             if layout not in (None, frame.layout):
                 raise InputError(f"{file.path.name} has the layout '{frame.layout}', the files before it '{layout}'")
             layout = frame.layout
             if len(seen) < _CHECKED_ROWS:
-                seen.append((file.number, frame))
-                if len(seen) == _CHECKED_ROWS:
-                    check_anatomy(in_pixels(join_openpose_frames(seen, sequence_id="video")))
+                seen += [replace(one, place=("", file.number)) for one in file.people]
+                if len(seen) >= _CHECKED_ROWS:
+                    check_anatomy(in_pixels(join_detections(seen, sequence_id="video")))
             sure = np.where(frame.confidence < MIN_CONFIDENCE, 0.0, frame.confidence)
             op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, sure)
             poses = people.push(file.number, op14.positions, op14.confidence)

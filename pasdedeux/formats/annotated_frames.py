@@ -62,10 +62,10 @@ MIN_CHECKED_ROWS = 5
 """A segment seen in fewer rows than this says nothing."""
 
 
-MAX_RATE_HZ = 100_000.0
+RATE_HZ = (1e-3, 1e5)
+FOCAL_PX = (1e-3, 1e6)
 MAX_IMAGE_PX = 100_000
-MAX_FOCAL_PX = 1_000_000.0
-"""Frame rate, image side and focal length that a file may state."""
+"""Frame rate, focal length and image side that a file may state."""
 _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 """Sequences name files and partitions later on."""
 

@@ -6,101 +6,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import (
-    MAX_FOCAL_PX,
-    MAX_IMAGE_PX,
-    MAX_RATE_HZ,
-    AnnotatedFrames,
-    get_keypoint_layout,
-)
-from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.npz import read_npz
-from pasdedeux.formats.text import MAX_MAGNITUDE
+from pasdedeux.formats.annotated_frames import FOCAL_PX, MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.detections import MAX_CONFIDENCE
+from pasdedeux.formats.file_format import AnnotationFormat
+from pasdedeux.formats.npz import get_array, read_npz
+from pasdedeux.formats.text import MAX_COUNT, MAX_MAGNITUDE, check_range
 
 
-class AnnotationNpz(AnnotationFormat):
-    """Our npz: it states its layout, and may state image size and rate."""
-
-    name = "annotation_npz"
-    recognised_by = "npz archive with 'keypoints_px'"
-    suffixes = (".npz",)
-
-    def recognises(self, start: FileStart) -> bool:
-        """Tell whether the file is an archive with the array keypoints_px."""
-        return "keypoints_px" in start.array_names
-
-    def read(
-        self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
-    ) -> AnnotatedFrames:
-        """Read the one file."""
-        (data,) = files.values()
-        return read_annotation_npz(data, sequence_id=sequence_id, layout=layout)
-
-
-def read_annotation_npz(data: bytes, *, sequence_id: str = "sequence", layout: str = "auto") -> AnnotatedFrames:
+def read_annotation_npz(data: bytes, sequence_id: str = "sequence", layout: str = "auto") -> AnnotatedFrames:
     """Read our npz of 2D annotations.
 
     Raises:
         FormatError: The archive is damaged, an array is missing or has a wrong shape or type, or a value is absurd.
     """
-    what = "annotation archive"
-    arrays = read_npz(data, what)
-
-    def get(name: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-        if name not in arrays:
-            raise FormatError(f"this {what} has no array '{name}'")
-        array = arrays[name]
-        fits = len(array.shape) == len(shape) and all(w in (None, h) for w, h in zip(shape, array.shape, strict=True))
-        if array.dtype.kind not in kinds or not fits:
-            wanted = tuple("any" if axis is None else axis for axis in shape)
-            raise FormatError(
-                f"array '{name}' has type {array.dtype} and shape {array.shape}; the shape {wanted} is needed"
-            )
-        return array
-
+    arrays = read_npz(data, "annotation archive")
     if layout == "auto":
-        layout = str(get("layout", "U", ()).item())
-    num_keypoints = get_keypoint_layout(layout).num_keypoints
-    frame = get("frame", "iu", (None,)).astype(np.int64)
-    rows = len(frame)
+        layout = str(get_array(arrays, "layout", "U", ()).item())
+    frame = get_array(arrays, "frame", "iu", (None,))
+    rows, num_keypoints = len(frame), get_keypoint_layout(layout).num_keypoints
+    person = get_array(arrays, "person", "iu", (rows,))
+    keypoints = get_array(arrays, "keypoints_px", "fiu", (rows, num_keypoints, 2)).astype(np.float64)
+    confidence = get_array(arrays, "confidence", "fiu", (rows, num_keypoints)).astype(np.float64)
     if rows == 0:
-        raise FormatError(f"this {what} has no rows")
-    person = get("person", "iu", (rows,)).astype(np.int64)
-    if (frame < 0).any() or (person < 0).any() or (frame > 1_000_000_000).any() or (person > 1_000_000_000).any():
-        raise FormatError("a frame or person number lies outside 0..1000000000")
-    keypoints = get("keypoints_px", "fiu", (rows, num_keypoints, 2)).astype(np.float64)
-    confidence = get("confidence", "fiu", (rows, num_keypoints)).astype(np.float64)
-    if np.isinf(keypoints).any() or (np.abs(keypoints[np.isfinite(keypoints)]) > MAX_MAGNITUDE).any():
-        raise FormatError("array 'keypoints_px' holds an infinite or absurdly large value")
-    if not ((confidence >= 0) & (confidence <= 10)).all():
-        raise FormatError("array 'confidence' holds a value outside 0..10")
-    sequence = (
-        tuple(str(name) for name in get("sequence", "U", (rows,))) if "sequence" in arrays else (sequence_id,) * rows
-    )
-    size = get("image_size_px", "iu", (2,)) if "image_size_px" in arrays else None
-    numbers: dict[str, float | None] = {"rate_hz": None, "focal_px": None}
-    for name, highest in (("rate_hz", MAX_RATE_HZ), ("focal_px", MAX_FOCAL_PX)):
-        if name in arrays:
-            numbers[name] = value = float(get(name, "fiu", ()).item())
-            if not 0 < value <= highest:
-                raise FormatError(f"'{name}' is {value}; allowed: above 0 to {highest:g}")
-    if size is not None and not ((size > 0) & (size <= MAX_IMAGE_PX)).all():
-        raise FormatError(f"the image size is {size.tolist()}; allowed: 1 to {MAX_IMAGE_PX}")
+        raise FormatError("array 'frame' has no rows")
+    pixels = keypoints[~np.isnan(keypoints)]
+    for name, values, low, high in (
+        ("frame", frame, 0, MAX_COUNT),
+        ("person", person, 0, MAX_COUNT),
+        ("keypoints_px", pixels, -MAX_MAGNITUDE, MAX_MAGNITUDE),
+        ("confidence", confidence, 0, MAX_CONFIDENCE),
+    ):
+        if not ((values >= low) & (values <= high)).all():
+            raise FormatError(f"array '{name}' holds a value outside {low:g} to {high:g}")
+    sequence = (sequence_id,) * rows
+    if "sequence" in arrays:
+        sequence = tuple(str(name) for name in get_array(arrays, "sequence", "U", (rows,)))
+    size = rate_hz = focal_px = None
+    if "image_size_px" in arrays:
+        sides = get_array(arrays, "image_size_px", "iu", (2,)).tolist()
+        width, height = (check_range(side, "a side of 'image_size_px'", 1, MAX_IMAGE_PX) for side in sides)
+        size = (width, height)
+    if "rate_hz" in arrays:
+        rate_hz = check_range(float(get_array(arrays, "rate_hz", "fiu", ())), "'rate_hz'", *RATE_HZ)
+    if "focal_px" in arrays:
+        focal_px = check_range(float(get_array(arrays, "focal_px", "fiu", ())), "'focal_px'", *FOCAL_PX)
     return AnnotatedFrames(
         layout=layout,
         sequence_id=sequence,
-        frame=frame,
-        person_id=person,
+        frame=frame.astype(np.int64),
+        person_id=person.astype(np.int64),
         keypoints_px=keypoints,
         confidence=confidence,
-        image_size_px={} if size is None else dict.fromkeys(sequence, (int(size[0]), int(size[1]))),
-        rate_hz=numbers["rate_hz"],
-        focal_px=dict.fromkeys(sequence, numbers["focal_px"]) if numbers["focal_px"] else {},
+        image_size_px=dict.fromkeys(sequence, size) if size else {},
+        rate_hz=rate_hz,
+        focal_px=dict.fromkeys(sequence, focal_px) if focal_px else {},
     )
+
+
+ANNOTATION_NPZ = AnnotationFormat(
+    name="annotation_npz",
+    recognised_by="npz archive with 'keypoints_px'",
+    suffixes=(".npz",),
+    recognises=lambda start: "keypoints_px" in start.array_names,
+    read_file=read_annotation_npz,
+)
+"""Our npz: it states its layout, and may state image size and rate."""

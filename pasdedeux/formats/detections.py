@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, MAX_RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.text import MAX_COUNT
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
 
-MAX_FRAME = 1_000_000_000
 MAX_CONFIDENCE = 10.0
 """Confidences are heights of a heat map: about 1 at most, but not exactly."""
 
@@ -180,7 +180,7 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
         front, number = number_in_name(name)
         told[name] = ("/".join(filter(None, [*parts[shared:], front])), number)
     fronts = {front for front, _ in told.values()}
-    is_stills = any(number is None or number > MAX_FRAME for _, number in told.values())
+    is_stills = any(number is None or number > MAX_COUNT for _, number in told.values())
     if is_stills or (len(fronts) > 1 and 2 * len(fronts) > len(told)):
         return {name: ("", index) for index, name in enumerate(sorted(told))}
     places: dict[str, Place] = {}
@@ -209,8 +209,8 @@ def known_footage(content: object) -> Footage:
         for key in _RATE_KEYS:
             if rate is None and part.get(key) is not None:
                 rate = part[key]
-                if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 < rate <= MAX_RATE_HZ:
-                    raise FormatError(f"'{key}' is {str(rate)[:40]}; allowed: above 0 to {MAX_RATE_HZ:g}")
+                if type(rate) not in (int, float) or not RATE_HZ[0] <= rate <= RATE_HZ[1]:
+                    raise FormatError(f"'{key}' is {str(rate)[:40]}; allowed: {RATE_HZ[0]:g} to {RATE_HZ[1]:g}")
     return Footage(size, None if rate is None else float(rate))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,26 @@ def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
     from scipy.spatial.transform import Rotation  # here: planning need not wait for it
 
     return np.asarray(Rotation.from_euler(axes, angles_rad.reshape(-1, len(axes))).as_quat().reshape(*batch, 4))
+
+
+def turn_joints(angles_rad: Array, channels: Sequence[str], *, is_first_outermost: bool = True) -> Array:
+    """Return local rotations (frame, J, 4) of rows of channels, joint after joint.
+
+    Args:
+        angles_rad: Rows (frame, sum of channels) of radians; what is not an angle is not used.
+        channels: For each joint a letter a column: X, Y, Z are angles about these axes, others are none.
+        is_first_outermost: Whether the first angle of a joint turns about the axes of its parent, as in BVH; else the
+            last does, as in AMC.
+    """
+    step = 1 if is_first_outermost else -1
+    turned = identity_unitquat(len(angles_rad), len(channels))
+    column = 0
+    for joint, letters in enumerate(channels):
+        turns = [at for at, letter in enumerate(letters) if letter in "XYZ"][::step]
+        block = angles_rad[:, [column + at for at in turns]]
+        turned[:, joint] = unitquat_from_euler(block, "".join(letters[at] for at in turns))
+        column += len(letters)
+    return turned
 
 
 def euler_from_unitquat(unitquat: Array, axes: str) -> Array:

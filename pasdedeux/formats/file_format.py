@@ -1,18 +1,18 @@
 """What a format of files that come in is: how it is recognised, what it needs beside it, how it is read.
 
-A new format is one file with a subclass of `MotionFormat` or `AnnotationFormat`, and one line in `registry.py`; the
-contract test in `tests/contract/test_input_formats.py` asks for a good file of it and does the rest.
+A new format is one file with a `MotionFormat` or an `AnnotationFormat`, and one line in `registry.py`; the contract
+test in `tests/contract/test_input_formats.py` asks for a good file of it and does the rest.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
+from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.detections import Detection, join_detections, places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
 
@@ -66,92 +66,112 @@ class MotionHead:
     num_frames: int
 
 
-class FileFormat(ABC):
+@dataclass(frozen=True, kw_only=True)
+class FileFormat:
     """One format of files: bytes in, values out, never a path.
 
-    Attributes:
+    Args:
         name: Name in a study (`format = "bvh"`) and in the column `source_format`.
         recognised_by: What its files have that others have not, in words, for a message about a file of no format.
-        suffixes: Endings of such files, lower case with the dot: which files of a folder are looked at.
+        suffixes: Endings of such files, lower case with the dot: which files of a folder are inspected.
+        recognises: Tells from its content whether a file is of this format; true for no good file of another format.
     """
 
-    name: ClassVar[str]
-    recognised_by: ClassVar[str]
-    suffixes: ClassVar[tuple[str, ...]]
-
-    @abstractmethod
-    def recognises(self, start: FileStart) -> bool:
-        """Tell from its content whether a file is of this format; true for no good file of another format."""
+    name: str
+    recognised_by: str
+    suffixes: tuple[str, ...]
+    recognises: Callable[[FileStart], bool]
 
 
+@dataclass(frozen=True, kw_only=True)
 class MotionFormat(FileFormat):
     """A format of motions of one person.
 
     What a file does not say of rate, unit or up axis is None in its `SourceMotion`, and asked for or guessed later.
+    Readers raise a FormatError when the file or its companion is mangled, which says the line, or the frame, and what
+    is wrong.
 
-    Attributes:
+    Args:
+        read: Reads everything, of the file and its companion, which is empty for formats that need none.
+        head: Returns skeleton and length after checking the file, where that is cheaper than to read everything.
         companion: What must lie beside a file, in words ("skeleton"); empty when a file stands alone.
+        companion_names: Returns where the companion of a file of this name may lie, relative to its folder, likeliest
+            first.
+        is_companion: Tells whether a file, of no format itself, is what files of this format need beside them.
         has_rotations: False when files hold positions only, so that rotations are swings.
     """
 
-    companion: ClassVar[str] = ""
-    has_rotations: ClassVar[bool] = True
-
-    def companion_names(self, name: str) -> Sequence[str]:
-        """Return where the companion of a file of this name may lie, relative to its folder, likeliest first."""
-        return ()
-
-    def is_companion(self, start: FileStart) -> bool:
-        """Tell whether a file, of no format itself, is what files of this format need beside them."""
-        return False
-
-    @abstractmethod
-    def read(self, data: bytes, companion: bytes = b"") -> SourceMotion:
-        """Read everything; `companion` is empty for formats that need none.
-
-        Raises:
-            FormatError: The file or its companion is mangled; says the line, or the frame, and what is wrong.
-        """
+    read: Callable[[bytes, bytes], SourceMotion]
+    head: Callable[[bytes, bytes], MotionHead] | None = None
+    companion: str = ""
+    companion_names: Callable[[str], Sequence[str]] = lambda name: ()
+    is_companion: Callable[[FileStart], bool] = lambda start: False
+    has_rotations: bool = True
 
     def read_head(self, data: bytes, companion: bytes = b"") -> MotionHead:
-        """Return skeleton and length after checking the file as far as that is cheap; reads everything unless better.
-
-        Raises:
-            FormatError: As `read`.
-        """
+        """Return skeleton and length after checking the file."""
+        if self.head:
+            return self.head(data, companion)
         source = self.read(data, companion)
-        rest = SourceMotion.at_rest(
-            source.skeleton, source.rest_offsets, rate_hz=source.rate_hz, metres_per_unit=source.metres_per_unit
-        )
-        return MotionHead(rest=rest, num_frames=source.num_frames)
+        stated = {"rate_hz": source.rate_hz, "metres_per_unit": source.metres_per_unit}
+        return MotionHead(SourceMotion.at_rest(source.skeleton, source.rest_offsets, **stated), source.num_frames)
 
 
+@dataclass(frozen=True, kw_only=True)
 class AnnotationFormat(FileFormat):
-    """A format of 2D poses.
+    """A format of 2D poses: a source is one file, or a folder with a file for each image.
 
-    Attributes:
-        is_file_per_frame: Whether a source is a folder with a file for each frame.
+    Readers raise a FormatError when a file is mangled, which says the line, the frame or the entry, and what is wrong.
+
+    Args:
+        read_file: Reads a source that is one file: the file, the name of the sequence where the file names none, the
+            layout that is asked for or "auto".
+        read_people: Returns the people of the file of one image, those without any keypoint left out.
     """
 
-    is_file_per_frame: ClassVar[bool] = False
+    read_file: Callable[[bytes, str, str], AnnotatedFrames] | None = None
+    read_people: Callable[[bytes], list[Detection]] | None = None
 
-    @abstractmethod
+    @property
+    def is_file_per_frame(self) -> bool:
+        """Whether a source is a folder with a file for each image."""
+        return self.read_people is not None
+
+    def frame_numbers(self, names: Sequence[str]) -> list[int]:
+        """Return the frame that each file of a camera is of by its name; empty where the content says it."""
+        places = places_of_names(names) if self.is_file_per_frame else {}
+        return [places[name][1] for name in names if name in places]
+
     def read(
         self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
     ) -> AnnotatedFrames:
         """Read a source from its files by name: one, or those of all frames.
 
+        The last of several may be cut off, because its writer was stopped: it is skipped.
+
         Args:
             files: Content of each file by its name, without folders.
             sequence_id: Name of the sequence where the files do not name any.
-            layout: Keypoint layout asked for; "auto" takes what the files say or what their keypoints tell.
-            skip_unreadable: Leave out frames whose file is damaged, and name the file, instead of refusing.
+            layout: Keypoint layout asked for; "auto" takes what the files say or what their keypoints show.
+            skip_unreadable: Skip frames whose file is damaged, and name the file, instead of refusing.
 
         Raises:
             FormatError: A file is mangled; says the line, the frame or the entry, and what is wrong.
             InputError: The files are not of the layout asked for, or hold nobody.
         """
-
-    def frame_numbers(self, names: Sequence[str]) -> list[int]:
-        """Return the frame that each file is of, where names tell it and the content does not; empty for others."""
-        return []
+        if self.read_people is None:
+            assert self.read_file is not None
+            (data,) = files.values()
+            return self.read_file(data, sequence_id, layout)
+        found: list[Detection] = []
+        skipped: list[str] = []
+        numbers = self.frame_numbers(list(files))
+        for number, (name, data) in zip(numbers, files.items(), strict=True):
+            try:
+                people = self.read_people(data)
+                found += [replace(one, place=("", number), where=f"{name}: {one.where}") for one in people]
+            except FormatError as error:
+                if not skip_unreadable and (number < max(numbers) or len(files) == 1):
+                    raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None
+                skipped.append(name)
+        return join_detections(found, sequence_id=sequence_id, layout=layout, skipped=skipped)

@@ -7,10 +7,10 @@ visibility`) or a row for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, 
 
 from __future__ import annotations
 
-import csv
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,9 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import MAX_FRAME, UNKNOWN, Detection, join_detections, known_footage
+from pasdedeux.formats.detections import UNKNOWN, Detection, join_detections, known_footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.text import decode, parse_json, parse_number, parse_triples, shorten, split_lines
+from pasdedeux.formats.text import MAX_COUNT, Lines, at, decode, parse_json, parse_number, parse_triples, shorten
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
@@ -39,31 +39,7 @@ _MIN_COLUMNS = 12
 """Landmarks that a table with a row for each frame has at least."""
 
 
-class MediaPipe(AnnotationFormat):
-    """MediaPipe's landmarks; JSON may state rate and image size, which shares of the image need."""
-
-    name = "mediapipe"
-    recognised_by = "JSON of 'landmarks' or points with 'x' and 'y', or CSV with a column landmark or nose_x or x0"
-    suffixes = (".json", ".csv")
-
-    def recognises(self, start: FileStart) -> bool:
-        """Tell whether the file is JSON of landmarks, or a table whose columns are theirs."""
-        if start.is_json:
-            has_key = '"landmarks"' in start.text or '"pose_landmarks"' in start.text or _POINT.search(start.text)
-            return '"people"' not in start.text and bool(has_key)
-        header = [cell.strip().strip('"').lower() for cell in start.first_row.split(",")]
-        is_by_landmark = {"x", "y"} <= set(header) and bool(set(header) & set(_LANDMARK_KEYS))
-        return is_by_landmark or len(_columns_by_landmark(header)) >= _MIN_COLUMNS
-
-    def read(
-        self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
-    ) -> AnnotatedFrames:
-        """Read the one file."""
-        (data,) = files.values()
-        return read_mediapipe(data, sequence_id=sequence_id, layout=layout)
-
-
-def read_mediapipe(data: bytes | str, *, sequence_id: str, layout: str = "auto") -> AnnotatedFrames:
+def read_mediapipe(data: bytes | str, sequence_id: str, layout: str = "auto") -> AnnotatedFrames:
     """Read landmarks, whose coordinates may be shares of the image; what is missing or at (0, 0) is not detected.
 
     Without a number of its own, a frame is where it stands.  Points in order may be another detector's.
@@ -72,17 +48,18 @@ def read_mediapipe(data: bytes | str, *, sequence_id: str, layout: str = "auto")
         FormatError: The file is mangled, or is none of these forms; says the line or the frame.
         InputError: It holds nobody.
     """
-    text = decode(data, "file of landmarks")
+    what = "file of landmarks"
     footage = UNKNOWN
-    if text.lstrip()[:1] in ("{", "["):
-        content = parse_json(text, "file of landmarks", has_nan=True)
+    if decode(data, what).lstrip()[:1] in ("{", "["):
+        content = parse_json(data, what, has_nan=True)
         footage = known_footage(content)
         detections = list(_of_frames(content))
     else:
-        detections = list(_of_table(text))
+        with Lines(data, what) as lines:
+            detections = _of_table(lines)
     videos = {one.place[0] for one in detections}
     if len(videos) == 1:
-        detections = [Detection(("", one.place[1]), one.person_id, one.table, one.where) for one in detections]
+        detections = [replace(one, place=("", one.place[1])) for one in detections]
     return join_detections(
         detections,
         sequence_id=sequence_id,
@@ -92,34 +69,54 @@ def read_mediapipe(data: bytes | str, *, sequence_id: str, layout: str = "auto")
     )
 
 
+def _is_mediapipe(start: FileStart) -> bool:
+    """Tell whether the file is JSON of landmarks, or a table whose columns are theirs."""
+    if start.is_json:
+        has_key = '"landmarks"' in start.text or '"pose_landmarks"' in start.text or _POINT.search(start.text)
+        return '"people"' not in start.text and bool(has_key)
+    header = [cell.strip().strip('"').lower() for cell in start.first_row.split(",")]
+    is_by_landmark = {"x", "y"} <= set(header) and bool(set(header) & set(_LANDMARK_KEYS))
+    return is_by_landmark or len(_columns_by_landmark(header)) >= _MIN_COLUMNS
+
+
+MEDIAPIPE = AnnotationFormat(
+    name="mediapipe",
+    recognised_by="JSON of 'landmarks' or points with 'x' and 'y', or CSV with a column landmark or nose_x or x0",
+    suffixes=(".json", ".csv"),
+    recognises=_is_mediapipe,
+    read_file=read_mediapipe,
+)
+"""MediaPipe's landmarks; JSON may state rate and image size, which shares of the image need."""
+
+
+def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:
+    """Return what stands under the first of these keys that is there, None under none."""
+    return next((content[key] for key in keys if content.get(key) is not None), None)
+
+
 def _of_frames(content: Any) -> Iterator[Detection]:
     """Yield the people of JSON: a list of frames, an object with one, an object by frame numbers, or one frame."""
     frames = content
     if isinstance(content, dict):
-        listed = next((content[key] for key in _LIST_KEYS if isinstance(content.get(key), list)), None)
-        by_number = list(content.items()) if all(re.fullmatch(r"[0-9]{1,9}", key) for key in content) else []
-        frames = listed if listed is not None else [{"frame": int(key), "landmarks": one} for key, one in by_number]
-    if not isinstance(frames, list) or (not frames and content not in ([], {}) and not _has_empty_list(content)):
+        is_by_number = all(re.fullmatch(r"[0-9]{1,9}", key) for key in content)
+        numbered = [{"frame": int(key), "landmarks": one} for key, one in content.items()] if is_by_number else None
+        frames = next((content[key] for key in _LIST_KEYS if isinstance(content.get(key), list)), numbered)
+    if not isinstance(frames, list):
         raise FormatError("this is no file of landmarks: it has no list of frames")
-    if _is_pose(frames):
-        frames = [frames]
-    for index, frame in enumerate(frames):
+    for index, frame in enumerate([frames] if _is_pose(frames) else frames):
         where = f"frame {index}"
-        low = {str(key).lower(): value for key, value in frame.items()} if isinstance(frame, dict) else {}
-        number = next((low[key] for key in _FRAME_KEYS if low.get(key) is not None), index)
-        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number <= MAX_FRAME:
-            raise FormatError(f"{where}: its number is {shorten(str(number))}; allowed: whole numbers to {MAX_FRAME}")
-        person = next((low[key] for key in _PERSON_KEYS if low.get(key) is not None), None)
-        if low and not any(key in low for key in _POSE_KEYS) and not _is_pose(low):
-            has_world = any("world" in key for key in low)
-            raise FormatError(f"{where} has no landmarks of the image" + (", only of the world" if has_world else ""))
-        for pose in _poses(low if isinstance(frame, dict) else frame, where):
-            own = person if isinstance(person, int) and 0 <= person <= MAX_FRAME else None
-            yield Detection(("", number), own, pose, where)
-
-
-def _has_empty_list(content: Any) -> bool:
-    return isinstance(content, dict) and any(content.get(key) == [] for key in _LIST_KEYS)
+        with at(where):
+            low = {str(key).lower(): value for key, value in frame.items()} if isinstance(frame, dict) else {}
+            stated, person = _first(low, _FRAME_KEYS), _first(low, _PERSON_KEYS)
+            number = index if stated is None else stated
+            if type(number) is not int or not 0 <= number <= MAX_COUNT:
+                raise FormatError(f"its number is {shorten(number)}; allowed: whole numbers to {MAX_COUNT}")
+            if low and not any(key in low for key in _POSE_KEYS) and not _is_pose(low):
+                has_world = any("world" in key for key in low)
+                raise FormatError("no landmarks of the image are there" + (", only of the world" if has_world else ""))
+            own = person if isinstance(person, int) and 0 <= person <= MAX_COUNT else None
+            for pose in _poses(low or frame):
+                yield Detection(("", number), own, pose, where)
 
 
 def _is_point(value: Any) -> bool:
@@ -134,40 +131,34 @@ def _is_pose(value: Any) -> bool:
     return len(points) > 2 and all(_is_point(point) for point in points)
 
 
-def _poses(value: Any, where: str) -> Iterator[Array]:
+def _poses(value: Any) -> Iterator[Array]:
     """Yield the points (33, 3) of everybody in a value."""
     if value is None or value in ([], {}):
         return
     if _is_pose(value):
-        yield _table(value, where)
+        if isinstance(value, dict):
+            table = np.zeros((len(_NAMES), 3))
+            table[[_known_landmark(name) for name in value]] = np.concatenate(list(map(_triple, value.values())))
+            yield table
+        else:
+            yield np.concatenate(list(map(_triple, value)))
     elif isinstance(value, list):
         for one in value:
-            yield from _poses(one, where)
+            yield from _poses(one)
     elif isinstance(value, dict) and any(key in value for key in _POSE_KEYS):
-        yield from _poses(next(value[key] for key in _POSE_KEYS if key in value), where)
+        yield from _poses(next(value[key] for key in _POSE_KEYS if key in value))
     else:
-        raise FormatError(f"{where} holds something that is no list of points with x and y")
+        raise FormatError("something is no list of points with x and y")
 
 
-def _table(points: Any, where: str) -> Array:
-    if isinstance(points, dict):
-        table = np.zeros((len(_NAMES), 3))
-        for name, point in points.items():
-            if _landmark(name) is None:
-                raise FormatError(f"{where}: '{shorten(str(name))}' is no landmark; known: {', '.join(_NAMES)}")
-            table[_landmark(name)] = _triple(point, where)
-        return table
-    return np.concatenate([_triple(point, where) for point in points])
-
-
-def _triple(point: Any, where: str) -> Array:
+def _triple(point: Any) -> Array:
     """Return x, y and visibility (1, 3) of a point: an object, or x, y, z and perhaps visibility."""
     if isinstance(point, dict):
-        seen = next((point[key] for key in _SEEN_KEYS if point.get(key) is not None), 1.0)
-        values = [point["x"], point["y"], seen]
+        seen = _first(point, _SEEN_KEYS)
+        values = [point["x"], point["y"], 1.0 if seen is None else seen]
     else:
         values = [*point[:2], point[3] if len(point) > 3 else 1.0]
-    return parse_triples([math.nan if one is None else one for one in values], where)
+    return parse_triples([math.nan if one is None else one for one in values], "a point")
 
 
 def _landmark(name: str) -> int | None:
@@ -180,53 +171,38 @@ def _landmark(name: str) -> int | None:
     return _NAMES.index(plain) if plain in _NAMES else None
 
 
-def _of_table(text: str) -> Iterator[Detection]:
-    """Yield the people of a table."""
-    try:
-        rows = list(csv.reader(split_lines(text), strict=True))
-    except csv.Error as error:
-        raise FormatError(f"this table of landmarks is not valid CSV: {error}") from None
-    start = next((index for index, cells in enumerate(rows) if any(cells) and not cells[0].startswith("#")), None)
-    if start is None:
-        raise FormatError(f"line {len(rows)}: the file ends without a header line")
-    header = [cell.strip().lower() for cell in rows[start]]
-    found: dict[str, str | None] = {
-        what: next((key for key in keys if key in header), None)
-        for what, keys in (("frame", _FRAME_KEYS), ("person", _PERSON_KEYS), ("video", _VIDEO_KEYS))
-    }
-    own = next((key for key in _LANDMARK_KEYS if key in header), None)
-    columns = _columns_by_landmark(header) if own is None else {}
-    seen_key = next((key for key in _SEEN_KEYS if key in header), None)
-    if own is None and len(columns) < _MIN_COLUMNS:
-        raise FormatError(f"line {start + 1}: no columns of landmarks; known: landmark, x and y, or nose_x, nose_y ...")
-    if own is not None and (found["frame"] is None or not {"x", "y"} <= set(header)):
-        raise FormatError(f"line {start + 1}: a row for each landmark needs the columns frame, x and y")
-    people: dict[tuple[str, int, int | None], tuple[Array, str]] = {}
-    position = 0
-    for line, cells in enumerate(rows[start + 1 :], start=start + 2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        where = f"line {line}"
-        if len(cells) != len(header):
-            raise FormatError(f"{where}: {len(cells)} values, the header has {len(header)} columns")
-        row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
-        frame = position if found["frame"] is None else _count(row[found["frame"]], f"{where}: {found['frame']}")
-        person = None if found["person"] is None else _count(row[found["person"]], f"{where}: {found['person']}")
-        key = (row[found["video"]] if found["video"] else "", frame, person)
-        table, _ = people.setdefault(key, (np.zeros((len(_NAMES), 3)), where))
-        points = {row[own]: ("x", "y", seen_key)} if own is not None else columns
-        for name, (x, y, seen) in points.items():
-            landmark = _landmark(str(name))
-            if landmark is None:
-                raise FormatError(f"{where}: '{shorten(str(name))}' is no landmark; known: {', '.join(_NAMES)}")
-            table[landmark] = [_number(row[one], where) for one in (x, y)] + [
-                _number(row[seen], where) if seen else 1.0
-            ]
-        position += 1
+def _known_landmark(name: str) -> int:
+    landmark = _landmark(name)
+    if landmark is None:
+        raise FormatError(f"'{shorten(name)}' is no landmark; known: {', '.join(_NAMES)}")
+    return landmark
+
+
+def _of_table(lines: Lines) -> list[Detection]:
+    """Return the people of a table."""
+    header, rows = lines.table(())
+    frame_key, person_key, video_key, landmark_key, seen_key = (
+        next((key for key in keys if key in header), None)
+        for keys in (_FRAME_KEYS, _PERSON_KEYS, _VIDEO_KEYS, _LANDMARK_KEYS, _SEEN_KEYS)
+    )
+    columns = _columns_by_landmark(header)
+    if landmark_key is None and len(columns) < _MIN_COLUMNS:
+        raise FormatError("no columns of landmarks; known: landmark, x and y, or nose_x, nose_y ...")
+    if landmark_key is not None and (frame_key is None or not {"x", "y"} <= set(header)):
+        raise FormatError("a row for each landmark needs the columns frame, x and y")
+    people: dict[tuple[str, int, int | None], Detection] = {}
+    for position, row in enumerate(rows):
+        frame = position if frame_key is None else _count(row[frame_key], frame_key)
+        person = None if person_key is None else _count(row[person_key], person_key)
+        place = (row[video_key] if video_key else "", frame)
+        one = Detection(place, person, np.zeros((len(_NAMES), 3)), f"line {lines.number}")
+        table = people.setdefault((*place, person), one).table
+        points = columns if landmark_key is None else {_known_landmark(row[landmark_key]): ("x", "y", seen_key)}
+        for landmark, keys in points.items():
+            table[landmark] = [1.0 if key is None else _number(row[key], key) for key in keys]
     if not people:
         raise InputError("this table of landmarks has no rows: nobody was detected")
-    for (video, frame, person), (table, where) in people.items():
-        yield Detection((video, frame), person, table, where)
+    return list(people.values())
 
 
 def _columns_by_landmark(header: list[str]) -> dict[int, tuple[str, str, str | None]]:
@@ -249,12 +225,12 @@ def _columns_by_landmark(header: list[str]) -> dict[int, tuple[str, str, str | N
     }
 
 
-def _number(token: str, where: str) -> float:
-    return math.nan if token.lower() in ("", "nan", "none") else parse_number(token, where)
+def _number(token: str, what: str) -> float:
+    return math.nan if token.lower() in ("", "nan", "none") else parse_number(token, what)
 
 
-def _count(token: str, where: str) -> int:
-    value = parse_number(token, where, max_magnitude=MAX_FRAME)
-    if value < 0 or value != int(value):
-        raise FormatError(f"{where} is {shorten(token)}; whole numbers from 0 are allowed")
+def _count(token: str, what: str) -> int:
+    value = parse_number(token, what, 0, MAX_COUNT)
+    if value != int(value):
+        raise FormatError(f"{what} is {shorten(token)}; allowed: whole numbers from 0")
     return int(value)

@@ -6,7 +6,7 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,6 +20,7 @@ MAX_ARRAYS = 100
 MAX_RATIO = 100
 """Of unpacked bytes to the archive's, beyond `_SMALL_BYTES`: poses hardly shrink to a tenth, zeros to a thousandth."""
 _SMALL_BYTES = 16 << 20
+_KINDS = {"f": "floats", "fiu": "numbers", "iu": "whole numbers", "U": "texts"}
 
 
 def is_npz(data: bytes) -> bool:
@@ -44,6 +45,30 @@ def read_npz(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
             member.filename.removesuffix(".npy"): _read_array(archive.read(member), member.filename[:40])
             for member in archive.infolist()
         }
+
+
+def get_array(
+    arrays: Mapping[str, npt.NDArray[Any]], name: str, kinds: str, shape: tuple[int | None, ...]
+) -> npt.NDArray[Any]:
+    """Return an array of an archive.
+
+    Args:
+        arrays: The archive.
+        name: Its name.
+        kinds: Letters of its numpy types, a key of `_KINDS`.
+        shape: Its shape; None is any length.
+
+    Raises:
+        FormatError: It is not there, or another one.
+    """
+    array = arrays.get(name)
+    sizes = () if array is None else array.shape
+    fits = len(sizes) == len(shape) and all(want in (None, size) for want, size in zip(shape, sizes, strict=True))
+    if array is None or array.dtype.kind not in kinds or not fits:
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        found = "none" if array is None else f"{array.dtype} of shape {sizes}"
+        raise FormatError(f"array '{name}' of {_KINDS[kinds]}, shape ({wanted}), is needed, found {found}")
+    return array
 
 
 @contextmanager

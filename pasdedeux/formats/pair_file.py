@@ -7,25 +7,25 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field, ValidationError
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.positions_as_motion import exact_motion
-from pasdedeux.formats.text import MAX_MAGNITUDE, parse_json
+from pasdedeux.formats.text import MAX_MAGNITUDE, at, check_range, parse_json
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import find_layout
 
-_FORMAT, _VERSION = "pasdedeux pair", 1
 _PERSONS = ("A", "B")
-_KEYS = ("format", "version", "skeleton", "unit", "made_from", "takes", "sources", "persons")
 _POSE_RATE_HZ = 30.0
 """A pose has no rate; BVH wants one."""
 
@@ -33,8 +33,7 @@ _NUMBER = r"\s*(-?[\d.]+(?:e[-+]?\d+)?)\s*"
 _TRIPLE = re.compile(rf"\[{_NUMBER},{_NUMBER},{_NUMBER}\]")
 """Three numbers, which are written on one line."""
 
-MIN_BONE_M = 1e-3
-MAX_BONE_M = 2.0
+BONE_M = (1e-3, 2.0)
 """Bones outside these lengths are no person's: mostly another unit, metres."""
 
 
@@ -64,16 +63,45 @@ class PairFile:
     sources: tuple[PairSource, ...] = ()
 
 
+_Metres = Annotated[float, Field(strict=True, ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
+_Joints = dict[str, tuple[_Metres, _Metres, _Metres] | None]
+
+
+class _Persons(Settings):
+    A: _Joints
+    B: _Joints
+
+
+class _Tree(Settings):
+    """What the JSON of a pair holds."""
+
+    format: Literal["pasdedeux pair"]
+    version: Literal[1]
+    skeleton: Literal["pair17"]
+    unit: Literal["m"]
+    made_from: str = ""
+    takes: tuple[str, ...] = ()
+    sources: tuple[PairSource, ...] = ()
+    persons: _Persons
+
+
 def write_pair_json(pair: PairFile) -> str:
     """Return a pair as JSON text."""
-    persons = {
-        name: dict(zip(PAIR17.joint_names, positions, strict=True))
-        for name, positions in zip(_PERSONS, np.asarray(pair.pair_m, dtype=np.float64).tolist(), strict=True)
+    positions = np.asarray(pair.pair_m, dtype=np.float64).tolist()
+    tree = {
+        "format": "pasdedeux pair",
+        "version": 1,
+        "skeleton": PAIR17.name,
+        "unit": "m",
+        "made_from": pair.made_from,
+        "takes": list(pair.takes),
+        "sources": [asdict(one) for one in pair.sources],
+        "persons": {
+            name: dict(zip(PAIR17.joint_names, points, strict=True))
+            for name, points in zip(_PERSONS, positions, strict=True)
+        },
     }
-    sources = [{"name": one.name, "licence": one.licence, "credit": one.credit} for one in pair.sources]
-    head = dict(zip(_KEYS, (_FORMAT, _VERSION, PAIR17.name, "m"), strict=False))
-    body = {"made_from": pair.made_from, "takes": list(pair.takes), "sources": sources, "persons": persons}
-    text = json.dumps({**head, **body}, indent=1, ensure_ascii=False)
+    text = json.dumps(tree, indent=1, ensure_ascii=False)
     return _TRIPLE.sub(lambda found: f"[{', '.join(found.groups())}]", text) + "\n"
 
 
@@ -86,26 +114,23 @@ def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
         FormatError: It is no such file, a joint is missing, unknown or not three finite numbers, or a bone has a length
             that no person's has; names the person and the joint.
     """
-    tree = parse_json(data, "pair", has_nan=True)
-    if not isinstance(tree, dict) or tree.get("format") != _FORMAT:
-        raise FormatError(f"this is no pair: the key 'format' must be '{_FORMAT}'")
-    unknown = sorted(set(tree) - set(_KEYS))
-    if unknown:
-        raise FormatError(f"the key '{unknown[0]}' is unknown; known: {', '.join(_KEYS)}")
-    for key, expected in (("version", _VERSION), ("skeleton", PAIR17.name), ("unit", "m")):
-        if tree.get(key) != expected:
-            raise FormatError(f"the key '{key}' is {tree.get(key)!r}, it must be {expected!r}")
-    persons = tree.get("persons")
-    if not isinstance(persons, dict) or sorted(persons) != list(_PERSONS):
-        raise FormatError("the key 'persons' must hold the two people 'A' and 'B'")
-    pair = np.array([_joints(name, persons[name], is_partial=is_partial) for name in _PERSONS])
+    try:
+        tree = _Tree.model_validate(parse_json(data, "pair", has_nan=True))
+    except ValidationError as error:
+        raise FormatError(f"this is no pair: {first_problem(error)}") from None
+    pair = np.full((len(_PERSONS), PAIR17.num_joints, 3), np.nan)
+    for name, positions, joints in zip(_PERSONS, pair, (tree.persons.A, tree.persons.B), strict=True):
+        with at(f"person {name}"):
+            for joint in (*PAIR17.joint_names, *joints):
+                if joint not in PAIR17.joint_names:
+                    raise FormatError(f"joint '{joint}' is not in {PAIR17.name}")
+                point = joints.get(joint)
+                if point is not None:
+                    positions[PAIR17.index(joint)] = point
+                elif not is_partial:
+                    raise FormatError(f"joint '{joint}' is missing")
     _check_bones(pair)
-    return PairFile(
-        pair_m=pair,
-        made_from=_text(tree.get("made_from", ""), "made_from"),
-        takes=tuple(_text(take, "takes") for take in _list(tree.get("takes", []), "takes")),
-        sources=tuple(_source(one) for one in _list(tree.get("sources", []), "sources")),
-    )
+    return PairFile(pair, tree.made_from, tree.takes, tree.sources)
 
 
 def write_pair_bvh(pair_m: Array) -> tuple[str, str]:
@@ -150,51 +175,8 @@ def _posed(name: str, data: bytes | str, frame: int, metres_per_unit: float) -> 
     return derive_working_poses(motion, layout).pair17_m[0]
 
 
-def _joints(name: str, joints: Any, *, is_partial: bool) -> Array:
-    if not isinstance(joints, dict):
-        raise FormatError(f"person {name}: expected an object of joints, each [x, y, z]")
-    missing = [joint for joint in PAIR17.joint_names if joint not in joints]
-    if missing and not is_partial:
-        raise FormatError(f"person {name}: joint '{missing[0]}' is missing")
-    unknown = sorted(set(joints) - set(PAIR17.joint_names))
-    if unknown:
-        raise FormatError(f"person {name}: joint '{unknown[0]}' is not in {PAIR17.name}")
-    positions = np.full((PAIR17.num_joints, 3), np.nan)
-    for index, joint in enumerate(PAIR17.joint_names):
-        if is_partial and joints.get(joint) is None:
-            continue
-        values = joints[joint]
-        numbers = values if isinstance(values, list) else []
-        if len(numbers) != 3 or not all(type(n) in (int, float) and abs(n) <= MAX_MAGNITUDE for n in numbers):
-            raise FormatError(f"person {name}: joint '{joint}' is {values!r}, it must be three finite numbers, metres")
-        positions[index] = values
-    return positions
-
-
 def _check_bones(pair: Array) -> None:
-    lengths = bone_lengths(PAIR17, pair)[:, 1:]
-    is_wrong = (lengths < MIN_BONE_M) | (lengths > MAX_BONE_M)
-    if is_wrong.any():
-        person, bone = (int(index) for index in np.argwhere(is_wrong)[0])
-        raise FormatError(
-            f"person {_PERSONS[person]}: the bone to '{PAIR17.joint_names[bone + 1]}' is {lengths[person, bone]:.3g} m "
-            f"long; allowed are {MIN_BONE_M:g} to {MAX_BONE_M:g} m"
-        )
-
-
-def _text(value: Any, key: str) -> str:
-    if not isinstance(value, str):
-        raise FormatError(f"the key '{key}' holds {value!r}, where text is expected")
-    return value
-
-
-def _list(value: Any, key: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise FormatError(f"the key '{key}' is {value!r}, it must be a list")
-    return value
-
-
-def _source(value: Any) -> PairSource:
-    if not isinstance(value, dict) or sorted(value) != ["credit", "licence", "name"]:
-        raise FormatError(f"the key 'sources' holds {value!r}; each needs name, licence and credit")
-    return PairSource(*(_text(value[key], f"sources.{key}") for key in ("name", "licence", "credit")))
+    for name, lengths in zip(_PERSONS, bone_lengths(PAIR17, pair), strict=True):
+        for joint, length_m in zip(PAIR17.joint_names[1:], lengths[1:].tolist(), strict=True):
+            if not np.isnan(length_m):  # of a joint that is not there
+                check_range(length_m, f"person {name}: the length of the bone to '{joint}' in metres", *BONE_M)

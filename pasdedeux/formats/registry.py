@@ -9,40 +9,23 @@ from typing import TypeVar
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy, in_pixels, without_doubtful
-from pasdedeux.formats.annotation_csv import AnnotationCsv
-from pasdedeux.formats.annotation_npz import AnnotationNpz
-from pasdedeux.formats.asf_amc import AsfAmc
-from pasdedeux.formats.bvh import Bvh
-from pasdedeux.formats.coco import Coco
+from pasdedeux.formats.annotation_csv import ANNOTATION_CSV
+from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
+from pasdedeux.formats.asf_amc import ASF_AMC
+from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
+from pasdedeux.formats.coco import COCO
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
-from pasdedeux.formats.image_results import ImageResults
-from pasdedeux.formats.mediapipe import MediaPipe
-from pasdedeux.formats.openpose import OpenPose
-from pasdedeux.formats.positions_npz import PositionsNpz
-from pasdedeux.formats.rotation_rows import RotationRows
+from pasdedeux.formats.image_results import IMAGE_RESULTS
+from pasdedeux.formats.mediapipe import MEDIAPIPE
+from pasdedeux.formats.openpose import OPENPOSE
+from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
-MOTION_FORMATS: Mapping[str, MotionFormat] = {
-    known.name: known
-    for known in (
-        Bvh(),
-        AsfAmc(),
-        RotationRows(),
-        PositionsNpz(),
-    )
-}
+MOTION_FORMATS: Mapping[str, MotionFormat] = {one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ)}
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
-    known.name: known
-    for known in (
-        OpenPose(),
-        Coco(),
-        ImageResults(),
-        MediaPipe(),
-        AnnotationCsv(),
-        AnnotationNpz(),
-    )
+    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, ANNOTATION_CSV, ANNOTATION_NPZ)
 }
 
 

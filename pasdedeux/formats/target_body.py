@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.npz import is_npz, read_npz
+from pasdedeux.formats.npz import get_array, is_npz, read_npz
 from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
-from pasdedeux.formats.text import parse_json, parse_table, split_lines
+from pasdedeux.formats.text import Lines, at, check_range, decode, parse_json, parse_number
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
@@ -31,6 +32,7 @@ SIZE = (1.0 / 3.0, 3.0)
 """Overall sizes against the source outside these are no person's either."""
 
 _COLUMNS = ("from", "to", "distance_m")
+_NOTHING = "nothing"
 _TRUNK = [
     BODY22.indices(["spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]),
     BODY22.indices(["spine2", "spine3", "neck", "head", "left_shoulder", "right_shoulder"]),
@@ -86,7 +88,8 @@ def body_of_skeleton(name: str, own: OwnSkeleton, layout: str) -> TargetBody:
     Layouts put pelvis and spine at places of their own, so between people of different ones a trunk is measured by how
     broad and long it is, limbs bone by bone.
     """
-    body = _of_positions(name, standing(own).rest_body22_m[None], BODY22.joint_names, layout)
+    with at(name):
+        body = _of_positions(name, standing(own).rest_body22_m[None], BODY22.joint_names, layout)
     lengths = bone_lengths(BODY22, own.rest_body22_m)
     return replace(body, bones_m={bone: float(lengths[bone[1]]) for bone in BODY22.bones})
 
@@ -102,25 +105,13 @@ def read_body(name: str, data: bytes) -> TargetBody:
         FormatError: The file is mangled, a joint that is needed is missing or not known, its tree is another one, or a
             distance is no person's.
     """
-    if is_npz(data):
-        return _of_arrays(name, read_npz(data, "archive of joint positions"))
-    text = data.decode("utf-8-sig", errors="replace").strip()
-    if text[:1] in ("{", "["):
-        try:
-            tree = parse_json(text, "body")
-        except FormatError as error:
-            raise FormatError(f"{name}: {error}") from None
-        if not isinstance(tree, dict):
-            raise FormatError(f"{name}: an object of joints is expected, each [x, y, z] in metres")
-        if "positions_m" not in tree:
-            tree = {"joint_names": list(tree), "positions_m": list(tree.values())}
-        try:
-            arrays = {key: np.array(tree[key]) for key in ("joint_names", "positions_m", "parents") if key in tree}
-            arrays["positions_m"] = arrays["positions_m"].astype(np.float64)
-        except (ValueError, TypeError, OverflowError):
-            raise FormatError(f"{name}: each joint needs three numbers, metres") from None
-        return _of_arrays(name, arrays)
-    return _of_table(name, text)
+    with at(name):
+        if is_npz(data):
+            return _of_arrays(name, read_npz(data, "archive of joint positions"))
+        if decode(data, "body").lstrip()[:1] in ("{", "["):
+            return _of_arrays(name, _arrays_of_json(data))
+        with Lines(data, "body") as lines:
+            return TargetBody(name, _distances_of_table(lines))
 
 
 def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: str, who: str) -> BodyFit:
@@ -183,57 +174,70 @@ def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: 
     return BodyFit(scale, misfit_m, int((~told[1:]).sum()))
 
 
-def _of_arrays(name: str, arrays: Mapping[str, npt.NDArray[np.generic]]) -> TargetBody:
-    positions, names = arrays.get("positions_m"), arrays.get("joint_names")
-    is_good = positions is not None and positions.dtype.kind in "fiu" and positions.ndim in (2, 3)
-    if positions is None or not is_good or positions.shape[-1] != 3:
-        raise FormatError(f"{name}: 'positions_m' (joint, 3) or (frame, joint, 3) is needed, metres")
-    if names is None or names.dtype.kind != "U" or names.shape != positions.shape[-2:-1]:
-        raise FormatError(f"{name}: 'joint_names' with {positions.shape[-2]} texts is needed")
+def _arrays_of_json(data: bytes) -> dict[str, npt.NDArray[Any]]:
+    tree = parse_json(data, "body")
+    if not isinstance(tree, dict):
+        raise FormatError("an object of joints is expected, each [x, y, z] in metres")
+    if "positions_m" not in tree:
+        tree = {"joint_names": list(tree), "positions_m": list(tree.values())}
+    try:
+        arrays = {key: np.array(tree[key]) for key in ("joint_names", "parents") if key in tree}
+        return arrays | {"positions_m": np.array(tree["positions_m"]).astype(np.float64)}
+    except (ValueError, TypeError, OverflowError):
+        raise FormatError("each joint needs three numbers, metres") from None
+
+
+def _of_arrays(name: str, arrays: dict[str, npt.NDArray[Any]]) -> TargetBody:
+    if "positions_m" in arrays and arrays["positions_m"].ndim == 2:
+        arrays["positions_m"] = arrays["positions_m"][None]
+    positions = get_array(arrays, "positions_m", "fiu", (None, None, 3)).astype(np.float64)
+    names = get_array(arrays, "joint_names", "U", positions.shape[1:2])
     joint_names = [OTHER_NAMES.get(str(one), str(one)) for one in names]
-    parents = arrays.get("parents")
-    if parents is not None and parents.shape == names.shape and parents.dtype.kind in "iu":
-        _check_tree(name, joint_names, [int(one) for one in parents])
-    values = positions.astype(np.float64).reshape(-1, len(joint_names), 3)
+    if "parents" in arrays:
+        _check_tree(joint_names, get_array(arrays, "parents", "iu", names.shape).tolist())
     known = [at for at, joint in enumerate(joint_names) if joint in BODY22.joint_names]
-    if not np.isfinite(values[:, known]).all():
-        raise FormatError(f"{name}: the position of '{joint_names[known[0]]}' or another joint is not finite")
-    return _of_positions(name, values[:, known], [joint_names[at] for at in known], BODY22.name)
+    if not np.isfinite(positions[:, known]).all():
+        raise FormatError(f"the position of '{joint_names[known[0]]}' or another joint is not finite")
+    return _of_positions(name, positions[:, known], [joint_names[at] for at in known], BODY22.name)
 
 
-def _check_tree(name: str, joint_names: Sequence[str], parents: Sequence[int]) -> None:
+def _check_tree(joint_names: Sequence[str], parents: Sequence[int]) -> None:
     """Refuse joints that hang on others than in body22; joints that it does not have may lie between."""
-    for joint, parent in zip(joint_names, parents, strict=True):
-        if joint not in BODY22.joint_names or joint == BODY22.joint_names[BODY22.root]:
-            continue
-        above, seen = parent, 0
-        while 0 <= above < len(parents) and joint_names[above] not in BODY22.joint_names and seen < len(parents):
-            above, seen = parents[above], seen + 1
-        ours = BODY22.parents[BODY22.index(joint)]
-        while ours >= 0 and BODY22.joint_names[ours] not in joint_names:
-            ours = BODY22.parents[ours]
-        its = joint_names[above] if 0 <= above < len(parents) else "nothing"
-        if ours >= 0 and its != BODY22.joint_names[ours]:
-            expected = BODY22.joint_names[ours]
-            raise FormatError(
-                f"{name}: its tree is another one: '{joint}' hangs on '{its}'; in body22 it hangs on '{expected}'"
-            )
+    names = [*joint_names, _NOTHING]
+    its = {joint: names[one if 0 <= one < len(parents) else -1] for joint, one in zip(names, parents, strict=False)}
+    names = [*BODY22.joint_names, _NOTHING]
+    ours = {joint: names[one] for joint, one in zip(names, BODY22.parents, strict=False)}
+    shared = its.keys() & ours.keys()
+    for joint in BODY22.joint_names:
+        if joint in shared:
+            found, expected = _carrier(joint, its, shared), _carrier(joint, ours, shared)
+            if expected not in (found, _NOTHING):
+                raise FormatError(
+                    f"its tree is another one: '{joint}' hangs on '{found}'; in body22 it hangs on '{expected}'"
+                )
+
+
+def _carrier(joint: str, parent_of: Mapping[str, str], shared: Collection[str]) -> str:
+    """Return the nearest of the shared joints above a joint."""
+    above = parent_of[joint]
+    for _ in parent_of:  # once round, should the tree be a ring
+        if above not in shared and above != _NOTHING:
+            above = parent_of[above]
+    return above
 
 
 def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layout: str) -> TargetBody:
     """Return the body whose joints lie at positions (frame, joint, 3), metres."""
     missing = [joint for joint in NEEDED if joint not in joint_names]
     if missing:
-        named = "', '".join(missing[:3]) + "'" + (f" and {len(missing) - 3} more" if len(missing) > 3 else "")
-        is_are = "are" if len(missing) > 1 else "is"
-        raise FormatError(f"{name}: joint '{named} {is_are} missing; needed are {', '.join(NEEDED)}")
+        raise FormatError(f"joint '{missing[0]}' is missing; needed are {', '.join(NEEDED)}")
     at = {BODY22.index(joint): place for place, joint in enumerate(joint_names)}
 
     def measured(pairs: Iterable[tuple[int, int]]) -> Distances:
         distances = {}
         for first, second in pairs:
             apart = np.linalg.norm(positions[:, at[first]] - positions[:, at[second]], axis=-1)
-            distances[first, second] = _checked(name, first, second, float(np.median(apart)))
+            distances[first, second] = _checked(first, second, float(np.median(apart)))
         return distances
 
     top = "head" if "head" in joint_names else "{side}_shoulder"
@@ -248,42 +252,28 @@ def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layou
     )
 
 
-def _of_table(name: str, text: str) -> TargetBody:
-    if not set(_COLUMNS) <= set(split_lines(text)[0].replace('"', "").split(",")):
+def _distances_of_table(lines: Lines) -> Distances:
+    columns, rows = lines.table(())
+    if not set(_COLUMNS) <= set(columns):
         raise FormatError(
-            f"{name}: no body is recognised: a BVH or ASF file, a table with the columns {', '.join(_COLUMNS)}, or "
+            f"no body is recognised: a BVH or ASF file, a table with the columns {', '.join(_COLUMNS)}, or "
             "positions (npz, JSON) with joint names are"
         )
-    try:
-        _, rows = parse_table(text)
-    except FormatError as error:
-        raise FormatError(f"{name}: {error}") from None
     distances: dict[tuple[int, int], float] = {}
-    for line, row in rows:
-        ends = [OTHER_NAMES.get((row[key] or "").strip(), (row[key] or "").strip()) for key in _COLUMNS[:2]]
+    for row in rows:
+        ends = [OTHER_NAMES.get(row[key], row[key]) for key in _COLUMNS[:2]]
         for joint in ends:
             if joint not in BODY22.joint_names:
-                raise FormatError(
-                    f"{name}: line {line}: joint '{joint}' is not known; known: {', '.join(BODY22.joint_names)}"
-                )
-        if ends[0] == ends[1]:
-            raise FormatError(f"{name}: line {line}: a distance of '{ends[0]}' from itself")
-        try:
-            value = float(row["distance_m"] or "")
-        except ValueError:
-            raise FormatError(f"{name}: line {line}: '{row['distance_m']}' is not a number of metres") from None
+                raise FormatError(f"joint '{joint}' is not known; known: {', '.join(BODY22.joint_names)}")
         first, second = BODY22.indices(ends)
-        distances[first, second] = _checked(f"{name}: line {line}", first, second, value)
+        if first == second:
+            raise FormatError(f"a distance of '{ends[0]}' from itself")
+        distances[first, second] = _checked(first, second, parse_number(row["distance_m"], "distance_m"))
     if not distances:
-        raise FormatError(f"{name}: the table has no rows")
-    return TargetBody(name, distances)
+        raise FormatError("the table has no rows")
+    return distances
 
 
-def _checked(name: str, first: int, second: int, value: float) -> float:
-    if not DISTANCE_M[0] <= value <= DISTANCE_M[1]:
-        ends = f"'{BODY22.joint_names[first]}' and '{BODY22.joint_names[second]}'"
-        raise FormatError(
-            f"{name}: {ends} are {value:.4g} m apart; allowed are {DISTANCE_M[0]:g} to {DISTANCE_M[1]:g} m: "
-            "is it in metres?"
-        )
-    return value
+def _checked(first: int, second: int, value: float) -> float:
+    ends = f"'{BODY22.joint_names[first]}' to '{BODY22.joint_names[second]}' (in metres?)"
+    return check_range(value, f"the distance from {ends}", *DISTANCE_M)

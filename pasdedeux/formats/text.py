@@ -1,21 +1,154 @@
-"""What every text reader needs: decoding, JSON and numbers that fail with one clear sentence."""
+"""What every text reader needs: lines, tables, JSON and numbers that fail with one clear sentence."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
-from typing import Any
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.errors import FormatError
+from pasdedeux.errors import FormatError, InputError
 
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
+MAX_COUNT = 1_000_000_000
+"""Greatest frame number, person number or count that a file may hold."""
 
 _MAX_TOKEN_SHOWN = 40
+
+N = TypeVar("N", int, float)
+
+
+@contextmanager
+def at(where: str) -> Iterator[None]:
+    """Put a place in front of every InputError that is raised inside: `line 3: 'x' is not a number`."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{where}: {error}") from None
+
+
+class Lines:
+    r"""The lines of a file, read once from first to last; in a `with`, a FormatError gets the number of the last one.
+
+    Lines are counted as an editor does, with Windows, Unix and old Mac line ends.
+
+    >>> with Lines(b"a\rb", "file") as lines:
+    ...     for line in lines:
+    ...         raise FormatError(f"'{line}' is not known")
+    Traceback (most recent call last):
+    pasdedeux.errors.FormatError: line 1: 'a' is not known
+
+    Args:
+        data: The file.
+        what: What it is, for messages.
+
+    Raises:
+        FormatError: The data is empty or binary.
+    """
+
+    def __init__(self, data: bytes | str, what: str) -> None:
+        self._texts = decode(data, what).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        self.number = 0
+
+    def __enter__(self) -> Lines:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, FormatError):
+            raise FormatError(f"line {self.number}: {error}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the lines that are left."""
+        left = range(self.number, len(self._texts))
+        for index in left:
+            self.number = index + 1
+            yield self._texts[index]
+
+    def words(self, comment: str | None = None) -> Iterator[list[str]]:
+        """Yield the words of the lines that are left and have any, up to where a comment begins."""
+        for text in self:
+            words = (text.partition(comment)[0] if comment else text).split()
+            if words:
+                yield words
+
+    def notes(self) -> Iterator[tuple[str, str]]:
+        """Yield key and value of the next lines that are comments, `# key: value`, or blank; both may be empty."""
+        while self.number < len(self._texts) and self._texts[self.number].strip()[:1] in ("", "#"):
+            self.number += 1
+            key, _, value = self._texts[self.number - 1].strip()[1:].partition(":")
+            yield key.strip().lower(), value.strip()
+
+    def table(self, needed: Collection[str], known: Collection[str] = ()) -> tuple[list[str], Iterator[dict[str, str]]]:
+        """Return the columns of the CSV that the lines left are, in lower case, and its rows; blank ones are skipped.
+
+        Args:
+            needed: Columns that must be there.
+            known: Columns that may be there, with those; any where empty.
+
+        Raises:
+            FormatError: It is not valid CSV, a column is missing, unknown or double, a row has too few or many values.
+        """
+        for _ in self.notes():
+            pass
+        rows = self._rows()
+        columns = [name.lower() for name in next(rows, [])]
+        if not columns:
+            raise FormatError("the file ends without a header line")
+        for name in columns:
+            if (name and columns.count(name) > 1) or (known and name not in {*known, *needed}):
+                allowed = f"; known: {', '.join(known)}" if known else ""
+                raise FormatError(f"column '{shorten(name)}' is unknown or double{allowed}")
+        for name in needed:
+            if name not in columns:
+                raise FormatError(f"column '{name}' is missing; needed: {', '.join(needed)}")
+        return columns, (dict(zip(columns, _fitting(row, columns), strict=True)) for row in rows)
+
+    def numbers(self, columns: Sequence[str], num_rows: int | None = None) -> npt.NDArray[np.float64]:
+        """Return the numbers (row, column) that the lines left are; blank ones are skipped.
+
+        Raises:
+            FormatError: There are not `num_rows`, one has other than a number for each column, or an absurd one.
+        """
+        start, rows = self.number, [text for text in self if text.strip()]
+        if rows and len(rows) == (num_rows or len(rows)):
+            try:
+                values = np.loadtxt(rows, comments=None, ndmin=2)
+            except ValueError:
+                pass
+            else:
+                if values.shape[1] == len(columns) and bool((np.abs(values) <= MAX_MAGNITUDE).all()):
+                    return values
+        self.number, count = start, 0
+        for count, words in enumerate(self.words(), start=1):
+            if count == (num_rows or count) + 1:
+                raise FormatError(f"more frames than the {num_rows} that 'Frames:' states")
+            for word, column in zip(_fitting(words, columns), columns, strict=True):
+                parse_number(word, column)
+        raise FormatError(f"the file ends after {count} of {num_rows or 1} frames")
+
+    def _rows(self) -> Iterator[list[str]]:
+        """Yield the cells of the lines left that are not blank."""
+        last = self.number
+        try:
+            for cells in csv.reader(self, strict=True):
+                last, row = self.number, [cell.strip() for cell in cells]
+                if any(row):
+                    yield row
+        except csv.Error as error:
+            self.number = last + 1  # where the row begins; a quote that is not closed runs to the end
+            raise FormatError(f"this is not valid CSV: {error}") from None
+
+
+def _fitting(values: list[str], columns: Sequence[str]) -> list[str]:
+    if len(values) != len(columns):
+        raise FormatError(f"{len(values)} values where {len(columns)} are needed")
+    return values
 
 
 def decode(data: bytes | str, what: str) -> str:
@@ -38,76 +171,71 @@ def decode(data: bytes | str, what: str) -> str:
     return text
 
 
-def split_lines(text: str) -> list[str]:
-    """Split text into lines as an editor counts them: Windows, Unix and old Mac line ends."""
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-
-
-def parse_table(text: str) -> tuple[tuple[str, ...], list[tuple[int, dict[str, str | None]]]]:
-    r"""Return the columns of a CSV with a header, and line and cells of each row; None for cells that a row has not.
-
-    >>> parse_table("a,b\r1,2\r3")
-    (('a', 'b'), [(2, {'a': '1', 'b': '2'}), (3, {'a': '3', 'b': None})])
-
-    Raises:
-        FormatError: It is not valid CSV, or a row has more cells than there are columns.
-    """
-    reader = csv.DictReader(split_lines(text), strict=True)
-    rows = []
-    try:
-        for row in reader:
-            if None in row:
-                raise FormatError(f"line {reader.line_num}: there are more values than columns")
-            rows.append((reader.line_num, dict(row)))
-    except csv.Error as error:
-        raise FormatError(f"line {reader.line_num + 1}: this is not valid CSV: {error}") from None
-    return tuple(reader.fieldnames or ()), rows
-
-
-def shorten(token: str) -> str:
+def shorten(token: object) -> str:
     """Return a token for a message, at most 40 characters of it."""
-    return token if len(token) <= _MAX_TOKEN_SHOWN else token[:_MAX_TOKEN_SHOWN] + "..."
+    text = str(token)
+    return text if len(text) <= _MAX_TOKEN_SHOWN else text[:_MAX_TOKEN_SHOWN] + "..."
 
 
-def parse_number(token: str, where: str, *, max_magnitude: float = MAX_MAGNITUDE) -> float:
+def parse_number(token: str, what: str, low: float = -MAX_MAGNITUDE, high: float = MAX_MAGNITUDE) -> float:
     """Return the finite number that a token spells.
 
     Raises:
-        FormatError: It spells none, or one that is not finite or absurdly large; `where` is put in front.
+        FormatError: It spells none, or one out of range; `what` it is stands in front.
     """
     try:
-        if "_" in token:
+        if "_" in token or not token.isascii():
             raise ValueError
         value = float(token)
     except ValueError:
-        raise FormatError(f"{where}: '{shorten(token)}' is not a number") from None
+        raise FormatError(f"{what}: '{shorten(token)}' is not a number") from None
     if not math.isfinite(value):
-        raise FormatError(f"{where}: '{shorten(token)}' is not a finite number")
-    if abs(value) > max_magnitude:
-        raise FormatError(f"{where}: {value:g} is absurdly large; values up to {max_magnitude:g} are allowed")
+        raise FormatError(f"{what}: '{shorten(token)}' is not a finite number")
+    return check_range(value, what, low, high)
+
+
+def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) -> int:
+    """Return the whole number that a token spells.
+
+    Raises:
+        FormatError: It spells none, or one out of range; `what` it is stands in front.
+    """
+    digits = token.removeprefix("-")
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
+        raise FormatError(f"{what}: '{shorten(token)}' is not a whole number")
+    return check_range(int(token), what, low, high)
+
+
+def check_range(value: N, what: str, low: float, high: float) -> N:
+    """Return a value that lies in a range.
+
+    Raises:
+        FormatError: It does not; says what it is, and the range.
+    """
+    if not low <= value <= high:
+        raise FormatError(f"{what} is {value:.10g}; allowed: {low:.10g} to {high:.10g}")
     return value
 
 
-def parse_integer(token: str, where: str) -> int:
-    """Return the whole number of at most nine digits that a token spells.
+def parse_numbers(tokens: Sequence[str], what: str, count: int) -> list[float]:
+    """Return so many finite numbers.
 
     Raises:
-        FormatError: It spells none; `where` is put in front.
+        FormatError: There are more or fewer, or as `parse_number`.
     """
-    digits = token.removeprefix("-")
-    if not (digits.isascii() and digits.isdigit() and len(digits) <= 9):
-        raise FormatError(f"{where}: '{shorten(token)}' is not a whole number of at most nine digits")
-    return int(token)
+    if len(tokens) != count:
+        raise FormatError(f"{what} needs {count} numbers, found {len(tokens)}")
+    return [parse_number(token, what) for token in tokens]
 
 
-def parse_triples(numbers: list[Any], where: str) -> npt.NDArray[np.float64]:
+def parse_triples(numbers: list[Any], what: str) -> npt.NDArray[np.float64]:
     """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN is how some write "not detected".
 
     Raises:
-        FormatError: A value is no number or absurdly large; `where` is put in front.
+        FormatError: A value is no number or absurdly large; `what` it is of stands in front.
     """
     if not all(isinstance(n, int | float) and not isinstance(n, bool) and not abs(n) > MAX_MAGNITUDE for n in numbers):
-        raise FormatError(f"{where} holds a value that is no number or absurdly large")
+        raise FormatError(f"{what} holds a value that is no number or absurdly large")
     return np.array(numbers, dtype=np.float64).reshape(-1, 3)
 
 

@@ -9,9 +9,9 @@ from typing import Annotated
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.text import decode, parse_table
+from pasdedeux.formats.text import Lines
 from pasdedeux.interaction.objects import FLOOR, MovingObjects
-from pasdedeux.settings import Settings
+from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import BODY22, Skeleton
 
 Letter = Annotated[str, Field(pattern="^[A-Z]$")]
@@ -109,18 +109,11 @@ def read_contacts(data: bytes) -> tuple[UserContact, ...]:
     Raises:
         FormatError: A column, joint or value is not known or allowed; the line is named.
     """
-    columns, rows = parse_table(decode(data, "table of contacts"))
-    known = list(UserContact.model_fields)
-    unknown = [name for name in columns if name not in known]
-    if unknown:
-        raise FormatError(f"line 1: the column '{unknown[0]}' is not known; known: {', '.join(known)}")
-    found = []
-    for line, row in rows:
-        try:
-            found.append(UserContact.model_validate({name: value for name, value in row.items() if value}))
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(map(str, first["loc"]))
-            said = f"{place}: {first['msg']}" if place else first["msg"]
-            raise FormatError(f"line {line}: {said.replace('Value error, ', '')}") from None
+    with Lines(data, "table of contacts") as lines:
+        found = []
+        for row in lines.table((), list(UserContact.model_fields))[1]:
+            try:
+                found.append(UserContact.model_validate({name: value for name, value in row.items() if value}))
+            except ValidationError as error:
+                raise FormatError(first_problem(error)) from None
     return tuple(found)

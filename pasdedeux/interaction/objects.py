@@ -8,8 +8,8 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.npz import is_npz, read_npz
-from pasdedeux.formats.text import decode, parse_integer, parse_number, parse_table
+from pasdedeux.formats.npz import get_array, is_npz, read_npz
+from pasdedeux.formats.text import Lines, parse_integer, parse_number
 
 FLOOR = "floor"
 """What the floor is called where things are named."""
@@ -64,42 +64,26 @@ def read_objects(data: bytes) -> MovingObjects:
     Raises:
         FormatError: Something is missing, there twice, not a number or absurd; the line or array is named.
     """
-    return _of_arrays(data) if is_npz(data) else _of_table(decode(data, "table of objects"))
+    return _of_arrays(data) if is_npz(data) else _of_table(data)
 
 
 def _of_arrays(data: bytes) -> MovingObjects:
     arrays = read_npz(data, "archive of objects")
-    names, ends, radii = (arrays.get(name) for name in ("names", "ends_m", "radii_m"))
-    if names is None or ends is None or radii is None:
-        raise FormatError("'names' (capsule,), 'ends_m' (frame, capsule, 2, 3) and 'radii_m' (capsule,) are needed")
-    count = names.size
-    fits = names.dtype.kind == "U" and ends.dtype.kind in "fiu" and radii.dtype.kind in "fiu"
-    if not fits or names.shape != (count,) or radii.shape != (count,) or ends.shape[1:] != (count, 2, 3):
-        raise FormatError(
-            f"'names' {names.shape}, 'ends_m' {ends.shape} and 'radii_m' {radii.shape} do not fit (capsule,), "
-            "(frame, capsule, 2, 3) and (capsule,)"
-        )
+    names = get_array(arrays, "names", "U", (None,))
+    ends = get_array(arrays, "ends_m", "fiu", (None, len(names), 2, 3))
+    radii = get_array(arrays, "radii_m", "fiu", (len(names),))
     return _checked(tuple(map(str, names)), ends.astype(np.float64), radii.astype(np.float64))
 
 
-def _of_table(text: str) -> MovingObjects:
-    columns, rows = parse_table(text)
-    missing = [name for name in _COLUMNS if name not in columns]
-    if missing:
-        raise FormatError(f"line 1: the column {missing[0]} is missing; needed: {', '.join(_COLUMNS)}")
+def _of_table(data: bytes) -> MovingObjects:
     found: dict[tuple[int, str], list[float]] = {}
-    for line, row in rows:
-        cells = {name: cell for name, cell in row.items() if cell is not None}
-        if len(cells) < len(columns):
-            raise FormatError(f"line {line}: there are fewer values than columns")
-        key = parse_integer(cells["frame"], f"line {line}"), cells["name"]
-        if key in found:
-            raise FormatError(f"line {line}: frame {key[0]} of '{key[1]}' is there twice")
-        found[key] = [parse_number(cells[name], f"line {line}, {name}") for name in (*_ENDS, "radius_m")]
+    with Lines(data, "table of objects") as lines:
+        for row in lines.table(_COLUMNS)[1]:
+            key = parse_integer(row["frame"], "frame"), row["name"]
+            if key in found:
+                raise FormatError(f"frame {key[0]} of '{key[1]}' is there twice")
+            found[key] = [parse_number(row[name], name) for name in (*_ENDS, "radius_m")]
     names = tuple(dict.fromkeys(name for _, name in found))
-    negative = next((key for key in found if key[0] < 0), None)
-    if negative:
-        raise FormatError(f"frame {negative[0]} of '{negative[1]}' is none; frames are counted from 0")
     frames = 1 + max((frame for frame, _ in found), default=-1)
     # The first that is missing comes soon, however large a frame number is.
     all_of_them = ((frame, name) for frame in range(frames) for name in names)

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.text import decode, parse_integer, shorten
+from pasdedeux.formats.text import Lines, parse_integer, shorten
 
 Integers = npt.NDArray[np.int64]
 
@@ -61,37 +61,22 @@ def read_decisions(data: bytes | str) -> list[Decision]:
         FormatError: It has other columns, a value that is none, frames that end before they begin, or a person twice
             in a frame; the line is named.
     """
-    lines = decode(data, "table of people").splitlines()
-    try:
-        table = list(csv.reader(lines, strict=True))
-    except csv.Error as error:
-        raise FormatError(f"this table of people is not valid CSV: {error}") from None
-    if not table or [cell.strip().lower() for cell in table[0]] != list(COLUMNS):
-        raise FormatError(f"line 1: a table of people begins with the line {','.join(COLUMNS)}")
     found: list[Decision] = []
-    for number, row in enumerate(table[1:], start=2):
-        cells = [cell.strip() for cell in row]
-        if not any(cells):
-            continue
-        if len(cells) != len(COLUMNS):
-            raise FormatError(f"line {number}: {len(cells)} values, the header has {len(COLUMNS)} columns")
-        first, last, person = (
-            parse_integer(cell, f"line {number}: {name}") for name, cell in zip(COLUMNS[1:4], cells[1:4], strict=True)
-        )
-        is_person = -1 if cells[4].lower() == NOBODY else parse_integer(cells[4], f"line {number}: is")
-        if min(first, person) < 0 or (is_person < 0 and cells[4].lower() != NOBODY):
-            raise FormatError(f"line {number}: frames and persons are whole numbers from 0, or '{NOBODY}' in 'is'")
-        if last < first:
-            raise FormatError(f"line {number}: frames {first} to {last} end before they begin")
-        one = Decision(cells[0], first, last, person, is_person)
-        for other in found:
-            is_same = (other.sequence_id, other.person) == (one.sequence_id, one.person)
-            if is_same and other.first_frame <= last and first <= other.last_frame:
-                raise FormatError(
-                    f"line {number}: person {person} of '{shorten(cells[0])}' is named twice in frame "
-                    f"{max(first, other.first_frame)}"
-                )
-        found.append(one)
+    with Lines(data, "table of people") as lines:
+        for row in lines.table(COLUMNS, COLUMNS)[1]:
+            first, last, person = (parse_integer(row[name], name) for name in COLUMNS[1:4])
+            is_person = -1 if row["is"].lower() == NOBODY else parse_integer(row["is"], f"is (a person or '{NOBODY}')")
+            if last < first:
+                raise FormatError(f"frames {first} to {last} end before they begin")
+            one = Decision(row["sequence"], first, last, person, is_person)
+            for other in found:
+                is_same = (other.sequence_id, other.person) == (one.sequence_id, one.person)
+                if is_same and other.first_frame <= last and first <= other.last_frame:
+                    raise FormatError(
+                        f"person {person} of '{shorten(one.sequence_id)}' is named twice in frame "
+                        f"{max(first, other.first_frame)}"
+                    )
+            found.append(one)
     return found
 
 

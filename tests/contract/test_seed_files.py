@@ -115,7 +115,7 @@ def test_a_file_that_changes_between_plan_and_run_is_noticed(tmp_path: Path) -> 
     [
         (None, "", "seed.json does not exist"),
         ("{", "", "seeds.files: seed.json: this pair is not valid JSON: line "),
-        ("{}", "", "seeds.files: seed.json: this is no pair: the key 'format' must be 'pasdedeux pair'"),
+        ("{}", "", "seeds.files: seed.json: this is no pair: format: Field required"),
         ("HIERARCHY", "", "seed.json is the BVH of one person; `other` must name that of person B"),
         (write_pair_json(PairFile(PAIR)), ', other = "b.bvh"', "b.bvh does not exist"),
         (write_pair_json(PairFile(PAIR)).replace("head", "hat"), "", "person A: joint 'head' is missing"),
@@ -270,7 +270,7 @@ def test_a_pair_that_lacks_joints_is_completed_by_draws(tmp_path: Path, capsys: 
         (write_pair_json(PairFile(PAIR)), options[1], "part.json: no joint is missing"),
         (json.dumps(tree | {"persons": {"A": {}, "B": {}}}), options[1], "0 joints of the two people are known"),
         (json.dumps(tree), "views:edited", "names no draws"),
-        (json.dumps(tree | {"unit": "cm"}), options[1], "part.json: the key 'unit' is 'cm'"),
+        (json.dumps(tree | {"unit": "cm"}), options[1], "part.json: this is no pair: unit: Input should be 'm'"),
     ):
         (tmp_path / "part.json").write_text(text)
         refused = call_in_process(capsys, "complete", tmp_path / "part.json", "--draws", reference, *options[2:])

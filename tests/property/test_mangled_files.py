@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
-from pasdedeux.formats.bvh import read_bvh, read_bvh_header
+from pasdedeux.formats.bvh import read_bvh, read_bvh_head
 from pasdedeux.formats.guess import guess_motion
 from pasdedeux.formats.pair_file import PairFile, read_pair_json, write_pair_json
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, recognise_format
@@ -187,6 +187,6 @@ def test_the_quick_check_of_a_bvh_file_and_its_reader_agree(data: st.DataObject)
     except InputError:
         is_read = False
     try:
-        read_bvh_header(damaged)
+        read_bvh_head(damaged)
     except InputError:
         assert not is_read

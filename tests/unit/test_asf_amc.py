@@ -87,11 +87,11 @@ def test_an_amc_file_states_no_rate() -> None:
     [
         ("ltibia 45\n", "", "frame 2 ends without bone 'ltibia'"),
         ("ltibia 0\n2", "ltibia 0\n4", "line 9: frame 4 follows frame 1; 2 is expected"),
-        ("lfemur -90 0 0", "lfemur -90 0", "line 12: bone 'lfemur' has 2 values, the ASF skeleton says 3"),
+        ("lfemur -90 0 0", "lfemur -90 0", "line 12: bone 'lfemur' needs 3 numbers, found 2"),
         ("lfemur -90 0 0", "rfemur -90 0 0", "line 12: bone 'rfemur' is not in the ASF skeleton"),
         ("ltibia 45", "ltibia nan", "line 13: bone 'ltibia': 'nan' is not a finite number"),
         ("ltibia 45", "lfemur 1 2 3", "line 13: bone 'lfemur' twice in frame 2"),
-        ("1\nroot", "x\nroot", "a frame number is expected, found 'x'"),
+        ("1\nroot", "x\nroot", "line 4: a frame number is expected: 'x' is not a whole number"),
     ],
 )
 def test_a_fault_of_an_amc_file_is_named_with_its_line(old: str, new: str, sentence: str) -> None:
@@ -107,7 +107,7 @@ def test_a_fault_of_an_amc_file_is_named_with_its_line(old: str, new: str, sente
         ("lfemur ltibia\n", "lfemur rtibia\n", "bone 'rtibia' is not in ':bonedata'"),
         ("root lowerback lhipjoint", "root lowerback", "bone 'lhipjoint' has no parent"),
         ("lhipjoint lfemur\n", "lhipjoint lfemur\n    ltibia lhipjoint\n", "a second parent"),
-        ("length 7.0", "length seven", "line 38: bone 'lfemur': 'seven' is not a number"),
+        ("length 7.0", "length seven", "line 38: length of 'lfemur': 'seven' is not a number"),
         ("axis 0 0 20  XYZ", "axis 0 0 20 XYX", "the axis order is 'XYX'"),
         ("dof rx\n", "dof rx rq\n", "the degree of freedom 'rq'"),
         ("length 0.45", "length 0", "the length unit is 0"),

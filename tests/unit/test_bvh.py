@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.bvh import rate_from_frame_time, read_bvh, read_bvh_header
+from pasdedeux.formats.bvh import rate_from_frame_time, read_bvh, read_bvh_head
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.euler import euler_from_unitquat, unitquat_from_euler
 from pasdedeux.kinematics.rotations import angle_between
@@ -98,25 +98,29 @@ def test_position_channels_of_a_joint_replace_its_offset() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("1.5 2.0 3.0 90 0 0 0 0 0 90\n", "1.5 2.0 3.0 90 0 0 0 0 90\n", "line 29: frame 1 has 9 values"),
+        ("1.5 2.0 3.0 90 0 0 0 0 0 90\n", "1.5 2.0 3.0 90 0 0 0 0 90\n", "line 29: 9 values where 10 are needed"),
         ("1.5 2.0 3.0 90 0 0 0 0 0 90\n", "", "the file ends after 2 of 3 frames"),
         ("Frames: 3", "Frames: 2", "line 30: more frames than the 2"),
-        ("1.5 2.0 3.0 90", "1.5 nan 3.0 90", "line 29, Yposition of 'Hips': 'nan' is not a finite number"),
-        ("30 40 50 60 70", "30 40 5O 60 70", "line 30, Xrotation of 'Spine': '5O' is not a number"),
-        ("30 40 50 60 70", "30 40 5.0.0 60 70", "line 30, Xrotation of 'Spine': '5.0.0' is not a number"),
-        ("30 40 50 60 70", "30 40 1e200 60 70", "line 30, Xrotation of 'Spine': 1e\\+200 is absurdly large"),
-        ("Frame Time: 0.008333", "Frame Time: 0", "line 27: the frame time is 0 s"),
+        ("1.5 2.0 3.0 90", "1.5 nan 3.0 90", "line 29: Yposition of 'Hips': 'nan' is not a finite number"),
+        ("30 40 50 60 70", "30 40 5O 60 70", "line 30: Xrotation of 'Spine': '5O' is not a number"),
+        ("30 40 50 60 70", "30 40 5.0.0 60 70", "line 30: Xrotation of 'Spine': '5.0.0' is not a number"),
+        (
+            "30 40 50 60 70",
+            "30 40 1e200 60 70",
+            "Xrotation of 'Spine' is 1e\\+200; allowed: -10000000 to",
+        ),
+        ("Frame Time: 0.008333", "Frame Time: 0", "line 27: the frame time in seconds is 0; allowed: 1e-05 to 10"),
         ("CHANNELS 1 Xrotation", "CHANNELS 1 Wrotation", "line 18: channel 'Wrotation' of 'LeftUpLeg' is not known"),
         (
             "CHANNELS 1 Xrotation",
             "CHANNELS 3 Xrotation",
             "line 18: CHANNELS of 'LeftUpLeg' states 3 channels but lists 1",
         ),
-        ("JOINT LeftUpLeg", "JOINT Spine", "line 15: a second joint with the name 'Spine'"),
+        ("JOINT LeftUpLeg", "JOINT Spine", "line 15: this JOINT 'Spine' is the second or one too many"),
         ("OFFSET 3.0 0.0 0.0", "OFFSET 3.0 0.0", "line 17: OFFSET of 'LeftUpLeg' needs 3 numbers, found 2"),
-        ("MOTION", "ROOT B", "line 25: a second ROOT 'B'"),
-        ("\t}\n}\nMOTION", "\t}\nMOTION", "line 24: the hierarchy ends but 'Hips' is not closed"),
-        ("HIERARCHY", "GARBAGE", "line 1: a BVH file starts with HIERARCHY"),
+        ("MOTION", "ROOT B", "line 25: 'ROOT B' is not expected; allowed: MOTION"),
+        ("\t}\n}\nMOTION", "\t}\nMOTION", "line 24: 'MOTION' is not expected in 'Hips'; allowed: }, JOINT, END"),
+        ("HIERARCHY", "GARBAGE", "line 1: 'GARBAGE' is not expected; allowed: HIERARCHY"),
     ],
 )
 def test_a_fault_is_named_with_its_line(old: str, new: str, sentence: str) -> None:
@@ -127,9 +131,9 @@ def test_a_fault_is_named_with_its_line(old: str, new: str, sentence: str) -> No
 
 @pytest.mark.parametrize("token", ["nan", "1e999", "5O", "1e200"])
 def test_the_quick_check_finds_what_is_no_finite_number(token: str) -> None:
-    assert read_bvh_header(BVH_SMALL.replace("30 40 50 60 70", "30 4e1 50 60 70")).num_frames == 3
-    with pytest.raises(FormatError, match="line 30, Xrotation of 'Spine'"):
-        read_bvh_header(BVH_SMALL.replace("30 40 50 60 70", f"30 40 {token} 60 70"))
+    assert read_bvh_head(BVH_SMALL.replace("30 40 50 60 70", "30 4e1 50 60 70")).num_frames == 3
+    with pytest.raises(FormatError, match="line 30: Xrotation of 'Spine'"):
+        read_bvh_head(BVH_SMALL.replace("30 40 50 60 70", f"30 40 {token} 60 70"))
 
 
 @pytest.mark.parametrize("data", [b"", b"  \n ", b"\0\0\0", b"PK\x03\x04\0"])
@@ -197,7 +201,7 @@ def test_real_files_agree_with_an_independent_reader(data_dir: Path, name: str) 
     expected = np.asarray(theirs.node_positions())
     inner = [i for i, node in enumerate(theirs.nodes) if not node.is_end_site()]
     np.testing.assert_allclose(positions[picked][:, place], expected[picked][:, inner], atol=1e-6)
-    header = read_bvh_header(path.read_bytes())
+    header = read_bvh_head(path.read_bytes())
     assert header.num_frames == ours.num_frames
 
 

@@ -15,7 +15,7 @@ from pasdedeux.formats.annotation_npz import read_annotation_npz
 from pasdedeux.formats.coco import read_coco
 from pasdedeux.formats.detections import Footage, places_of_names
 from pasdedeux.formats.mediapipe import read_mediapipe
-from pasdedeux.formats.openpose import join_openpose_frames, openpose_frame_number, read_openpose_frame
+from pasdedeux.formats.openpose import OPENPOSE, openpose_frame_number
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
@@ -42,6 +42,14 @@ def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
     )
 
 
+def openpose_files(*texts: str) -> dict[str, bytes]:
+    return {f"w_{frame}_keypoints.json": text.encode() for frame, text in enumerate(texts)}
+
+
+def read_openpose_frame(text: str) -> AnnotatedFrames:
+    return OPENPOSE.read(openpose_files(text), sequence_id="s")
+
+
 @pytest.mark.parametrize(
     ("layout", "count"), [("coco18", 18), ("body25", 25), ("halpe26", 26), ("mediapipe33", 33), ("coco17", 17)]
 )
@@ -63,10 +71,11 @@ def test_what_is_at_the_origin_or_has_no_confidence_is_missing() -> None:
 
 
 def test_an_openpose_frame_without_people_is_a_frame() -> None:
-    frame = read_openpose_frame('{"version": 1.3, "people": []}')
-    assert frame.layout is None
+    nobody = '{"version": 1.3, "people": []}'
     with pytest.raises(InputError, match="nobody was detected"):
-        join_openpose_frames([(0, frame)], sequence_id="s")
+        read_openpose_frame(nobody)
+    found = OPENPOSE.read(openpose_files(nobody, openpose_text("coco18")), sequence_id="s")
+    assert found.frame.tolist() == [1]
 
 
 @pytest.mark.parametrize(
@@ -82,10 +91,6 @@ def test_an_openpose_frame_without_people_is_a_frame() -> None:
 def test_a_fault_of_an_openpose_file_is_named(text: str, sentence: str) -> None:
     with pytest.raises(FormatError, match=sentence):
         read_openpose_frame(text)
-
-
-def openpose_files(*texts: str) -> dict[str, bytes]:
-    return {f"w_{frame}_keypoints.json": text.encode() for frame, text in enumerate(texts)}
 
 
 def test_a_layout_other_than_the_files_is_refused() -> None:
@@ -191,8 +196,7 @@ def test_keypoints_in_a_random_order_are_noticed() -> None:
 
 def test_a_real_walk_is_read_as_coco18(data_dir: Path) -> None:
     files = sorted((data_dir / "openpose_coco18_walk").glob("*.json"))
-    frames = [(openpose_frame_number(path.name) or 0, read_openpose_frame(path.read_bytes())) for path in files]
-    walk = join_openpose_frames(frames, sequence_id="walk")
+    walk = OPENPOSE.read({path.name: path.read_bytes() for path in files}, sequence_id="walk")
     assert walk.layout == "coco18"
     assert walk.num_rows == 453
     assert int((walk.confidence[:, :14] > 0).all(axis=1).sum()) == 310
@@ -265,13 +269,16 @@ def test_landmarks_of_several_people_are_all_read_and_state_the_image() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('[{"pose_world_landmarks": [[{"x": 0.1, "y": 0.2}]]}]', "frame 0 has no landmarks of the image, only of the"),
+        (
+            '[{"pose_world_landmarks": [[{"x": 0.1, "y": 0.2}]]}]',
+            "frame 0: no landmarks of the image are there, only of the",
+        ),
         ('[{"frame": -1, "landmarks": []}]', "frame 0: its number is -1"),
         (
             '[{"landmarks": {"nose": {"x": 1, "y": 2}, "left_nose": {"x": 1, "y": 2}, "a": {"x": 1, "y": 2}}}]',
             "left_nose",
         ),
-        ("frame,landmark_id,x,y\n0,0,1\n", "line 2: 3 values, the header has 4 columns"),
+        ("frame,landmark_id,x,y\n0,0,1\n", "line 2: 3 values where 4 are needed"),
         ("frame,landmark_id,x,y\n0,33,1,2\n", "line 2: '33' is no landmark"),
         ("frame,landmark_id,x,y\nzero,3,1,2\n", "line 2: frame: 'zero' is not a number"),
         ('{"fps": "fast", "landmarks": []}', "'fps' is fast"),
@@ -375,7 +382,7 @@ def test_our_csv_says_layout_size_and_rate_or_has_them_told() -> None:
         ("0,0,pelvis,", "0,0,pelvic,", "joint 'pelvic' is not in the layout 'pair17'"),
         ("0,0,pelvis,", "0,0,spine,", "line 6: 'spine' twice for person 0 in frame 0"),
         ("0,0,pelvis,", "x,0,pelvis,", "line 5: frame: 'x' is not a whole number"),
-        ("0,0,pelvis,", "0,0,pelvis,1,", "line 5: 7 values, the header has 6 columns"),
+        ("0,0,pelvis,", "0,0,pelvis,1,", "line 5: 7 values where 6 are needed"),
         ("joint,x,y", "joint,x,z", "line 4: column 'z' is unknown"),
         ("frame,person", "frame,score", "line 4: column 'score' is unknown"),
         ("# rate_hz: 25", "# rate_hz: -1", "line 3: the frame rate is -1"),

@@ -76,14 +76,14 @@ def test_table_and_archive_say_the_same() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("radius_m", "radius", "line 1: the column radius_m is missing"),
+        ("radius_m", "radius", "line 1: column 'radius_m' is missing; needed: frame, name"),
         ("\n2,bar", "\n1,bar", "line 4: frame 1 of 'bar' is there twice"),
         ("\n2,bar", "\n99,bar", "frame 2 of 'bar' is missing; needed are all from 0 to 99"),
         ("\n2,bar", "\n999999999,bar", "frame 2 of 'bar' is missing; needed are all from 0 to 999999999"),
-        ("\n2,bar,11.5", "\n2,bar,11,5", "line 4: there are more values than columns"),
+        ("\n2,bar,11.5", "\n2,bar,11,5", "line 4: 10 values where 9 are needed"),
         ("\n2,bar", '\n2,"bar', "line 4: this is not valid CSV"),
-        ("\n2,bar", "\n-2,bar", "frame -2 of 'bar' is none"),
-        ("\n2,bar,", "\n2,bar,much", "line 4, x_start_m: 'much"),
+        ("\n2,bar", "\n-2,bar", "line 4: frame is -2; allowed: 0 to"),
+        ("\n2,bar,", "\n2,bar,much", "line 4: x_start_m: 'much"),
         ("\n2,bar,", "\n2,bar,2", "frame 2: 'bar' is not finite or further than 100 m"),
         ("bar", "floor", "no capsule may be called floor"),
         ("0.015", "-1.0", "the radius of 'bar' is -1"),
@@ -174,7 +174,7 @@ def test_objects_of_another_length_are_refused() -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("joint_a,joint_c,stop_frame\nhead,head,3\n", "line 1: the column 'joint_c' is not known; known: joint_a"),
+        ("joint_a,joint_c,stop_frame\nhead,head,3\n", "line 1: column 'joint_c' is unknown or double; known: joint_a"),
         ("joint_a,joint_b,stop_frame\nhead,head,3\nnose,head,3\n", "line 3: joint_a: joint 'nose' is not in body22"),
         ("joint_a,joint_b,stop_frame\nhead,,3\n", "line 2: joint_b or object is needed, and not both"),
         ("joint_a,joint_b,start_frame,stop_frame\nhead,head,3,3\n", "line 2: frames 3 to 3 are none"),
@@ -303,7 +303,7 @@ def test_things_that_do_not_fit_the_take_are_refused_while_planning(tmp_path: Pa
             {"contacts": str(tmp_path / "four.csv")},
             "take ring: four.csv: contact of A's head and D's head, but the people",
         ),
-        ({"contacts": str(tmp_path / "hoop.csv")}, "hoop.csv: line 1: the column 'frame' is not known"),
+        ({"contacts": str(tmp_path / "hoop.csv")}, "hoop.csv: line 1: column 'frame' is unknown"),
         ({"objects": None}, "contact of C's head and hoop, but what there is to be touched is floor"),
     ):
         with pytest.raises(InputError) as refused:

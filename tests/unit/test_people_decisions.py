@@ -54,9 +54,9 @@ def test_people_are_dropped_renamed_split_and_merged() -> None:
         ("v,2,3,1,0\n", "frame 2: persons 0 and 1 are both there and cannot both be 0; say 'nobody' of one"),
         ("v,3,2,1,0\n", "line 2: frames 3 to 2 end before they begin"),
         ("v,0,5,1,0\nv,5,9,1,0\n", "line 3: person 1 of 'v' is named twice in frame 5"),
-        ("v,0,5,1\n", "line 2: 4 values, the header has 5 columns"),
+        ("v,0,5,1\n", "line 2: 4 values where 5 are needed"),
         ("v,0,x,1,0\n", "line 2: last_frame"),
-        ("v,0,5,1,-3\n", "line 2: frames and persons are whole numbers from 0, or 'nobody' in 'is'"),
+        ("v,0,5,1,-3\n", "line 2: is (a person or 'nobody') is -3; allowed: 0 to"),
         ("v,0,5,1,me\n", "line 2: is"),
     ],
 )
@@ -67,7 +67,7 @@ def test_a_bad_row_gets_one_clear_sentence(rows: str, message: str) -> None:
 
 
 def test_another_table_is_refused() -> None:
-    with pytest.raises(FormatError, match="line 1: a table of people begins with the line sequence,first_frame"):
+    with pytest.raises(FormatError, match="line 1: column 'frame' is unknown or double; known: sequence, first_frame"):
         read_decisions("sequence,frame,person\n")
     with pytest.raises(FormatError, match="empty"):
         read_decisions(b"")

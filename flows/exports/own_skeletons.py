@@ -12,7 +12,7 @@ import numpy as np
 
 from flows.exports.export_format import FileNames, RestPose, Units, write_text
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.motion_npz import write_motion_npz
+from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, own_ends, standing
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import normalise

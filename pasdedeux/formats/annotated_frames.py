@@ -16,32 +16,25 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
 # Greatest length of a segment as a share of the diagonal of everything seen of a person.  Wide enough for crouching,
 # bending and people cut off at the waist; far too small for a keypoint that belongs to another part of the body.
-_SEGMENTS = {
+_LEFT_SEGMENTS = {
     ("nose", "left_eye"): 0.35,
-    ("nose", "right_eye"): 0.35,
     ("left_eye", "left_ear"): 0.35,
-    ("right_eye", "right_ear"): 0.35,
-    ("left_shoulder", "right_shoulder"): 0.7,
     ("left_shoulder", "left_elbow"): 0.6,
-    ("right_shoulder", "right_elbow"): 0.6,
     ("left_elbow", "left_wrist"): 0.6,
-    ("right_elbow", "right_wrist"): 0.6,
-    ("left_hip", "right_hip"): 0.45,
     ("left_hip", "left_knee"): 0.55,
-    ("right_hip", "right_knee"): 0.55,
     ("left_knee", "left_ankle"): 0.55,
-    ("right_knee", "right_ankle"): 0.55,
     ("neck", "left_shoulder"): 0.5,
-    ("neck", "right_shoulder"): 0.5,
     ("left_ankle", "left_big_toe"): 0.35,
-    ("right_ankle", "right_big_toe"): 0.35,
     ("left_ankle", "left_heel"): 0.35,
-    ("right_ankle", "right_heel"): 0.35,
     ("mid_hip", "left_hip"): 0.35,
-    ("mid_hip", "right_hip"): 0.35,
-    ("head", "neck"): 0.45,
     ("pelvis", "left_hip"): 0.35,
-    ("pelvis", "right_hip"): 0.35,
+}
+_SEGMENTS = {
+    ("left_shoulder", "right_shoulder"): 0.7,
+    ("left_hip", "right_hip"): 0.45,
+    ("head", "neck"): 0.45,
+    **_LEFT_SEGMENTS,
+    **{(a.replace("left", "right"), b.replace("left", "right")): share for (a, b), share in _LEFT_SEGMENTS.items()},
 }
 MIN_CONFIDENCE = 0.2
 """Keypoints of less are doubtful in the usual scale, where 1 is plain to see."""

@@ -1,8 +1,7 @@
-"""Reading COCO keypoint JSON: annotations of images, and the results of detectors in COCO's and mmpose's forms."""
+"""Reading COCO keypoint JSON, and what mmpose, ViTPose, Detectron2, Ultralytics and AlphaPose write in its form."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,6 +28,8 @@ _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 _ID_KEYS = ("track_id", "idx", "person_id", "instance_id")
 """Where a person's number stands: COCO's and trackers' `track_id`, AlphaPose's `idx`."""
 _FRAME_KEYS = ("frame_id", "frame_index", "frame")
+_IMAGE_KEYS = ("image_id", "annotations", "images", "instances")
+_LANDMARK_KEYS = ("landmarks", "pose_landmarks")
 
 
 @dataclass(frozen=True)
@@ -71,22 +72,47 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str = "auto") -> Anno
     for item in items:
         if not isinstance(item.image, int | str) or item.image not in places:
             raise FormatError(f"{item.where}: its 'image_id' is not among the images")
-        table = keypoint_table(item.content, item.where)
+        table = _keypoint_table(item.content, item.where)
         if is_annotations:
             if not np.isin(table[:, 2], [0, 1, 2]).all():
                 raise FormatError(f"{item.where}: a visibility is none of 0, 1, 2")
             table[:, 2] = _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)]
-        detections.append(Detection(places[item.image], person_number(item.content), table, item.where))
+        detections.append(Detection(places[item.image], _person_number(item.content), table, item.where))
     return join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, rate_hz=footage.rate_hz)
 
 
+def read_image_results(data: bytes) -> list[Detection]:
+    """Read the people of one image: `keypoints` as points with `keypoint_scores`, triples, or lists x, y, visible.
+
+    mmpose writes such a list for each image, alone or as `instance_info` beside its `meta_info`; Ultralytics' results
+    give it by `to_json`, with objects that are no people among them.
+
+    Raises:
+        FormatError: It is no such list, or a value is no number; the person is named.
+    """
+    content = parse_json(data, "JSON file", has_nan=True)
+    people = content.get("instance_info") if isinstance(content, dict) else content
+    if not isinstance(people, list):
+        raise FormatError("this is no list of people with 'keypoints'")
+    found = []
+    for index, person in enumerate(people):
+        where = f"person {index}"
+        if not isinstance(person, dict) or not isinstance(person.get("keypoints", []), list | dict):
+            raise FormatError(f"{where} is no object with 'keypoints'")
+        if person.get("keypoints"):
+            found.append(Detection(("", 0), _person_number(person), _keypoint_table(person, where), where))
+    return found
+
+
 def _is_coco(start: FileStart) -> bool:
-    """Tell whether the file is JSON with one of COCO's or mmpose's keys and not OpenPose's, or an empty list."""
-    others = ('"people"', '"landmarks"', '"pose_landmarks"')
-    if not start.is_json or any(key in start.text for key in others) or re.search(r'"x"\s*:\s*-?\d', start.text):
+    if start.has_points or start.has_key("people", *_LANDMARK_KEYS):
         return False
-    keys = ('"image_id"', '"annotations"', '"images"', '"instances"')
-    return any(key in start.text for key in keys) or start.text.split() in (["[]"], ["[", "]"])
+    return start.has_key(*_IMAGE_KEYS) or start.text.split() in (["[]"], ["[", "]"])
+
+
+def _is_image_result(start: FileStart) -> bool:
+    others = ("people", *_LANDMARK_KEYS, *_IMAGE_KEYS, "frame_id", "frame")
+    return start.has_key("keypoints") and not start.has_points and not start.has_key(*others)
 
 
 COCO = AnnotationFormat(
@@ -97,6 +123,14 @@ COCO = AnnotationFormat(
     read_file=read_coco,
 )
 """COCO keypoints: they may state the size of the images, seldom the rate."""
+IMAGE_RESULTS = AnnotationFormat(
+    name="image_results",
+    recognised_by="JSON list of one image's people with 'keypoints'",
+    suffixes=(".json",),
+    recognises=_is_image_result,
+    read_people=read_image_results,
+)
+"""A folder of results, a file for each image that does not say itself of which it is."""
 
 
 def _people(listed: list[Any]) -> Iterator[_Item]:
@@ -116,7 +150,7 @@ def _people(listed: list[Any]) -> Iterator[_Item]:
                 yield _Item(image, person, inside)
 
 
-def keypoint_table(content: dict[str, Any], where: str) -> Array:
+def _keypoint_table(content: dict[str, Any], where: str) -> Array:
     """Return the keypoints (K, 3) of a person: triples end to end, or points or lists x and y with scores apart.
 
     Raises:
@@ -137,7 +171,7 @@ def keypoint_table(content: dict[str, Any], where: str) -> Array:
     return parse_triples(numbers, f"{where}: 'keypoints'")
 
 
-def person_number(content: dict[str, Any]) -> int | None:
+def _person_number(content: dict[str, Any]) -> int | None:
     """Return the number of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
     value = next((content[key] for key in _ID_KEYS if content.get(key) is not None), None)
     while isinstance(value, list):

@@ -8,13 +8,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array
-
-
-def identity_unitquat(*batch: int) -> Array:
-    """Return identity rotations (*batch, 4)."""
-    result = np.zeros((*batch, 4))
-    result[..., 3] = 1.0
-    return result
+from pasdedeux.kinematics.rotations import identity_unitquat
 
 
 def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:

@@ -6,6 +6,7 @@ test in `tests/contract/test_input_formats.py` asks for a good file of it and do
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -51,6 +52,15 @@ class FileStart:
     def is_json(self) -> bool:
         """Whether it begins as a JSON object or list."""
         return self.text[:1] in ("{", "[")
+
+    @cached_property
+    def has_points(self) -> bool:
+        """Whether it is JSON of objects with a number `x`."""
+        return self.is_json and re.search(r'"x"\s*:\s*-?\d', self.text) is not None
+
+    def has_key(self, *keys: str) -> bool:
+        """Whether it is JSON with one of these keys."""
+        return self.is_json and any(f'"{key}"' in self.text for key in keys)
 
 
 @dataclass(frozen=True)

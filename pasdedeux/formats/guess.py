@@ -10,9 +10,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
+from pasdedeux.kinematics.rotations import identity_unitquat
 from pasdedeux.skeletons.layouts import find_layout
 
 UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001, "CMU unit": 0.0254 / 0.45}

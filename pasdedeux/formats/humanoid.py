@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.euler import identity_unitquat
-from pasdedeux.formats.motion_npz import write_motion_npz
+from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.humanoid import END_SITES, HUMANOID
 
@@ -42,18 +41,11 @@ class HumanoidMotion:
 
 def humanoid_motion(motion: Motion) -> Motion:
     """Return a motion of body22, whose rest pose is the T-pose, on `HUMANOID`: other names, and end sites."""
-    ends = [
-        np.array(site.offset) * np.linalg.norm(motion.rest_offsets_m[motion.skeleton.index(site.joint)])
-        for site in END_SITES
-    ]
-    still = identity_unitquat(motion.num_frames, len(ends))
-    return Motion(
-        skeleton=HUMANOID,
-        rest_offsets_m=np.concatenate([motion.rest_offsets_m, ends]),
-        root_translation_m=motion.root_translation_m,
-        local_unitquat=np.concatenate([motion.local_unitquat, still], axis=1),
-        rate_hz=motion.rate_hz,
-    )
+    carriers = motion.skeleton.indices(site.joint for site in END_SITES)
+    lengths_m = [np.linalg.norm(motion.rest_offsets_m[joint]) for joint in carriers]
+    offsets_m = [np.array(site.offset) * length_m for site, length_m in zip(END_SITES, lengths_m, strict=True)]
+    ended = motion.with_joints([f"{site.joint}_end" for site in END_SITES], carriers, offsets_m)
+    return replace(ended, skeleton=HUMANOID)
 
 
 def write_npz(one: HumanoidMotion) -> bytes:

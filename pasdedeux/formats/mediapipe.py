@@ -31,7 +31,6 @@ _PERSON_KEYS = ("person", "person_id", "track_id", "pose_index", "pose_id")
 _VIDEO_KEYS = ("video", "video_name", "sequence", "filename")
 _LANDMARK_KEYS = ("landmark_name", "landmark", "landmark_id", "landmark_index", "landmark_idx")
 _SEEN_KEYS = ("visibility", "vis", "v", "confidence", "score")
-_POINT = re.compile(r'"x"\s*:\s*-?\d')
 _COLUMN = re.compile(
     r"(?P<axis>x|y|z|v|vis|visibility)_?(?P<index>\d{1,2})|(?P<name>.+?)_(?P<of>x|y|z|v|vis|visibility)"
 )
@@ -72,8 +71,7 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str = "auto") ->
 def _is_mediapipe(start: FileStart) -> bool:
     """Tell whether the file is JSON of landmarks, or a table whose columns are theirs."""
     if start.is_json:
-        has_key = '"landmarks"' in start.text or '"pose_landmarks"' in start.text or _POINT.search(start.text)
-        return '"people"' not in start.text and bool(has_key)
+        return not start.has_key("people") and (start.has_points or start.has_key("landmarks", "pose_landmarks"))
     header = [cell.strip().strip('"').lower() for cell in start.first_row.split(",")]
     is_by_landmark = {"x", "y"} <= set(header) and bool(set(header) & set(_LANDMARK_KEYS))
     return is_by_landmark or len(_columns_by_landmark(header)) >= _MIN_COLUMNS

@@ -1,4 +1,7 @@
-"""Reading npz archives that may be damaged or hostile: no pickles, no more memory than the file justifies."""
+"""Npz archives: written from motions, and read where they may be damaged or hostile.
+
+No pickles are read, and no more memory is taken than the file justifies.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
+from pasdedeux.kinematics import Motion
 
 MAX_UNPACKED_BYTES = 1 << 30
 MAX_ARRAYS = 100
@@ -109,3 +113,26 @@ def _read_array(content: bytes, name: str) -> npt.NDArray[Any]:
         raise FormatError(f"array '{name}' states {size} bytes but has {len(body)}")
     values = np.frombuffer(body, dtype=dtype)
     return values.reshape(shape, order="F" if is_fortran else "C")
+
+
+def write_motion_npz(motion: Motion, *, axes: str, **facts: Any) -> bytes:
+    """Return a motion as an npz archive, lengths in metres.
+
+    `joint_names`, `parents` (-1 for the root), `rest_offset_m` (joint, 3), `root_translation_m` (frame, 3),
+    `local_unitquat` (frame, joint, 4) as x, y, z, w from the rest pose, `positions_m` (frame, joint, 3), `rate_hz`,
+    `unit` and `axes`, a sentence; and further facts by their names.
+    """
+    arrays: dict[str, Any] = {
+        "joint_names": np.array(motion.skeleton.joint_names),
+        "parents": np.array(motion.skeleton.parents),
+        "rest_offset_m": motion.rest_offsets_m,
+        "root_translation_m": motion.root_translation_m,
+        "local_unitquat": motion.local_unitquat,
+        "positions_m": motion.world()[0],
+        "rate_hz": motion.rate_hz,
+        "unit": np.array("m"),
+        "axes": np.array(axes),
+    }
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays, **facts)
+    return file.getvalue()

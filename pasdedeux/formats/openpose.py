@@ -46,7 +46,7 @@ OPENPOSE = AnnotationFormat(
     name="openpose",
     recognised_by="JSON with 'people'",
     suffixes=(".json",),
-    recognises=lambda start: start.is_json and '"people"' in start.text,
+    recognises=lambda start: start.has_key("people"),
     read_people=read_people,
 )
 """OpenPose's files; Pose2Sim, RTMPose's and other tools write the same, with layouts told by their size."""

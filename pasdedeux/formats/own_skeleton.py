@@ -6,7 +6,6 @@ variant: the source's offsets are scaled, its rotations are kept and turned by n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,9 +13,24 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.formats.euler import identity_unitquat
-from pasdedeux.kinematics import Motion, best_rotation, bone_directions, bone_lengths, forward_kinematics, place_bones
-from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, swing_between, unitquat_from_rotmat
+from pasdedeux.kinematics import (
+    Motion,
+    best_rotation,
+    bone_directions,
+    bone_lengths,
+    forward_kinematics,
+    local_from_world,
+    place_bones,
+)
+from pasdedeux.kinematics.rotations import (
+    conjugate,
+    identity_unitquat,
+    multiply,
+    normalise,
+    rotate,
+    swing_between,
+    unitquat_from_rotmat,
+)
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import Layout
@@ -137,17 +151,11 @@ class OwnSkeleton:
             places[joint, joint] = offsets[joint]
         body = np.einsum("bi,ikx->bxk", self.body.weight, places)
         carried = self.body.offset_m.sum(axis=1) * bone_scale[:, None]
-        rows, values = [], []
-        for joint in range(BODY22.num_joints):
-            before = BODY22.parents[joint]
-            while before >= 0 and joint in self._exact and before not in self._exact:
-                before = BODY22.parents[before]
-            if before < 0 and BODY22.parents[joint] < 0:
-                continue
-            before = max(before, 0)
-            share = 1.0 if joint in self._exact else _HOLD_INNER
-            rows.append(share * (body[joint] - body[before]))
-            values.append(share * (wanted[joint] - wanted[before] - carried[joint] + carried[before]))
+        joints = [joint for _, joint in BODY22.bones]
+        above = [self._exact_before(joint) for joint in joints]
+        share = np.where(np.isin(joints, list(self._exact)), 1.0, _HOLD_INNER)[:, None]
+        rows = share[..., None] * (body[joints] - body[above])
+        values = share * (wanted[joints] - wanted[above] - carried[joints] + carried[above])
         # Along one bone of body22 all of the source's are scaled alike where that will do; the rest as what carries it.
         length = np.linalg.norm(offsets, axis=-1)
         hold = np.zeros((skeleton.num_joints, skeleton.num_joints))
@@ -162,8 +170,8 @@ class OwnSkeleton:
                 held[joint] = hold[joint, joint] * bone_scale[ends or slice(1, None)].mean()
             else:
                 hold[joint, before] = -hold[joint, joint]
-        matrix = np.concatenate([*rows, hold])
-        scale = np.linalg.lstsq(matrix, np.concatenate([*values, held]), rcond=None)[0]
+        matrix = np.concatenate([rows.reshape(-1, skeleton.num_joints), hold])
+        scale = np.linalg.lstsq(matrix, np.concatenate([values.reshape(-1), held]), rcond=None)[0]
         return offsets * scale[:, None]
 
     def posed(self, body22_m: Array, bone_scale: Array, *, meets_tips: bool = True) -> Motion:
@@ -211,10 +219,12 @@ class OwnSkeleton:
                     moved = sorted(self._below[joint])
                     fixed = np.setdiff1d(np.arange(skeleton.num_joints), moved)
                     weight = body.weight[aims]
-                    here = np.einsum("bi,tix->tbx", weight[:, fixed], old[:, fixed])
-                    start = old_body[:, aims] - here - weight[:, moved].sum(axis=1)[:, None] * old[:, [joint]]
-                    there = np.einsum("bi,tix->tbx", weight[:, fixed], place[:, fixed])
-                    end = body22_m[:, aims] - there - weight[:, moved].sum(axis=1)[:, None] * place[:, [joint]]
+                    start, end = (
+                        points[:, aims]
+                        - np.einsum("bi,tix->tbx", weight[:, fixed], at[:, fixed])
+                        - weight[:, moved].sum(axis=1)[:, None] * at[:, [joint]]
+                        for points, at in ((old_body, old), (body22_m, place))
+                    )
                     aim, before = aims[0], BODY22.parents[aims[0]]
                     if not meets_tips and len(aims) == 1 and self._ends.get(before) == (joint, False):
                         end = body22_m[:, [aim]] - body22_m[:, [before]]
@@ -226,9 +236,8 @@ class OwnSkeleton:
                         end[:, 0] = _bent(end[:, 0], body22_m[:, tip] - place[:, joint], *bones)
                     turn[:, joint] = _turn_onto(start, end)
             world[:, joint] = multiply(turn[:, joint], old_world[:, joint])
-        return replace(
-            source, rest_offsets_m=offsets, root_translation_m=place[:, root], local_unitquat=_local(skeleton, world)
-        )
+        local = local_from_world(skeleton, world)
+        return replace(source, rest_offsets_m=offsets, root_translation_m=place[:, root], local_unitquat=local)
 
     def worn(self, body22_m: Array, bone_scale: Array) -> OwnSkeleton:
         """Return the person with scaled bones in a variant's body22 (frame, 22, 3), metres.
@@ -241,6 +250,13 @@ class OwnSkeleton:
         constant = place_bones(BODY22, own[:, BODY22.root], bone_directions(BODY22, own), lengths)
         offset = self.body.offset_m * bone_scale[:, None, None]
         return OwnSkeleton(self.posed(body22_m + own - constant, bone_scale), BodyMap(self.body.weight, offset))
+
+    def _exact_before(self, joint: int) -> int:
+        """Return the joint of body22 above another, for an exact one the nearest exact one, if there is any."""
+        before = BODY22.parents[joint]
+        while joint in self._exact and before not in self._exact and before != BODY22.root:
+            before = BODY22.parents[before]
+        return before
 
     @cached_property
     def _exact(self) -> frozenset[int]:
@@ -298,11 +314,8 @@ def standing(own: OwnSkeleton) -> OwnSkeleton:
     """
     motion, skeleton = own.motion, own.motion.skeleton
     rest = own.rest_body22_m
-    lengths = np.linalg.norm(rest - rest[[max(parent, 0) for parent in BODY22.parents]], axis=-1)
-    tee = np.array([t_pose(joint) for joint in BODY22.joint_names])
-    directions = tee - tee[[max(parent, 0) for parent in BODY22.parents]]
-    directions /= np.maximum(np.linalg.norm(directions, axis=-1, keepdims=True), 1e-9)
-    wanted = place_bones(BODY22, np.zeros(3), directions, lengths)
+    directions = bone_directions(BODY22, np.array([t_pose(joint) for joint in BODY22.joint_names]))
+    wanted = place_bones(BODY22, np.zeros(3), directions, bone_lengths(BODY22, rest))
     trunk, its = rest[_TRUNK] - rest[_TRUNK].mean(axis=0), wanted[_TRUNK] - wanted[_TRUNK].mean(axis=0)
     local = identity_unitquat(1, skeleton.num_joints)
     local[:, skeleton.root] = unitquat_from_rotmat(best_rotation(trunk, its))
@@ -316,7 +329,7 @@ def standing(own: OwnSkeleton) -> OwnSkeleton:
     turned = multiply(world, np.broadcast_to(conjugate(frames), world.shape))
     carried = rotate(np.broadcast_to(frames, (BODY22.num_joints, *frames.shape)), own.body.offset_m)
     return OwnSkeleton(
-        replace(motion, rest_offsets_m=offsets, local_unitquat=_local(skeleton, turned)),
+        replace(motion, rest_offsets_m=offsets, local_unitquat=local_from_world(skeleton, turned)),
         BodyMap(own.body.weight, carried),
     )
 
@@ -328,7 +341,9 @@ def own_ends(own: OwnSkeleton) -> OwnSkeleton:
     before it does; one whose children lie on it points to where their bones end.  A source's own End Sites are kept.
     """
     motion, skeleton, offsets = own.motion, own.motion.skeleton, own.motion.rest_offsets_m
-    names, parents, ends = list(skeleton.joint_names), list(skeleton.parents), list(offsets)
+    names: list[str] = []
+    parents: list[int] = []
+    ends: list[Array] = []
     for joint, name in enumerate(skeleton.joint_names):
         parent, below = skeleton.parents[joint], list(skeleton.children(joint))
         if not below and parent >= 0 and name.startswith(f"{skeleton.joint_names[parent]}_end"):
@@ -343,17 +358,9 @@ def own_ends(own: OwnSkeleton) -> OwnSkeleton:
         names.append(f"{name}_end")
         parents.append(joint)
         ends.append(_END_SHARE * (offsets[below].mean(axis=0) if below else offsets[before]))
-    added = len(names) - skeleton.num_joints
-    if not added:
-        return own
-    extended = replace(
-        motion,
-        skeleton=Skeleton(skeleton.name, tuple(names), tuple(parents)),
-        rest_offsets_m=np.array(ends),
-        local_unitquat=np.concatenate([motion.local_unitquat, identity_unitquat(motion.num_frames, added)], axis=1),
-    )
-    weight = np.pad(own.body.weight, ((0, 0), (0, added)))
-    return OwnSkeleton(extended, BodyMap(weight, np.pad(own.body.offset_m, ((0, 0), (0, added), (0, 0)))))
+    padding = ((0, 0), (0, len(names)))
+    body = BodyMap(np.pad(own.body.weight, padding), np.pad(own.body.offset_m, (*padding, (0, 0))))
+    return OwnSkeleton(motion.with_joints(names, parents, ends), body)
 
 
 def _turn_onto(start: Array, end: Array) -> Array:
@@ -383,12 +390,3 @@ def _bent(joint_m: Array, tip_m: Array, first_m: Array, second_m: Array) -> Arra
     side = joint_m - np.sum(joint_m * axis, axis=-1, keepdims=True) * axis
     away = np.sqrt(np.maximum(first_m**2 - along**2, 0.0))
     return np.asarray(along[:, None] * axis + away[:, None] * normalise(side))
-
-
-def _local(skeleton: Skeleton, world: Array) -> Array:
-    """Return local rotations (*batch, J, 4) of world rotations."""
-    local = np.array(world)
-    parents: Sequence[int] = skeleton.parents
-    for child in skeleton.order[1:]:
-        local[..., child, :] = multiply(conjugate(world[..., parents[child], :]), world[..., child, :])
-    return local

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
-from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, swing_between
+from pasdedeux.kinematics import Motion, bone_lengths, local_from_world, local_rotations, place_bones
+from pasdedeux.kinematics.rotations import multiply, rotate, swing_between
 from pasdedeux.skeletons import Skeleton
 
 RIGID_M = 1e-4
@@ -23,9 +25,7 @@ def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float
     Raises:
         InputError: A value is not finite; the frame and joint are named.
     """
-    is_bad = ~np.isfinite(positions_m).all(axis=-1)
-    if is_bad.any():
-        frame, joint = (int(index) for index in np.argwhere(is_bad)[0])
+    for frame, joint in np.argwhere(~np.isfinite(positions_m).all(axis=-1)):
         raise InputError(f"frame {frame}: the position of '{skeleton.joint_names[joint]}' is not finite")
     lengths = np.median(bone_lengths(skeleton, positions_m), axis=0)
     first = positions_m[0]
@@ -34,9 +34,7 @@ def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float
         vector = first[child] - first[parent]
         length = float(np.linalg.norm(vector))
         offsets[child] = vector * (lengths[child] / length) if length > 0 else 0.0
-    rest = np.zeros((skeleton.num_joints, 3))
-    for joint in skeleton.order[1:]:
-        rest[joint] = rest[skeleton.parents[joint]] + offsets[joint]
+    rest = place_bones(skeleton, np.zeros(3), offsets, np.ones(skeleton.num_joints))
     return Motion(
         skeleton=skeleton,
         rest_offsets_m=offsets,
@@ -86,17 +84,9 @@ def exact_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Moti
         parents.append(above)
         offsets.append(rigid.rest_offsets_m[joint])
         turns.append(_turn(skeleton, joint, rigid, turns[above] if above >= 0 else None, world[:, joint], positions_m))
-    local = [
-        turn if parent < 0 else multiply(conjugate(turns[parent]), turn)
-        for turn, parent in zip(turns, parents, strict=True)
-    ]
-    return Motion(
-        skeleton=Skeleton(name=skeleton.name, joint_names=tuple(names), parents=tuple(parents)),
-        rest_offsets_m=np.array(offsets),
-        root_translation_m=rigid.root_translation_m,
-        local_unitquat=np.stack(local, axis=1),
-        rate_hz=rate_hz,
-    )
+    freed = Skeleton(name=skeleton.name, joint_names=tuple(names), parents=tuple(parents))
+    local = local_from_world(freed, np.stack(turns, axis=1))
+    return replace(rigid, skeleton=freed, rest_offsets_m=np.array(offsets), local_unitquat=local)
 
 
 def _slack(skeleton: Skeleton, joint: int, rigid: Motion, turn: Array, positions_m: Array) -> float:

@@ -13,10 +13,9 @@ from pasdedeux.formats.annotation_csv import ANNOTATION_CSV
 from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
 from pasdedeux.formats.asf_amc import ASF_AMC
 from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
-from pasdedeux.formats.coco import COCO
+from pasdedeux.formats.coco import COCO, IMAGE_RESULTS
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
-from pasdedeux.formats.image_results import IMAGE_RESULTS
 from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ

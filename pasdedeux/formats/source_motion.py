@@ -8,9 +8,8 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.kinematics import Motion
-from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, unitquat_from_rotvec
+from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
 
 UP_AXES = ("x", "y", "z")

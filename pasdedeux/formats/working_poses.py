@@ -8,9 +8,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.formats.euler import identity_unitquat
+from pasdedeux.formats.text import at
 from pasdedeux.kinematics import Motion, bone_lengths
-from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts import Layout
 
 MIN_BONE_M = 1e-3
@@ -80,26 +80,9 @@ def check_layout(motion: Motion, layout: Layout) -> None:
 
 def _with_points(motion: Motion, layout: Layout) -> Motion:
     """Return the motion with the layout's added points as further joints."""
-    if not layout.points:
-        return motion
-    names, parents = list(motion.skeleton.joint_names), list(motion.skeleton.parents)
-    offsets = list(motion.rest_offsets_m)
-    for point in layout.points:
-        for joint in (point.joint, point.unit_bone):
-            if joint not in motion.skeleton.joint_names:
-                raise InputError(
-                    f"layout '{layout.name}': joint '{joint}' is not in the source; "
-                    f"known joints: {', '.join(motion.skeleton.joint_names)}"
-                )
-        unit = float(np.linalg.norm(motion.rest_offsets_m[motion.skeleton.index(point.unit_bone)]))
-        names.append(point.name)
-        parents.append(motion.skeleton.index(point.joint))
-        offsets.append(np.array(point.offset) * unit)
-    still = identity_unitquat(motion.num_frames, len(layout.points))
-    return Motion(
-        skeleton=Skeleton(name=motion.skeleton.name, joint_names=tuple(names), parents=tuple(parents)),
-        rest_offsets_m=np.array(offsets),
-        root_translation_m=motion.root_translation_m,
-        local_unitquat=np.concatenate([motion.local_unitquat, still], axis=1),
-        rate_hz=motion.rate_hz,
-    )
+    skeleton, offsets_m = motion.skeleton, motion.rest_offsets_m
+    with at(f"layout '{layout.name}'"):
+        carriers = skeleton.indices(point.joint for point in layout.points)
+        units_m = [float(np.linalg.norm(offsets_m[skeleton.index(point.unit_bone)])) for point in layout.points]
+    added = [np.array(point.offset) * unit_m for point, unit_m in zip(layout.points, units_m, strict=True)]
+    return motion.with_joints([point.name for point in layout.points], carriers, added)

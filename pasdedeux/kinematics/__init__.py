@@ -1,7 +1,14 @@
 """Kinematics: rotations, forward kinematics, bone lengths, rigid alignment, motions."""
 
 from pasdedeux.kinematics.alignment import RigidTransform, align_rigid, best_rotation
-from pasdedeux.kinematics.forward import bone_directions, bone_lengths, forward_kinematics, local_rotations, place_bones
+from pasdedeux.kinematics.forward import (
+    bone_directions,
+    bone_lengths,
+    forward_kinematics,
+    local_from_world,
+    local_rotations,
+    place_bones,
+)
 from pasdedeux.kinematics.motion import Motion
 
 __all__ = [
@@ -12,6 +19,7 @@ __all__ = [
     "bone_directions",
     "bone_lengths",
     "forward_kinematics",
+    "local_from_world",
     "local_rotations",
     "place_bones",
 ]

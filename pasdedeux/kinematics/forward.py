@@ -9,6 +9,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.kinematics.alignment import best_rotation
 from pasdedeux.kinematics.rotations import (
     conjugate,
+    identity_unitquat,
     multiply,
     rotate,
     rotmat_from_unitquat,
@@ -98,9 +99,9 @@ def local_rotations(
         Local unit quaternions (*batch, J, 4).
     """
     batch = positions.shape[:-2]
-    identity = np.zeros((*batch, skeleton.num_joints, 4))
-    identity[..., 3] = 1.0
-    world = np.array(identity if reference_world_unitquat is None else reference_world_unitquat, dtype=np.float64)
+    world = identity_unitquat(*batch, skeleton.num_joints)
+    if reference_world_unitquat is not None:
+        world = np.array(reference_world_unitquat, dtype=np.float64)
     for joint in skeleton.order:
         children = skeleton.children(joint)
         parent = skeleton.parents[joint]
@@ -118,9 +119,14 @@ def local_rotations(
         else:
             carried = rotate(world[..., joint, :], np.broadcast_to(rest[0], posed[..., 0, :].shape))
             world[..., joint, :] = multiply(swing_between(carried, posed[..., 0, :]), world[..., joint, :])
-    local = np.array(world)
+    return local_from_world(skeleton, world)
+
+
+def local_from_world(skeleton: Skeleton, world_unitquat: Array) -> Array:
+    """Return local rotations (*batch, J, 4) of world rotations."""
+    local = np.array(world_unitquat)
     for parent, child in skeleton.bones:
-        local[..., child, :] = multiply(conjugate(world[..., parent, :]), world[..., child, :])
+        local[..., child, :] = multiply(conjugate(world_unitquat[..., parent, :]), world_unitquat[..., child, :])
     return local
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import forward_kinematics
-from pasdedeux.kinematics.rotations import slerp
+from pasdedeux.kinematics.rotations import identity_unitquat, slerp
 from pasdedeux.skeletons import Skeleton
 
 Indices = npt.NDArray[np.int64]
@@ -71,10 +72,21 @@ class Motion:
 
     def rest_positions_m(self) -> Array:
         """Return the rest pose (J, 3) with the root at the origin."""
-        rest = np.zeros((self.skeleton.num_joints, 4))
-        rest[:, 3] = 1.0
-        positions, _ = forward_kinematics(self.skeleton, self.rest_offsets_m, np.zeros(3), rest)
-        return positions
+        still = identity_unitquat(self.skeleton.num_joints)
+        return forward_kinematics(self.skeleton, self.rest_offsets_m, np.zeros(3), still)[0]
+
+    def with_joints(self, names: Sequence[str], parents: Sequence[int], offsets_m: Sequence[Array]) -> Motion:
+        """Return the motion with further joints, which never turn, at offsets from joints that it has."""
+        if not names:
+            return self
+        known = self.skeleton
+        still = identity_unitquat(self.num_frames, len(names))
+        return replace(
+            self,
+            skeleton=Skeleton(known.name, (*known.joint_names, *names), (*known.parents, *parents)),
+            rest_offsets_m=np.concatenate([self.rest_offsets_m, offsets_m]),
+            local_unitquat=np.concatenate([self.local_unitquat, still], axis=1),
+        )
 
     def slice(self, start: int, stop: int) -> Motion:
         """Return frames `start` to `stop` (exclusive)."""

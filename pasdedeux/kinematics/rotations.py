@@ -13,6 +13,13 @@ from pasdedeux.arrays import Array
 _TINY = 1e-12
 
 
+def identity_unitquat(*batch: int) -> Array:
+    """Return identity rotations (*batch, 4)."""
+    result = np.zeros((*batch, 4))
+    result[..., 3] = 1.0
+    return result
+
+
 def normalise(vector: Array, *, fallback: Array | None = None) -> Array:
     """Scale vectors (*batch, d) to length 1; a vector of length zero gives `fallback`, or zeros without one."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)

@@ -21,7 +21,7 @@ from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
 from flows.machine import remembered_ctrl_c
 from pasdedeux.errors import InputError
-from pasdedeux.formats.humanoid import say_units, write_npz
+from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
@@ -193,7 +193,7 @@ def _write_sequence(
             )
         )
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
-    write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), say_units(motion, units))
+    write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), units_text(motion, units))
     people = names.path(sequence.sequence_id, "people", suffix=".csv")
     write_text(people, write_decisions(sequence.decisions))
     typer.echo(f"{people}: who is who; --people with a changed copy overrules it", err=True)

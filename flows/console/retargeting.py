@@ -227,7 +227,7 @@ def _retarget(
     files = RigFiles(out, rest_pose=rest_pose, units=units)
     for index, person in enumerate(people):
         wanted_m = positions_m[:, index]
-        own = person.own.worn(wanted_m, bone_scale[index])
+        own = person.own.retargeted(wanted_m, bone_scale[index])
         files.write((take_id, "retarget", person.letter), person, own, wanted_m)
     credits_path = write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)
     say(map(str, (*files.close(), credits_path)))

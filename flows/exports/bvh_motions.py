@@ -63,7 +63,7 @@ def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:
     for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
         for person, one in enumerate(people):
             body22_m = rows["body22_m"][part[rows["person"][part] == person]].astype(np.float64)
-            own = one.own.worn(body22_m, scales[take_id, variant_id].reshape(len(people), -1)[person])
+            own = one.own.retargeted(body22_m, scales[take_id, variant_id].reshape(len(people), -1)[person])
             files.write((take_id, variant_id, one.letter), one, own, body22_m)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from flows.exports.export_format import FileNames, RestPose, Units, write_text
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.npz import write_motion_npz
-from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, own_ends, standing
+from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, standing, with_end_sites
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22, Skeleton
@@ -104,7 +104,7 @@ class RigFiles:
         """
         path = self._names.path(*parts, suffix=".bvh")
         name = path.name.removesuffix(".bvh")
-        ended = own_ends(own)
+        ended = with_end_sites(own)
         motion = (standing(ended) if self._rest_pose == "standing" else ended).motion
         metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
         line = f"{name}: {motion.num_frames} frames at {motion.rate_hz:.6g} Hz, one unit of the BVH is {metres:.9g} m"

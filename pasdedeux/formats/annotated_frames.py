@@ -77,12 +77,12 @@ class AnnotatedFrames:
         image_size_px: Width and height of the images by sequence, of those where it is known.
         rate_hz: Frames per second, None when unknown.
         focal_px: Focal length of the camera by sequence, pixels, of those where it is known.
-        skipped: Names of files that could not be read and were left out.
+        skipped: Names of files that could not be read.
         has_identities: Whether a person has the same number in every frame; a detector that does not follow people
             numbers them anew in each.
 
     Raises:
-        FormatError: Shapes do not fit the layout, or the same person twice in a frame.
+        FormatError: The name of a sequence is not allowed, or the same person is there twice in a frame.
     """
 
     layout: str
@@ -98,25 +98,19 @@ class AnnotatedFrames:
     has_identities: bool = True
 
     def __post_init__(self) -> None:
-        """Sort the rows, settle what is missing, and check."""
+        """Sort the rows, make what is missing NaN with confidence 0, and check."""
         rows, count = len(self.frame), get_keypoint_layout(self.layout).num_keypoints
-        if self.keypoints_px.shape != (rows, count, 2) or self.confidence.shape != (rows, count):
-            raise FormatError(
-                f"layout '{self.layout}' has {count} keypoints; the data has the shapes "
-                f"{self.keypoints_px.shape} and {self.confidence.shape} for {rows} rows"
-            )
-        if len(self.sequence_id) != rows or len(self.person_id) != rows:
-            raise FormatError(
-                f"{rows} frames, {len(self.sequence_id)} sequences and {len(self.person_id)} people differ"
-            )
+        assert self.keypoints_px.shape == (rows, count, 2)
+        assert self.confidence.shape == (rows, count)
+        assert len(self.sequence_id) == len(self.person_id) == rows
         for name in set(self.sequence_id):
             if not _SEQUENCE_NAME.fullmatch(name):
                 raise FormatError(f"sequence '{name[:40]}': names have letters, digits, '.', '-' and '_', at most 200")
-        order = sorted(range(rows), key=lambda i: (self.sequence_id[i], int(self.frame[i]), int(self.person_id[i])))
-        keys = [(self.sequence_id[i], int(self.frame[i]), int(self.person_id[i])) for i in order]
-        for before, after in pairwise(keys):
-            if before == after:
-                raise FormatError(f"sequence '{after[0]}', frame {after[1]}: person {after[2]} appears twice")
+        keys = sorted(zip(self.sequence_id, self.frame.tolist(), self.person_id.tolist(), range(rows), strict=True))
+        order = [row for *_, row in keys]
+        for before, (name, frame, person, _) in pairwise(keys):
+            if before[:3] == (name, frame, person):
+                raise FormatError(f"sequence '{name}', frame {frame}: person {person} appears twice")
         is_seen = np.isfinite(self.keypoints_px).all(axis=-1) & (self.confidence > 0)
         fields = {
             "sequence_id": tuple(self.sequence_id[i] for i in order),

@@ -9,8 +9,8 @@ A header line and a row per keypoint, columns in any order::
     sequence,frame,person,joint,x,y,confidence
     clip1,0,0,left_knee,812.5,640.0,0.93
 
-The lines that start with `#` may be left out: the layout is then told from the joints' names.  `confidence` may be left
-out (1).  Empty or NaN x and y, or confidence 0, mean missing; keypoints that are not listed are missing.
+The lines that start with `#` are optional: the layout then follows from the joints' names.  `confidence` is optional
+(1).  Empty or NaN x and y, or confidence 0, mean missing; keypoints that are not listed are missing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
         layout: Layout of the keypoints; "auto" takes the one the file states or the only one that has all its joints.
 
     Raises:
-        FormatError: The file is mangled, or its layout cannot be told; the line is named.
+        FormatError: The file is mangled, or its layout is unclear; the line is named.
     """
     size = rate_hz = focal_px = None
     people: dict[tuple[str, int, int], dict[str, tuple[float, float, float]]] = {}
@@ -108,5 +108,5 @@ def _layout_of(joint_names: set[str]) -> str:
     ]
     if len(fitting) != 1:
         why = f"fit {', '.join(fitting)}" if fitting else f"fit none of {', '.join(KEYPOINT_LAYOUTS)}"
-        raise FormatError(f"the layout cannot be told: the joints {why}; say it in a line '# layout: NAME'")
+        raise FormatError(f"the layout is unclear: the joints {why}; state it in a line '# layout: NAME'")
     return fitting[0]

@@ -55,7 +55,7 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str = "auto") -> Anno
             1, 2, an unknown image, or a value that is no finite number.
         InputError: The file holds nobody.
     """
-    content = parse_json(data, "COCO file", has_nan=True)
+    content = parse_json(data, "COCO file")
     named = content if isinstance(content, dict) else {"instance_info": content}
     is_annotations = isinstance(named.get("annotations"), list)
     listed = named["annotations"] if is_annotations else named.get("instance_info")
@@ -90,7 +90,7 @@ def read_image_results(data: bytes) -> list[Detection]:
     Raises:
         FormatError: It is no such list, or a value is no number; the person is named.
     """
-    content = parse_json(data, "JSON file", has_nan=True)
+    content = parse_json(data, "JSON file")
     people = content.get("instance_info") if isinstance(content, dict) else content
     if not isinstance(people, list):
         raise FormatError("this is no list of people with 'keypoints'")

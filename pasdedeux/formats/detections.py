@@ -1,6 +1,6 @@
 """The one form of what detectors write: a row for each person in each image, and how rows become sequences.
 
-Every reader of a detector's files ends here, so that layouts, people and frame numbers are told in one place.
+Every reader of a detector's files ends here, so that layouts, people and frame numbers are found in one place.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def join_detections(
         layout: Layout asked for; of several with as many keypoints it is the one.
         sizes_px: Image size by video, where it is known.
         rate_hz: Frames per second, where the file says.
-        skipped: Files that were left out.
+        skipped: Files that were skipped.
 
     Raises:
         FormatError: A number of keypoints that no layout has, or two in one source; a confidence out of range.
@@ -166,7 +166,7 @@ def number_in_name(name: str) -> tuple[str, int | None]:
 def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     """Return video and frame of each image by its name: `cam1_0012.jpg` and `cam1/0012.jpg` are frame 12 of cam1.
 
-    Folders that all names share say nothing.  Where there is one video only, its name is left out.  Names of which one
+    Folders that all names share say nothing.  A single video has no name.  Names of which one
     has no number, or whose videos would mostly have one frame, are single images: frames of one sequence, in the order
     of the names.
 
@@ -175,17 +175,17 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     """
     folders = {name: name.replace("\\", "/").split("/")[:-1] for name in dict.fromkeys(names)}
     shared = len(list(takewhile(lambda parts: len(set(parts)) == 1, zip(*folders.values(), strict=False))))
-    told = {}
+    parsed = {}
     for name, parts in folders.items():
         front, number = number_in_name(name)
-        told[name] = ("/".join(filter(None, [*parts[shared:], front])), number)
-    fronts = {front for front, _ in told.values()}
-    is_stills = any(number is None or number > MAX_COUNT for _, number in told.values())
-    if is_stills or (len(fronts) > 1 and 2 * len(fronts) > len(told)):
-        return {name: ("", index) for index, name in enumerate(sorted(told))}
+        parsed[name] = ("/".join(filter(None, [*parts[shared:], front])), number)
+    fronts = {front for front, _ in parsed.values()}
+    is_stills = any(number is None or number > MAX_COUNT for _, number in parsed.values())
+    if is_stills or (len(fronts) > 1 and 2 * len(fronts) > len(parsed)):
+        return {name: ("", index) for index, name in enumerate(sorted(parsed))}
     places: dict[str, Place] = {}
     taken: dict[Place, str] = {}
-    for name, (front, number) in told.items():
+    for name, (front, number) in parsed.items():
         place = (front if len(fronts) > 1 else "", int(number or 0))
         if place in taken:
             raise FormatError(f"'{taken[place][:60]}' and '{name[:60]}' are both frame {place[1]} by their names")
@@ -216,10 +216,8 @@ def known_footage(content: object) -> Footage:
 
 def image_size(image: Mapping[str, Any], keys: tuple[str, str] = ("width", "height")) -> tuple[int, int] | None:
     """Return width and height of an image's JSON object, None where they are no whole numbers of pixels."""
-    width, height = (_side(image.get(key)) for key in keys)
-    return (width, height) if width and height else None
-
-
-def _side(value: object) -> int:
-    is_side = isinstance(value, int | float) and 0 < value <= MAX_IMAGE_PX and value == int(value)
-    return int(value) if is_side and isinstance(value, int | float) else 0
+    width, height = (image.get(key) for key in keys)
+    if not isinstance(width, int | float) or not isinstance(height, int | float):
+        return None
+    is_size = all(0 < side <= MAX_IMAGE_PX and side == int(side) for side in (width, height))
+    return (int(width), int(height)) if is_size else None

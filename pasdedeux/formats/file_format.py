@@ -21,7 +21,7 @@ _LOOKED_AT_BYTES = 200_000
 
 
 class FileStart:
-    """What formats are recognised by: the beginning of a file, looked at once for all of them.
+    """What formats are recognised by: the beginning of a file, inspected once for all of them.
 
     Args:
         data: The file.
@@ -65,7 +65,7 @@ class FileStart:
 
 @dataclass(frozen=True)
 class MotionHead:
-    """What can be told of a motion file without the arithmetic of its frames.
+    """What is known of a motion file without converting its rotations.
 
     Args:
         rest: Its skeleton with one frame of rest, and what it says of rate, unit and axis.
@@ -136,7 +136,7 @@ class AnnotationFormat(FileFormat):
     Args:
         read_file: Reads a source that is one file: the file, the name of the sequence where the file names none, the
             layout that is asked for or "auto".
-        read_people: Returns the people of the file of one image, those without any keypoint left out.
+        read_people: Returns the people of the file of one image, without those who have no keypoint.
     """
 
     read_file: Callable[[bytes, str, str], AnnotatedFrames] | None = None

@@ -1,4 +1,4 @@
-"""What a motion file does not say, told from its content: up axis, length unit."""
+"""What a motion file does not state, estimated from its content: up axis, length unit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATURE_OF_CHAIN = 1.13
 """Stature over the chain from the ankle to the ear: the foot is 5 % of it and the head above the ear 7 %."""
 
 _SAMPLE = 200
-"""Frames looked at for a guess."""
+"""Frames that a guess is made from."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def guess_unit(source: SourceMotion) -> UnitGuess:
 
 
 def guess_motion(source: SourceMotion) -> MotionGuess:
-    """Return everything that can be told of a motion that its file does not say."""
+    """Return estimates of everything that a motion file may not state."""
     layout = find_layout(source.skeleton.joint_names)
     return MotionGuess(
         layout=layout.name if layout else None,

@@ -58,7 +58,7 @@ def write_npz(one: HumanoidMotion) -> bytes:
     return write_motion_npz(humanoid_motion(one.motion), axes=AXES, is_seen=one.is_seen, first_frame=one.first_frame)
 
 
-def say_units(one: HumanoidMotion, units: str) -> str:
+def units_text(one: HumanoidMotion, units: str) -> str:
     """Return what someone who finds the files of a video has to know, as text to lie beside them."""
     return (
         f"BVH files are in {_SPELT[units]} and degrees, npz files in metres and unit quaternions (x, y, z, w).\n"

@@ -50,7 +50,7 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str = "auto") ->
     what = "file of landmarks"
     footage = UNKNOWN
     if decode(data, what).lstrip()[:1] in ("{", "["):
-        content = parse_json(data, what, has_nan=True)
+        content = parse_json(data, what)
         footage = known_footage(content)
         detections = list(_of_frames(content))
     else:

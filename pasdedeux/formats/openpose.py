@@ -19,7 +19,7 @@ def read_people(data: bytes | str) -> list[Detection]:
     Raises:
         FormatError: Not JSON, not OpenPose, a number of keypoints that no layout has, or a value that is no number.
     """
-    content = parse_json(data, "OpenPose file", has_nan=True)
+    content = parse_json(data, "OpenPose file")
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list):
         raise FormatError("this is not an OpenPose file: it has no list 'people'")
@@ -49,7 +49,7 @@ OPENPOSE = AnnotationFormat(
     recognises=lambda start: start.has_key("people"),
     read_people=read_people,
 )
-"""OpenPose's files; Pose2Sim, RTMPose's and other tools write the same, with layouts told by their size."""
+"""OpenPose's files; Pose2Sim, RTMPose's and other tools write the same, with layouts known by their size."""
 
 
 def openpose_frame_number(file_name: str) -> int | None:

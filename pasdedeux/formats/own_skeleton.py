@@ -239,7 +239,7 @@ class OwnSkeleton:
         local = local_from_world(skeleton, world)
         return replace(source, rest_offsets_m=offsets, root_translation_m=place[:, root], local_unitquat=local)
 
-    def worn(self, body22_m: Array, bone_scale: Array) -> OwnSkeleton:
+    def retargeted(self, body22_m: Array, bone_scale: Array) -> OwnSkeleton:
         """Return the person with scaled bones in a variant's body22 (frame, 22, 3), metres.
 
         Variants have bones of constant length, the source's median ones; by what the source's own body22 differs from
@@ -274,10 +274,10 @@ class OwnSkeleton:
 
     @cached_property
     def _ends(self) -> dict[int, tuple[int, bool]]:
-        """For each joint of body22 that poses are told by, the last of the source's joints it needs.
+        """For each joint of body22 that determines poses, the last of the source's joints it needs.
 
         And whether that joint carries it, so that it moves when that joint turns.  Of those that end in one joint the
-        ones between joints are left out, and so are those that need several branches.
+        ones between joints are skipped, and so are those that need several branches.
         """
         ends: dict[int, tuple[int, bool]] = {}
         for joint in range(BODY22.num_joints):
@@ -334,7 +334,7 @@ def standing(own: OwnSkeleton) -> OwnSkeleton:
     )
 
 
-def own_ends(own: OwnSkeleton) -> OwnSkeleton:
+def with_end_sites(own: OwnSkeleton) -> OwnSkeleton:
     """Return the same with an End Site, `<joint>_end`, for every joint that would have no length without one.
 
     Programs draw a joint from where it lies to where those below it lie.  A joint without any goes on as the bone

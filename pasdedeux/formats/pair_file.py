@@ -52,7 +52,7 @@ class PairFile:
 
     Args:
         pair_m: Positions (person=2, joint=17, 3), metres, Y up.
-        made_from: What it was made from, such as a reference to a draw; empty when nothing is said.
+        made_from: What it was made from, such as a reference to a draw; empty when unknown.
         takes: Takes that it shows or was learned from: it may not be used to judge them.
         sources: Licences and credits it inherits.
     """
@@ -108,14 +108,14 @@ def write_pair_json(pair: PairFile) -> str:
 def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
     """Read what `write_pair_json` wrote, edited or not.
 
-    `made_from`, `takes` and `sources` may be left out; so may joints, or be null, where `is_partial`: they are NaN.
+    `made_from`, `takes` and `sources` are optional; so are joints where `is_partial`: NaN when missing or null.
 
     Raises:
         FormatError: It is no such file, a joint is missing, unknown or not three finite numbers, or a bone has a length
             that no person's has; names the person and the joint.
     """
     try:
-        tree = _Tree.model_validate(parse_json(data, "pair", has_nan=True))
+        tree = _Tree.model_validate(parse_json(data, "pair"))
     except ValidationError as error:
         raise FormatError(f"this is no pair: {first_problem(error)}") from None
     pair = np.full((len(_PERSONS), PAIR17.num_joints, 3), np.nan)
@@ -167,11 +167,8 @@ def _posed(name: str, data: bytes | str, frame: int, metres_per_unit: float) -> 
         return np.asarray(motion.world()[0][0, [names.index(joint) for joint in PAIR17.joint_names]])
     layout = find_layout(names)
     if layout is None:
-        missing = [joint for joint in PAIR17.joint_names if joint not in names]
-        raise FormatError(
-            f"person {name}: its joints fit no known layout, and of {PAIR17.name} it lacks {', '.join(missing[:5])}"
-            + ("" if len(missing) <= 5 else f" and {len(missing) - 5} more")
-        )
+        missing = ", ".join(joint for joint in PAIR17.joint_names if joint not in names)
+        raise FormatError(f"person {name}: its joints fit no known layout, and of {PAIR17.name} it lacks {missing}")
     return derive_working_poses(motion, layout).pair17_m[0]
 
 

@@ -40,7 +40,7 @@ def place_points(points_m: Array, *, translation_m: Sequence[float], yaw_rad: fl
 def floor_shift(body22_m: Array) -> float:
     """Return the height to add to a take so that its floor is at y = 0.
 
-    The lowest foot joint of all people in each frame is looked at; its 5th percentile is where feet stand.  A take
+    The lowest foot joint of all people in each frame counts; its 5th percentile is where feet stand.  A take
     whose feet already stand within -2 to 6 cm of y = 0 keeps its world (0 is given); any other comes to stand at 0.
 
     Args:

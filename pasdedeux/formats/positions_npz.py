@@ -1,7 +1,7 @@
 """Our npz of 3D joint positions without rotations.
 
 `positions_m` (frame, joint, 3) of one person, metres, `joint_names` (joint,) of texts,
-`parents` (joint,) with -1 for the root (may be left out when the names are those of body22), `rate_hz`.
+`parents` (joint,) with -1 for the root (optional when the names are those of body22), `rate_hz`.
 """
 
 from __future__ import annotations

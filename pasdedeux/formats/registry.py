@@ -29,10 +29,10 @@ ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
 
 
 def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
-    """Return the format of a file, told from its content, never from its name.
+    """Return the format of a file by its content, never by its name.
 
     Raises:
-        FormatError: It is empty, or none of them; what each is recognised by is said.
+        FormatError: It is empty, or none of them; the message says what each is recognised by.
     """
     if not data.strip():
         raise FormatError("this file is empty")
@@ -56,7 +56,7 @@ def is_companion(data: bytes) -> bool:
 
 
 def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
-    """Return the format of this name, or for "auto" the one that a file's content tells.
+    """Return the format of this name, or for "auto" the one that a file's content shows.
 
     Args:
         known: `MOTION_FORMATS` or `ANNOTATION_FORMATS`: what the file must be.
@@ -81,8 +81,8 @@ def read_annotations(
     *,
     source_id: str,
     layout: str = "auto",
-    told: Footage = UNKNOWN,
-    beside: Footage = UNKNOWN,
+    stated: Footage = UNKNOWN,
+    video: Footage = UNKNOWN,
     min_confidence: float | None = 0.0,
     skip_unreadable: bool = False,
 ) -> AnnotatedFrames:
@@ -93,10 +93,10 @@ def read_annotations(
         files: Content of each file by its name.
         source_id: Name of the source; stands in front of the names that the files give to their sequences.
         layout: Keypoint layout asked for, or "auto".
-        told: What is known of the video; wins over what the files say.
-        beside: What the video that lies beside the files says; taken where nobody else says it.
+        stated: What the study states of the video; wins over the files.
+        video: What the video file beside them states; used where neither does.
         min_confidence: Keypoints of less are missing; None for the usual, see `without_doubtful`.
-        skip_unreadable: Leave out frames whose file is damaged.
+        skip_unreadable: Skip frames whose file is damaged.
 
     Raises:
         InputError: A file is mangled (named), the keypoints are not in the layout asked for, are not people, or lie
@@ -110,7 +110,7 @@ def read_annotations(
         raise type(error)(f"{next(iter(files))}: {error}") from None
     if layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
-    frames = without_doubtful(in_pixels(_with_footage(frames, told, beside)), min_confidence)
+    frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)
     check_anatomy(frames)
     own = f"{source_id}."
     names = {
@@ -124,18 +124,18 @@ def read_annotations(
     )
 
 
-def _with_footage(frames: AnnotatedFrames, told: Footage, beside: Footage) -> AnnotatedFrames:
+def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> AnnotatedFrames:
     """Return annotations with all that is known of rate, image size and focal length."""
     sizes, focals = dict(frames.image_size_px), dict(frames.focal_px)
     for name in set(frames.sequence_id):
-        size = told.image_size_px or sizes.get(name) or beside.image_size_px
+        size = stated.image_size_px or sizes.get(name) or video.image_size_px
         if size:
             sizes[name] = size
-        if told.focal_px:
-            focals[name] = told.focal_px
-        elif told.fov_deg:
+        if stated.focal_px:
+            focals[name] = stated.focal_px
+        elif stated.fov_deg:
             if size is None:
                 raise InputError("a field of view needs the size of the image (image_size_px, --size)")
-            focals[name] = 0.5 * size[0] / math.tan(math.radians(0.5 * told.fov_deg))
-    rate_hz = told.rate_hz or frames.rate_hz or beside.rate_hz
+            focals[name] = 0.5 * size[0] / math.tan(math.radians(0.5 * stated.fov_deg))
+    rate_hz = stated.rate_hz or frames.rate_hz or video.rate_hz
     return replace(frames, image_size_px=sizes, focal_px=focals, rate_hz=rate_hz)

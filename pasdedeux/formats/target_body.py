@@ -166,12 +166,12 @@ def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: 
     if is_every_bone:
         scale[pairs[:, 1]] = wanted / lengths_m[pairs[:, 1]]
     scale[BODY22.root] = 1.0
-    told = np.abs(between).sum(axis=0) > 0
-    told |= told[list(BODY22.mirror)]
+    is_measured = np.abs(between).sum(axis=0) > 0
+    is_measured |= is_measured[list(BODY22.mirror)]
     compared = {**target.distances_m, **target.checks_m}
     misfit = found(scale, np.array(list(compared)))[0] - np.array(list(compared.values()))
     misfit_m = dict(zip(compared, misfit.tolist(), strict=True))
-    return BodyFit(scale, misfit_m, int((~told[1:]).sum()))
+    return BodyFit(scale, misfit_m, int((~is_measured[1:]).sum()))
 
 
 def _arrays_of_json(data: bytes) -> dict[str, npt.NDArray[Any]]:

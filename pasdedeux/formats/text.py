@@ -239,13 +239,12 @@ def parse_triples(numbers: list[Any], what: str) -> npt.NDArray[np.float64]:
     return np.array(numbers, dtype=np.float64).reshape(-1, 3)
 
 
-def parse_json(data: bytes | str, what: str, *, has_nan: bool = False) -> Any:
-    """Return the value of a JSON text; NaN and infinity are refused, as JSON does not know them.
+def parse_json(data: bytes | str, what: str) -> Any:
+    """Return the value of a JSON text; of what JSON does not know NaN may be there, as some detectors write it.
 
     Args:
         data: The text.
         what: What it is, for messages.
-        has_nan: Whether NaN may stand for what was not detected, as some detectors write it.
 
     Raises:
         FormatError: The text is empty, truncated, nested too deeply or otherwise not JSON; the line is named.
@@ -253,7 +252,7 @@ def parse_json(data: bytes | str, what: str, *, has_nan: bool = False) -> Any:
     text = decode(data, what)
 
     def refuse(constant: str) -> float:
-        if has_nan and constant == "NaN":
+        if constant == "NaN":
             return math.nan
         raise FormatError(f"this {what} holds {constant}, which is not a finite number")
 

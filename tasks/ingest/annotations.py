@@ -182,8 +182,8 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
         layout=parameters.layout,
-        told=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
-        beside=Footage(parameters.video_size_px, parameters.video_rate_hz),
+        stated=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
+        video=Footage(parameters.video_size_px, parameters.video_rate_hz),
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
     )

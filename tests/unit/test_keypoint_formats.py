@@ -127,10 +127,10 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
     kind = ANNOTATION_FORMATS["openpose"]
     with pytest.raises(InputError, match=r"shares of the image.*--size"):
         read_annotations(kind, shares(), source_id="s")
-    found = read_annotations(kind, shares(), source_id="s", told=Footage((400, 320)))
+    found = read_annotations(kind, shares(), source_id="s", stated=Footage((400, 320)))
     np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
     with pytest.raises(InputError, match="world landmarks"):
-        read_annotations(kind, shares(shift=0.4), source_id="s", told=Footage((400, 320)))
+        read_annotations(kind, shares(shift=0.4), source_id="s", stated=Footage((400, 320)))
 
 
 def test_frame_numbers_come_from_file_names() -> None:
@@ -250,7 +250,7 @@ def test_landmarks_of_every_form_are_the_same_person(form: str) -> None:
     text = landmark_texts()[form].encode()
     kind = recognise_format(text)
     assert kind is ANNOTATION_FORMATS["mediapipe"]
-    found = read_annotations(kind, {"m": text}, source_id="m", told=Footage((400, 400)))
+    found = read_annotations(kind, {"m": text}, source_id="m", stated=Footage((400, 400)))
     assert (found.layout, found.rate_hz) == ("mediapipe33", 25.0 if form == "frames" else None)
     assert found.frame.tolist() == list(range(6))
     for row, (_, _, table) in enumerate(people_of(6, 1, "mediapipe33")):
@@ -371,7 +371,7 @@ def test_our_csv_says_layout_size_and_rate_or_has_them_told() -> None:
     assert found.image_size_px == {"sequence": (640, 480)}
     bare = "\n".join(line for line in csv_text().split("\n") if not line.startswith("#"))
     assert read_annotation_csv(bare).layout == "pair17"
-    with pytest.raises(FormatError, match="the layout cannot be told"):
+    with pytest.raises(FormatError, match="the layout is unclear"):
         read_annotation_csv("frame,person,joint,x,y\n0,0,left_knee,1,2\n")
     assert read_annotation_csv("frame,person,joint,x,y\n0,0,left_knee,1,2\n", layout="coco17").layout == "coco17"
 

@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, own_ends, standing
+from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, standing, with_end_sites
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import angle_between, multiply, unitquat_from_rotvec
@@ -77,7 +77,7 @@ def test_at_scale_one_the_source_comes_back_from_its_own_body22(tmp_path: Path) 
         ones = np.ones(BODY22.num_joints)
         same(own.posed(own.body.of(own.motion), ones), own.motion, metres=1e-9, degrees=1e-4)
         # A variant's bones are constant, while the neck of ASF spans two joints that move.
-        same(own.worn(scaled(own, ones), ones).motion, own.motion, metres=1e-9, degrees=1e-4)
+        same(own.retargeted(scaled(own, ones), ones).motion, own.motion, metres=1e-9, degrees=1e-4)
 
 
 @settings(max_examples=25)
@@ -85,7 +85,7 @@ def test_at_scale_one_the_source_comes_back_from_its_own_body22(tmp_path: Path) 
 def test_a_uniform_scale_scales_every_offset_and_turns_nothing(scale: float) -> None:
     own = rig()
     scales = np.full(BODY22.num_joints, scale)
-    worn = own.worn(scaled(own, scales), scales)
+    worn = own.retargeted(scaled(own, scales), scales)
     np.testing.assert_allclose(worn.motion.rest_offsets_m[1:], scale * own.motion.rest_offsets_m[1:], atol=1e-9)
     assert np.rad2deg(angle_between(worn.motion.world()[1], own.motion.world()[1]).max()) < 1e-3
 
@@ -97,7 +97,7 @@ def test_bones_have_the_lengths_asked_for_and_hands_and_feet_lie_where_they_are_
     rng = np.random.default_rng(seed)
     scales = rng.uniform(0.75, 1.25, BODY22.num_joints)[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
     wanted = scaled(own, scales)
-    worn = own.worn(wanted, scales)
+    worn = own.retargeted(wanted, scales)
     body = worn.body.of(worn.motion)
     rigid = [joint for joint in range(1, BODY22.num_joints) if BODY22.joint_names[joint] != "head"]
     np.testing.assert_allclose(
@@ -145,7 +145,7 @@ def test_every_joint_that_is_drawn_has_a_length(tmp_path: Path) -> None:
         walk(tmp_path),
         OwnSkeleton(figure_motion(), body_map(LAYOUTS["body22"], BODY22, figure_motion().rest_offsets_m)),
     ):
-        motion = own_ends(own).motion
+        motion = with_end_sites(own).motion
         same(motion, own.motion, metres=0.0, degrees=1e-5)
         for joint, name in enumerate(motion.skeleton.joint_names):
             below = list(motion.skeleton.children(joint))
@@ -185,7 +185,7 @@ def test_straight_legs_stay_straight_when_a_variant_bends_its_back() -> None:
     wanted = scaled(own, ones)
     above = BODY22.indices(name for name in BODY22.joint_names if not name.endswith(("hip", "knee", "ankle", "toe")))
     wanted[::2, above] += [0.0, 0.01, 0.0]  # every other frame the whole trunk is a centimetre further from the hips
-    worn = own.worn(wanted, ones)
+    worn = own.retargeted(wanted, ones)
     away_m = np.linalg.norm(worn.body.of(worn.motion) - wanted, axis=-1)
     assert away_m[:, EXTREMITIES].max() < 1e-3
     assert away_m[:, BODY22.indices(["left_knee", "right_knee"])].max() < 0.015

@@ -279,19 +279,16 @@ ASF_AMC = MotionFormat(
     name="asf_amc",
     recognised_by="AMC with :FULLY-SPECIFIED or :DEGREES",
     suffixes=(".amc",),
-    recognises=lambda start: _has_section(start, "fully-specified|degrees|radians") and not is_asf(start),
+    recognises=lambda start: (
+        _has_section(start, "fully-specified|degrees|radians") and not _has_section(start, "bonedata")
+    ),
     read=lambda data, companion: read_amc(data, read_asf(companion)),
     companion="skeleton",
     companion_names=lambda name: (name.rpartition(".")[0].rpartition("_")[0] + ".asf",),
-    is_companion=lambda start: is_asf(start),
+    is_companion=lambda start: _has_section(start, "bonedata"),
 )
 """AMC over its ASF skeleton, 60.asf for 60_01.amc in the CMU database: it states its unit and that y is up, never its
 rate."""
-
-
-def is_asf(start: FileStart) -> bool:
-    """Tell whether a file is an ASF: it has bones."""
-    return _has_section(start, "bonedata")
 
 
 def _has_section(start: FileStart, names: str) -> bool:

@@ -200,18 +200,16 @@ def known_footage(content: object) -> Footage:
     Raises:
         FormatError: A rate or size that is no sensible number.
     """
-    size, rate = None, None
-    inside = [one for one in content.values() if isinstance(one, dict)] if isinstance(content, dict) else []
-    for part in [content, *inside] if isinstance(content, dict) else []:
-        for keys in _SIZE_KEYS:
-            if size is None and all(key in part for key in keys):
-                size = image_size(part, keys)
-        for key in _RATE_KEYS:
-            if rate is None and part.get(key) is not None:
-                rate = part[key]
-                if type(rate) not in (int, float) or not RATE_HZ[0] <= rate <= RATE_HZ[1]:
-                    raise FormatError(f"'{key}' is {str(rate)[:40]}; allowed: {RATE_HZ[0]:g} to {RATE_HZ[1]:g}")
-    return Footage(size, None if rate is None else float(rate))
+    inside = [content, *content.values()] if isinstance(content, dict) else []
+    parts = [part for part in inside if isinstance(part, dict)]
+    size = next(filter(None, (image_size(part, keys) for part in parts for keys in _SIZE_KEYS)), None)
+    rates = ((key, part[key]) for part in parts for key in _RATE_KEYS if part.get(key) is not None)
+    key, rate = next(rates, ("", None))
+    if rate is None:
+        return Footage(size)
+    if type(rate) not in (int, float) or not RATE_HZ[0] <= rate <= RATE_HZ[1]:
+        raise FormatError(f"'{key}' is {str(rate)[:40]}; allowed: {RATE_HZ[0]:g} to {RATE_HZ[1]:g}")
+    return Footage(size, float(rate))
 
 
 def image_size(image: Mapping[str, Any], keys: tuple[str, str] = ("width", "height")) -> tuple[int, int] | None:

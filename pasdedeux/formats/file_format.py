@@ -16,6 +16,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import Detection, join_detections, places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.text import at
 
 _LOOKED_AT_BYTES = 200_000
 
@@ -166,13 +167,14 @@ class AnnotationFormat(FileFormat):
             skip_unreadable: Skip frames whose file is damaged, and name the file, instead of refusing.
 
         Raises:
-            FormatError: A file is mangled; says the line, the frame or the entry, and what is wrong.
+            FormatError: A file is mangled; says the file, the line, the frame or the entry, and what is wrong.
             InputError: The files are not of the layout asked for, or hold nobody.
         """
         if self.read_people is None:
             assert self.read_file is not None
-            (data,) = files.values()
-            return self.read_file(data, sequence_id, layout)
+            ((name, data),) = files.items()
+            with at(name):
+                return self.read_file(data, sequence_id, layout)
         found: list[Detection] = []
         skipped: list[str] = []
         numbers = self.frame_numbers(list(files))

@@ -88,10 +88,8 @@ def guess_up_axis(source: SourceMotion) -> AxisGuess:
         axis = int(np.argmax(extent))
         clearness = 1.0 - np.partition(extent, 1)[1] / max(extent[axis], 1e-12)
         return AxisGuess(UP_AXES[axis], float(np.clip(clearness, 0.0, 1.0)))
-    names = list(source.skeleton.joint_names)
     body22 = layout.joint_map("body22")
-    top = names.index(body22.carrier("neck"))
-    low = [names.index(body22.carrier(f"{side}_ankle")) for side in ("left", "right")]
+    top, *low = source.skeleton.indices(map(body22.carrier, ("neck", "left_ankle", "right_ankle")))
     body = positions[:, top] - positions[:, low].mean(axis=1)
     length = np.linalg.norm(body, axis=-1, keepdims=True)
     mean = (body / np.where(length > 0, length, 1.0)).mean(axis=0)

@@ -102,12 +102,7 @@ def read_annotations(
         InputError: A file is mangled (named), the keypoints are not in the layout asked for, are not people, or lie
             in an image of unknown size.
     """
-    try:
-        frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
-    except InputError as error:
-        if kind.is_file_per_frame:
-            raise
-        raise type(error)(f"{next(iter(files))}: {error}") from None
+    frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
     if layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
     frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)

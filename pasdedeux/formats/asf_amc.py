@@ -279,17 +279,16 @@ ASF_AMC = MotionFormat(
     name="asf_amc",
     recognised_by="AMC with :FULLY-SPECIFIED or :DEGREES",
     suffixes=(".amc",),
-    recognises=lambda start: (
-        _has_section(start, "fully-specified|degrees|radians") and not _has_section(start, "bonedata")
-    ),
+    recognises=lambda start: _has(start, "fully-specified|degrees|radians") and not _has(start, "bonedata"),
     read=lambda data, companion: read_amc(data, read_asf(companion)),
     companion="skeleton",
     companion_names=lambda name: (name.rpartition(".")[0].rpartition("_")[0] + ".asf",),
-    is_companion=lambda start: _has_section(start, "bonedata"),
+    is_companion=lambda start: _has(start, "bonedata"),
 )
 """AMC over its ASF skeleton, 60.asf for 60_01.amc in the CMU database: it states its unit and that y is up, never its
 rate."""
 
 
-def _has_section(start: FileStart, names: str) -> bool:
+def _has(start: FileStart, names: str) -> bool:
+    """Tell whether the file has one of these sections."""
     return re.search(rf"^\s*:({names})\b", start.text, re.IGNORECASE | re.MULTILINE) is not None

@@ -63,7 +63,7 @@ class PairFile:
     sources: tuple[PairSource, ...] = ()
 
 
-_Metres = Annotated[float, Field(strict=True, ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
+_Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
 _Joints = dict[str, tuple[_Metres, _Metres, _Metres] | None]
 
 

@@ -251,7 +251,7 @@ class _Lines:
                 "rate_hz": rate_hz,
                 "unit": "m",
                 "axes": f"{AXES}; x to the right of the image, z towards the camera, which is the origin",
-                "joint_names": [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names],
+                "joint_names": [HUMANOID_NAMES[joint] for joint in BODY22.joint_names],
                 "parents": list(BODY22.parents),
                 "local_unitquat": "x, y, z, w against the parent, from the standing T-pose; root: Hips at hips_m",
                 "rest_offset_m": "from the parent in the T-pose; in a person's first line",

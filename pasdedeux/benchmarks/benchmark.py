@@ -1,7 +1,7 @@
 """What a benchmark reports: work per second of the fast form and of its plain baseline, measured in the same run.
 
-A module here offers `BENCHMARKS` by name: functions that make inputs and return a `BenchmarkResult` of a name, what is
-counted, the fast form, the plain form, each with its rate as `rate` gives it, and the sizes of the inputs in words.
+A module offers benchmarks as `BENCHMARKS: dict[str, Callable[[], BenchmarkResult]]`, each of the form
+`BenchmarkResult(name, unit, *measure(fast form), *measure(plain form), note)`.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import itertools
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TypeVar
-
-from pasdedeux.errors import InputError
+from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
+
+_MIN_S = 0.3
+"""Shortest repeat, seconds."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,6 @@ class BenchmarkResult:
         plain_name: The baseline.
         plain_per_s: The baseline's work per second.
         note: Sizes of the problem, in words.
-
-    Raises:
-        InputError: A rate is not positive.
     """
 
     name: str
@@ -42,26 +40,28 @@ class BenchmarkResult:
     plain_per_s: float
     note: str = ""
 
-    def __post_init__(self) -> None:
-        """Refuse rates that are not positive."""
-        if not (self.fast_per_s > 0 and self.plain_per_s > 0):
-            raise InputError(f"benchmark {self.name}: rates are {self.fast_per_s} and {self.plain_per_s}, not positive")
-
     @property
     def ratio(self) -> float:
         """How many times faster the fast form is."""
         return self.fast_per_s / self.plain_per_s
 
 
-def measure_rate(work: Callable[[], object], *, count: int = 1, min_s: float = 0.3, repeats: int = 3) -> float:
-    """Return the work done per second of processor time, the best of some repeats.
+class Rate(NamedTuple):
+    """A form of the work and how much of it is done per second."""
+
+    name: str
+    per_s: float
+
+
+def measure(name: str, work: Callable[[], object], *, count: int = 1, repeats: int = 3) -> Rate:
+    """Return the work done per second of processor time, the best of some repeats of 0.3 s or more.
 
     The first call, which may compile, is not timed.  Time that the process waited for a busy machine does not count.
 
     Args:
+        name: The form that does it.
         work: Does `count` pieces of work per call.
         count: Pieces of work in a call.
-        min_s: Least time of one repeat, seconds.
         repeats: Repeats, of which the best counts: what else the machine does only slows work down.
     """
     work()
@@ -69,20 +69,15 @@ def measure_rate(work: Callable[[], object], *, count: int = 1, min_s: float = 0
     for _ in range(repeats):
         calls = 0
         started = time.process_time()
-        while (elapsed := time.process_time() - started) < min_s or calls == 0:
+        while (elapsed := time.process_time() - started) < _MIN_S or calls == 0:
             work()
             calls += 1
         elapsed = time.process_time() - started
         best = max(best, calls * count / elapsed)
-    return best
+    return Rate(name, best)
 
 
-def rate(name: str, work: Callable[[], object], *, count: int = 1, repeats: int = 3) -> tuple[str, float]:
-    """Return the name of a form and its rate, of `count` pieces of work a call."""
-    return name, measure_rate(work, count=count, repeats=repeats)
-
-
-def in_turn(work: Callable[[T], object], inputs: Iterable[T]) -> Callable[[], object]:
-    """Return work on one input after another, from the first again after the last."""
+def in_turn(work: Callable[[T], object], inputs: Iterable[T], *, count: int = 1) -> Callable[[], object]:
+    """Return a function that does the work on the next `count` of the inputs, again from the first after the last."""
     turns = itertools.cycle(inputs)
-    return lambda: work(next(turns))
+    return lambda: [work(next(turns)) for _ in range(count)]

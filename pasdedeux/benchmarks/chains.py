@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, in_turn, rate
+from pasdedeux.arrays import Array
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, in_turn, measure
 from pasdedeux.benchmarks.synthetic import (
     random_annotations,
     random_bank,
@@ -69,50 +70,48 @@ def _likelihood() -> BenchmarkResult:
     return BenchmarkResult(
         "likelihood",
         "evaluations",
-        *rate("only who has a chance", in_turn(likelihood.log_likelihood, _samples())),
-        *rate("all candidates", in_turn(likelihood.plain, _samples())),
+        *measure("only who has a chance", in_turn(likelihood.log_likelihood, _samples(), count=50), count=50),
+        *measure("all candidates", in_turn(likelihood.plain, _samples())),
         f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}",
     )
 
 
+def _plain_density(target: PairDensity, prior: PhysicalPrior, likelihood: Likelihood, parameters: Array) -> None:
+    pair = target.chart.positions(parameters)
+    prior.terms(parameters, pair)
+    likelihood.plain(pair)
+
+
 def _density() -> BenchmarkResult:
     """The density that studies sample: prior and likelihood, every one evaluated to the end."""
-    target, prior, likelihood = default_target(standing_pair(), max_invalid_angles=2 * NUM_ANGLES)
-    chart = target.chart
+    parts = default_target(standing_pair(), max_invalid_angles=2 * NUM_ANGLES)
     parameters = random_parameters(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
-
-    def plain(own: np.ndarray) -> None:
-        pair = chart.positions(own)
-        prior.terms(own, pair)
-        likelihood.plain(pair)
-
     return BenchmarkResult(
         "density, prior included",
         "evaluations",
-        *rate("compiled", in_turn(target, parameters)),
-        *rate("numpy, prior compiled", in_turn(plain, parameters)),
+        *measure("compiled", in_turn(parts[0], parameters, count=50), count=50),
+        *measure("numpy, prior compiled", in_turn(partial(_plain_density, *parts), parameters)),
         f"{_SIZE}; no floor and no limit of invalid angles ends one early",
     )
 
 
 def _chain() -> BenchmarkResult:
     """Steps of a chain of the density that studies sample; the plain form has no early end."""
-    target, prior, likelihood = default_target(gauge_fix(_problem()[0][0]), max_invalid_angles=NUM_ANGLES)
-    chart = target.chart
+    parts = default_target(gauge_fix(_problem()[0][0]), max_invalid_angles=NUM_ANGLES)
+    target, chart = parts[0], parts[0].chart
     propose, rng = GaussianBlocks().propose, np.random.default_rng(3)
     state = ChainState(chart.seed_parameters(), target.seed_evaluation)
-
-    def plain_step() -> None:
-        parameters = propose(rng, state).parameters
-        pair = chart.positions(parameters)
-        prior.terms(parameters, pair)
-        likelihood.plain(pair)
-
-    def steps() -> None:
-        run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed)
-
-    fast = rate("compiled, level drawn first", steps, count=100)
-    return BenchmarkResult("chain", "steps", *fast, *rate("numpy", plain_step), _SIZE)
+    return BenchmarkResult(
+        "chain",
+        "steps",
+        *measure(
+            "compiled, level drawn first",
+            lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed),
+            count=100,
+        ),
+        *measure("numpy", lambda: _plain_density(*parts, propose(rng, state).parameters)),
+        _SIZE,
+    )
 
 
 def _triangulation() -> BenchmarkResult:
@@ -121,30 +120,30 @@ def _triangulation() -> BenchmarkResult:
     return BenchmarkResult(
         "triangulation",
         "triangulations",
-        *rate("numba, incremental", lambda: delaunay_edges_fast(points), count=len(points)),
-        *rate("scipy (Qhull)", in_turn(delaunay_edges, points)),
+        *measure("numba, incremental", lambda: delaunay_edges_fast(points), count=len(points)),
+        *measure("scipy (Qhull)", lambda: [delaunay_edges(one) for one in points], count=len(points)),
         "34 points",
     )
 
 
 def _coverage() -> BenchmarkResult:
     """Pairs of a real pair and a draw compared in D_I and D_C."""
-    truth = random_pairs(np.random.default_rng(5), 200)
+    real = random_pairs(np.random.default_rng(5), 200)
     draws = random_pairs(np.random.default_rng(6), 100)
     return BenchmarkResult(
         "coverage",
         "comparisons",
-        *rate("numba, both measures at once", lambda: Coverage(truth).add(draws), count=len(truth) * len(draws)),
-        *rate("numpy", lambda: plain_coverage(truth[:4], draws[:4]), count=16),
+        *measure("numba, both measures at once", lambda: Coverage(real).add(draws), count=len(real) * len(draws)),
+        *measure("numpy", lambda: plain_coverage(real[:4], draws[:4]), count=16),
         "200 real pairs, 100 draws, tetrahedra of the draws and of the real pairs included",
     )
 
 
-def plain_coverage(truth_m: np.ndarray, draws_m: np.ndarray) -> tuple[float, float]:
+def plain_coverage(real_m: np.ndarray, draws_m: np.ndarray) -> tuple[float, float]:
     """Return C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
-    truth, draws = _centred(truth_m), _centred(draws_m)
-    interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in truth]
-    cartesian = cartesian_dissimilarity(draws[None], truth[:, None]).min(axis=1)
+    real, draws = _centred(real_m), _centred(draws_m)
+    interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in real]
+    cartesian = cartesian_dissimilarity(draws[None], real[:, None]).min(axis=1)
     return float(np.mean(interaction)), float(cartesian.mean())
 
 

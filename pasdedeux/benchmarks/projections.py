@@ -10,13 +10,12 @@ import resource
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, Rate, measure
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
 from pasdedeux.projections.camera import DatabaseCamera, pitch_of_height
@@ -115,18 +114,20 @@ def _queries(*, own_rad: float = 0.0) -> npt.NDArray[np.float64]:
     return np.asarray(poses[..., :2] + rng.normal(0.0, 0.01, (_NUM_QUERIES, OP14.num_joints, 2)))
 
 
-def _waits_ms(search: Callable[[npt.NDArray[Any]], object], queries: npt.NDArray[Any]) -> Waits:
-    """Return the processor time of each query, one a call, the best of some tries, in milliseconds."""
-    search(queries[0])
-    waits = []
-    for query in queries:
-        tries = []
-        for _ in range(_NUM_TRIES):
+def _waits_ms(start: Callable[[], Callable[[int, Waits], object]], inputs: Waits) -> Waits:
+    """Return the processor time of each input, one a call, the best of some runs, each started anew, in milliseconds.
+
+    The first run, which may compile, does not count.
+    """
+    tries = []
+    for _ in range(_NUM_TRIES + 1):
+        step, waits = start(), []
+        for number, one in enumerate(inputs):
             started = time.thread_time()
-            search(query)
-            tries.append(time.thread_time() - started)
-        waits.append(1e3 * min(tries))
-    return np.array(waits)
+            step(number, one)
+            waits.append(1e3 * (time.thread_time() - started))
+        tries.append(waits)
+    return np.asarray(np.min(tries[1:], axis=0))
 
 
 def _in_words(waits_ms: Waits) -> str:
@@ -139,15 +140,16 @@ def _query(num_projections: int = 30 * _NUM_POSES, *, own_rad: float = 0.0) -> B
     started = time.process_time()
     index = build_index(database)
     build_s = time.process_time() - started
-    waits = _waits_ms(index.search, queries)
-    plain = rate("brute force numpy", lambda: search_brute_force(database, queries[:5]), count=5, repeats=2)
+    waits = _waits_ms(lambda: lambda _, query: index.search(query), queries)
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    note = (
+    return BenchmarkResult(
+        "exact projection query, 50 best",
+        "queries",
+        *Rate("box tree", 1e3 / float(np.mean(waits))),
+        *measure("brute force numpy", lambda: search_brute_force(database, queries[:5]), count=5, repeats=2),
         f"{database.num_projections:,} projections, built in {build_s:.1f} s of processor time with at most "
-        f"{peak_gb:.1f} GB; one query a call: {_in_words(waits)}"
+        f"{peak_gb:.1f} GB; one query a call: {_in_words(waits)}",
     )
-    fast_per_s = 1e3 / float(np.mean(waits))
-    return BenchmarkResult("exact projection query, 50 best", "queries", "box tree", fast_per_s, *plain, note)
 
 
 def _live() -> BenchmarkResult:
@@ -159,50 +161,38 @@ def _live() -> BenchmarkResult:
     px = np.stack([camera.project(one) * np.array([350.0, -350.0]) for one in motions], axis=1) + places[:, None]
     px += rng.normal(0.0, 1.0, px.shape)
     confidence = np.ones(px.shape[1:-1])
+
+    def follow() -> Callable[[int, Waits], object]:
+        follower = Follower()
+        return lambda frame, px: follower.step(frame / 24.0, px, confidence)
+
     with threadpool_limits(limits=1):  # as `reconstruct --follow` does
-        waits = _best_waits_ms(
+        waits = _waits_ms(
             lambda: partial(LivePeople(searcher, rate_hz=24.0, image_size_px=(1920, 1080)).push, confidence=confidence),
             px,
         )
     parts = {
-        "identities": _best_waits_ms(lambda: _follow(confidence), px) / 2.0,
-        "search": _waits_ms(partial(searcher.index.search, num_neighbours=NUM_CANDIDATES), _queries()),
-        "clean-up": _best_waits_ms(lambda: LiveCleanUp(24.0).step, motions[0]),
+        "identities": _waits_ms(follow, px) / 2.0,
+        "search": _waits_ms(
+            lambda: lambda _, query: searcher.index.search(query, num_neighbours=NUM_CANDIDATES), _queries()
+        ),
+        "clean-up": _waits_ms(lambda: LiveCleanUp(24.0).step, motions[0]),
     }
     track = Track(px[:, 0], np.ones(px.shape[::2]), 24.0, Lens.assumed(1920, 1080, px))
     in_parts = ", ".join(f"{name} {np.median(one):.3f}" for name, one in parts.items())
     return BenchmarkResult(
         "whole live chain, a frame of a person",
         "frames",
-        "identities, search, yaw, Viterbi, window fit, filter, clean-up",
-        2e3 / float(np.mean(waits)),
-        *rate(
+        *Rate("identities, search, yaw, Viterbi, window fit, filter, clean-up", 2e3 / float(np.mean(waits))),
+        *measure(
             "whole track at once, fit, without identities and clean-up",
             lambda: reconstruct_track(searcher, track, Method.FIT),
             count=_LIVE_FRAMES,
             repeats=1,
         ),
-        f"{_LIVE_FRAMES} frames of two people, per person {_in_words(waits / 2.0)} of processor time; medians "
-        f"of parts, ms: {in_parts}",
+        f"{_LIVE_FRAMES} frames of two people, per person {_in_words(waits / 2.0)} of processor time; "
+        f"medians of parts, ms: {in_parts}",
     )
-
-
-def _follow(confidence: Waits) -> Callable[[int, Waits], object]:
-    follower = Follower()
-    return lambda frame, px: follower.step(frame / 24.0, px, confidence)
-
-
-def _best_waits_ms(start: Callable[[], Callable[[int, Waits], object]], frames: Waits) -> Waits:
-    """Return the processor time of each frame of a sequence, the best of some runs, each started anew, in ms."""
-    tries = []
-    for _ in range(_NUM_TRIES + 1):
-        step, waits = start(), []
-        for number, frame in enumerate(frames):
-            started = time.thread_time()
-            step(number, frame)
-            waits.append(1e3 * (time.thread_time() - started))
-        tries.append(waits)
-    return np.asarray(np.min(tries[1:], axis=0))
 
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {"query": _query, "live": _live}

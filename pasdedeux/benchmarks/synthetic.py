@@ -23,22 +23,17 @@ _STANDING = {
     "left_shoulder": (0.18, 1.42, 0.0),
     "left_elbow": (0.24, 1.15, 0.04),
     "left_wrist": (0.26, 0.97, 0.20),
-    "right_shoulder": (-0.18, 1.42, 0.0),
-    "right_elbow": (-0.24, 1.15, 0.04),
-    "right_wrist": (-0.26, 0.97, 0.20),
     "left_hip": (0.10, 0.92, 0.0),
     "left_knee": (0.11, 0.50, 0.03),
     "left_ankle": (0.11, 0.09, -0.02),
-    "right_hip": (-0.10, 0.92, 0.0),
-    "right_knee": (-0.11, 0.50, 0.03),
-    "right_ankle": (-0.11, 0.09, -0.02),
 }
-"""A person standing with bent elbows, facing +Z, 1.75 m tall; metres, made up."""
+"""A person standing with bent elbows, facing +Z, 1.75 m tall, the left side; metres, made up."""
 
 
 def standing_pair(*, distance_m: float = 0.6) -> Array:
     """Return two people (2, 17, 3), metres, who stand `distance_m` apart and face each other along X."""
-    person = np.array([_STANDING[name] for name in PAIR17.joint_names])
+    person = np.array([_STANDING[name.replace("right_", "left_")] for name in PAIR17.joint_names])
+    person[[name.startswith("right_") for name in PAIR17.joint_names], 0] *= -1.0
     first = person @ yaw_rotmat(np.pi / 2).T
     second = person @ yaw_rotmat(-np.pi / 2).T
     aside = np.array([distance_m / 2, 0.0, 0.0])

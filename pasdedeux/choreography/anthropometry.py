@@ -11,6 +11,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
 
+_CLOTH_M = 0.004
+"""Cloth between two bodies that touch."""
 HEIGHT_LIMITS_M = (1.4, 2.1)
 """Body heights that the duets are made for, metres."""
 
@@ -57,6 +59,13 @@ class Body:
     def standing_m(self, joint_name: str) -> float:
         """Return a joint's height over the floor when the body stands upright at rest."""
         return self.height_m * t_pose(joint_name)[1]
+
+    def rest_distance_m(self, other: Body, *bones: str) -> float:
+        """Return the distance of this body's wrist from the middle of another's bone on which its hand rests.
+
+        Cloth is between them.  Of several bones the thickest counts.
+        """
+        return max(map(other.radius_m, bones)) + self.radius_m("left_wrist") + _CLOTH_M
 
     def trunk_at(self, height_m: float) -> tuple[str, float]:
         """Return the bone of the upper trunk, and the share of it, that is at a height when the body stands upright."""

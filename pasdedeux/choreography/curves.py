@@ -1,4 +1,4 @@
-"""Smooth functions of time with two continuous derivatives, and directions and rotations from angles over time."""
+"""Smooth functions of time: blends, bumps, curves through keys; all have two continuous derivatives."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
-
-Numbers = Array | float
 
 
 def blend(time_s: Array, start_s: float, stop_s: float) -> Array:
-    """Rise from 0 before `start_s` to 1 after `stop_s` with least jerk (Flash and Hogan 1985): 6x^5 - 15x^4 + 10x^3."""
+    """Rise from 0 at `start_s` to 1 at `stop_s` with minimum jerk (Flash and Hogan 1985): 6x^5 - 15x^4 + 10x^3."""
     x = np.clip((time_s - start_s) / (stop_s - start_s), 0.0, 1.0)
     return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)))
 
@@ -30,10 +27,14 @@ def bump(fraction: Array, *, fall: int = 3) -> Array:
     return np.asarray(x**3 * (1.0 - x) ** fall / (peak**3 * (1.0 - peak) ** fall))
 
 
+def halfway(weight: Array) -> Array:
+    """Return 1 where a weight (frame,) is half-way and 0 where it is 0 or 1, as a column (frame, 1), for detours."""
+    return np.asarray((4.0 * weight * (1.0 - weight))[:, None])
+
+
 def mix(first: Array, second: Array, weight: Array) -> Array:
-    """Mix values (frame, ...) by a weight (frame,): 0 gives `first`, 1 gives `second`."""
-    w = weight.reshape(weight.shape + (1,) * (np.ndim(second) - 1)) if np.ndim(second) > 1 else weight
-    return np.asarray(first + w * (second - first))
+    """Mix vectors (frame, 3) by a weight (frame,): 0 gives `first`, 1 gives `second`."""
+    return np.asarray(first + weight[:, None] * (second - first))
 
 
 def curve_through(time_s: Array, start_s: float, step_s: float, keys: Array) -> Array:
@@ -60,14 +61,12 @@ def curve_through(time_s: Array, start_s: float, step_s: float, keys: Array) -> 
     )
 
 
-def moves(time_s: Array, start: Array | float, steps: Sequence[tuple[float, float, Array | float]]) -> Array:
-    """Rest at `start` and go to a new value from one time to another, for each step: (start_s, stop_s, value)."""
-    at = np.asarray(start, dtype=np.float64)
-    value = np.broadcast_to(at, (*time_s.shape, *at.shape)).copy()
+def moves(time_s: Array, start: float, steps: Sequence[tuple[float, float, float]]) -> Array:
+    """Rest at `start` and go to a new value from one time to another, for each (start_s, stop_s, value)."""
+    value, at = np.full(len(time_s), start), start
     for start_s, stop_s, goal in steps:
-        weight = blend(time_s, start_s, stop_s)
-        value += weight.reshape(weight.shape + (1,) * at.ndim) * (np.asarray(goal, dtype=np.float64) - at)
-        at = np.asarray(goal, dtype=np.float64)
+        value += blend(time_s, start_s, stop_s) * (goal - at)
+        at = goal
     return value
 
 
@@ -77,24 +76,7 @@ def saturate(value: Array, knee: float | Array, width: float | Array) -> Array:
 
 
 def soft_minimum(values: Sequence[Array], softness: float) -> Array:
-    """Return a smooth value below the least of several arrays: -s log sum exp(-v / s)."""
+    """Return a smooth value below the minimum of several arrays: -s log sum exp(-v / s)."""
     stack = np.stack(np.broadcast_arrays(*values))
-    least = stack.min(axis=0)
-    return np.asarray(least - softness * np.log(np.exp(-(stack - least) / softness).sum(axis=0)))
-
-
-def facing(yaw_rad: Array | float, left_m: Array | float, up_m: Array | float, forward_m: Array | float) -> Array:
-    """Return the world vector (*batch, 3) of left, up and forward parts of somebody who faces `yaw_rad`."""
-    yaw, left, up, forward = np.broadcast_arrays(yaw_rad, left_m, up_m, forward_m)
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.stack([left * c + forward * s, up + 0.0 * c, -left * s + forward * c], axis=-1)
-
-
-def turn(yaw_rad: Array, pitch_rad: Array | float = 0.0, roll_rad: Array | float = 0.0) -> Array:
-    """Return the rotation (frame, 4): roll to the right, then pitch forward, then yaw to the left."""
-    yaw, pitch, roll = np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad)
-    zero = np.zeros(yaw.shape)
-    about_y = unitquat_from_rotvec(np.stack([zero, yaw, zero], axis=-1))
-    about_x = unitquat_from_rotvec(np.stack([pitch, zero, zero], axis=-1))
-    about_z = unitquat_from_rotvec(np.stack([zero, zero, roll], axis=-1))
-    return multiply(about_y, multiply(about_x, about_z))
+    lowest = stack.min(axis=0)
+    return np.asarray(lowest - softness * np.log(np.exp(-(stack - lowest) / softness).sum(axis=0)))

@@ -1,11 +1,13 @@
-"""A duet: the motions of two people or more, and contacts and stances that are known by construction."""
+"""A duet: the motions of two people or more with their ground truth, the contacts and stances they are built with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from string import ascii_uppercase
-from typing import ClassVar, Self, TypeVar
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,18 +15,18 @@ from pydantic import Field, model_validator
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body, make_body
-from pasdedeux.choreography.figure import SIDES, Figure
+from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.geometry import SIDES
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
 from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22
 
-CLOTH_M = 0.004
-"""Cloth between two bodies that touch."""
+_NUM_VARIED = 5
+"""Numbers that a variation draws; no duet uses more."""
 
 
 class DuetStyle(Settings):
-    """Parameters of every duet; each duet adds its own."""
+    """Style of a duet: its length, who dances, and which take of it."""
 
     num_people: ClassVar[int] = 2
 
@@ -53,7 +55,7 @@ class DuetStyle(Settings):
 
     @property
     def mean_m(self) -> float:
-        """Mean of the given heights."""
+        """Mean of the stated heights."""
         return float(np.mean(self.heights_m))
 
     @property
@@ -62,11 +64,54 @@ class DuetStyle(Settings):
         missing = (self.mean_m,) * (self.num_people - len(self.heights_m))
         return tuple(map(make_body, (*self.heights_m, *missing)))
 
-    def vary(self, count: int) -> Array:
-        """Return `count` numbers in -1..1 of this variation; zeros for variation 0."""
+    @property
+    def vary(self) -> tuple[float, ...]:
+        """Numbers in -1..1 that tell this variation from others; zeros for variation 0."""
         if self.variation == 0:
-            return np.zeros(count)
-        return np.random.default_rng(np.random.SeedSequence(self.variation)).uniform(-1.0, 1.0, count)
+            return (0.0,) * _NUM_VARIED
+        generator = np.random.default_rng(np.random.SeedSequence(self.variation))
+        return tuple(generator.uniform(-1.0, 1.0, _NUM_VARIED).tolist())
+
+
+class Dance(DuetStyle):
+    """A built-in duet: its style, where everybody's trunk and feet are, and where hands touch."""
+
+    @abstractmethod
+    def place(self, person: int) -> Figure:
+        """Return a person with trunk and feet over time; the arms hang."""
+
+    @abstractmethod
+    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+        """Bring everybody's hands where they belong, and return the contacts; what lies outside the duet is cut off."""
+
+    def make(self, name: str) -> Duet:
+        """Return the duet: motions, stances of the feet, contacts that fall into its time.
+
+        Another speed samples the same motion over another time at another rate, and plays it at the asked-for rate.
+        """
+        speed = self.speed
+        stop = self.duration_s * speed
+        plain = self.model_copy(update={"duration_s": stop, "rate_hz": self.rate_hz / speed})
+        figures = tuple(map(plain.place, range(self.num_people)))
+
+        def within(start_s: float, stop_s: float) -> tuple[float, float]:
+            return max(0.0, start_s) / speed, min(stop, stop_s) / speed
+
+        held = [(contact, *within(contact.start_s, contact.stop_s)) for contact in plain.hold(figures)]
+        contacts = [replace(contact, start_s=begins, stop_s=ends) for contact, begins, ends in held if begins < ends]
+        return Duet(
+            name=name,
+            motions=tuple(figure.motion(plain.rate_hz * speed) for figure in figures),
+            bodies=tuple(figure.body for figure in figures),
+            contacts=tuple(sorted(contacts, key=lambda contact: contact.start_s)),
+            stances=tuple(
+                Stance(person, side, *within(plant.land_s, plant.lift_s))
+                for person, figure in enumerate(figures)
+                for side, foot in zip(SIDES, figure.feet, strict=True)
+                for plant in foot.plants
+                if plant.lift_s > 0.0 and plant.land_s < stop
+            ),
+        )
 
 
 @dataclass(frozen=True)
@@ -83,33 +128,24 @@ class BonePoint:
     bone: str
     fraction: float = 1.0
 
-    def position_m(self, positions_m: Array) -> Array:
-        """Return the point (frame, 3) from everybody's positions (frame, person, 22, 3)."""
-        child = BODY22.index(self.bone)
-        end = positions_m[:, self.person, child]
-        start = positions_m[:, self.person, BODY22.parents[child]]
-        return np.asarray(start + self.fraction * (end - start))
-
 
 @dataclass(frozen=True)
 class Contact:
     """A known contact: two points that keep a constant distance from one time to another.
 
     Args:
-        name: What touches what.
         point_a: A point of one person.
         point_b: A point of the other person.
-        start_s: First time at which it holds.
-        stop_s: Time from which on it need not hold.
         distance_m: Distance of the two points while it holds: sum of the radii there, plus the gap if there is one.
+        start_s: First time at which it holds.
+        stop_s: Time from which on it need not hold; the end of the duet by default.
     """
 
-    name: str
     point_a: BonePoint
     point_b: BonePoint
-    start_s: float
-    stop_s: float
     distance_m: float
+    start_s: float = 0.0
+    stop_s: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -122,12 +158,9 @@ class Stance:
     stop_s: float
 
 
-Interval = TypeVar("Interval", Contact, Stance)
-
-
 @dataclass(frozen=True)
 class Duet:
-    """The motion of two people or more with its truth.
+    """The motion of two people or more with its ground truth.
 
     Args:
         name: Which dance.
@@ -135,7 +168,6 @@ class Duet:
         bodies: Sizes and girths.
         contacts: Known contacts, by start.
         stances: Known stances, by person and foot.
-        parameters: Everything it was made from.
     """
 
     name: str
@@ -143,7 +175,6 @@ class Duet:
     bodies: tuple[Body, ...]
     contacts: tuple[Contact, ...]
     stances: tuple[Stance, ...]
-    parameters: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def num_frames(self) -> int:
@@ -164,19 +195,6 @@ class Duet:
         time_s = np.arange(self.num_frames) / self.rate_hz
         holds = (time_s >= interval.start_s - 1e-9) & (time_s < interval.stop_s - 1e-9)
         return np.flatnonzero(holds)
-
-    def at_speed(self, speed: float) -> Duet:
-        """Return the same frames, played faster: the rate grows, and all that lasts is shorter."""
-
-        def sooner(interval: Interval) -> Interval:
-            return replace(interval, start_s=interval.start_s / speed, stop_s=interval.stop_s / speed)
-
-        return replace(
-            self,
-            motions=tuple(replace(motion, rate_hz=motion.rate_hz * speed) for motion in self.motions),
-            contacts=tuple(map(sooner, self.contacts)),
-            stances=tuple(map(sooner, self.stances)),
-        )
 
     def known_contacts(self, rate_hz: float) -> tuple[UserContact, ...]:
         """Return the known contacts of the motion resampled to a rate, as they are stated to what keeps contacts."""
@@ -200,41 +218,8 @@ class Duet:
         return tuple(stated)
 
 
-def rest_distance_m(body: Body, other: Body, *bones: str) -> float:
-    """Return how far a wrist is from the axis of the partner's bone that it lies on; of several bones the thickest."""
-    return max(map(other.radius_m, bones)) + body.radius_m("left_wrist") + CLOTH_M
-
-
-def wrist_contact(
-    name: str,
-    person: int,
-    side: str,
-    bone: str,
-    share: float,
-    distance_m: float,
-    span_s: tuple[float, float] = (0.0, 0.0),
+def hand_contact(
+    person: int, side: str, bone: str, share: float, distance_m: float, start_s: float = 0.0, stop_s: float = math.inf
 ) -> Contact:
     """Return the contact of a person's wrist with the partner's bone, a share of the way along it, over a time."""
-    ends = (BonePoint(person, f"{side}_wrist"), BonePoint(1 - person, bone, share))
-    return Contact(name, *ends, *span_s, distance_m)
-
-
-def finish(name: str, style: DuetStyle, figures: tuple[Figure, ...], contacts: list[Contact]) -> Duet:
-    """Make the duet of solved figures: motions, stances from the feet, contacts that fall into its time."""
-    stop = style.duration_s
-    contacts = [replace(c, start_s=max(0.0, c.start_s), stop_s=min(stop, c.stop_s)) for c in contacts]
-    stances = [
-        Stance(person=person, foot=side, start_s=max(0.0, plant.land_s), stop_s=min(stop, plant.lift_s))
-        for person, figure in enumerate(figures)
-        for side, foot in zip(SIDES, figure.feet, strict=True)
-        for plant in foot.plants
-        if plant.lift_s > 0.0 and plant.land_s < stop
-    ]
-    return Duet(
-        name=name,
-        motions=tuple(figure.motion(style.rate_hz) for figure in figures),
-        bodies=tuple(figure.body for figure in figures),
-        contacts=tuple(sorted((c for c in contacts if c.start_s < c.stop_s), key=lambda contact: contact.start_s)),
-        stances=tuple(stances),
-        parameters=style.model_dump(),
-    )
+    return Contact(BonePoint(person, f"{side}_wrist"), BonePoint(1 - person, bone, share), distance_m, start_s, stop_s)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Self
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import Numbers, facing, soft_minimum
-from pasdedeux.choreography.reach import STRETCH, reach
+from pasdedeux.choreography.curves import soft_minimum
+from pasdedeux.choreography.geometry import SIDES, STRETCH, Part, columns, facing, reach, turn
 from pasdedeux.choreography.steps import FootPath
-from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics import Motion, local_from_world
 from pasdedeux.kinematics.rotations import (
     conjugate,
+    identity_unitquat,
     multiply,
     normalise,
     rotate,
@@ -24,80 +22,61 @@ from pasdedeux.kinematics.rotations import (
 )
 from pasdedeux.skeletons import BODY22
 
-SIDES = {"left": 1.0, "right": -1.0}
-"""Both sides, and the sign of what points there."""
+Angles = tuple[Part, Part, Part]
 _ELEVATION, _PROTRACTION = 0.20, 0.28
 """How far the shoulder girdle goes with the arm, radians per unit of the arm's direction (about a third of the
 humerus up to the horizontal: Inman, Saunders and Abbott 1944)."""
 _PELVIS_SOFTNESS_M = 0.010
 
 
-@dataclass(frozen=True)
-class Trunk:
-    """Where the trunk wants to be.
-
-    Args:
-        x_m: Pelvis, world X (frame,).
-        z_m: Pelvis, world Z (frame,).
-        height_m: Wanted height of the pelvis (frame,); the legs may pull it lower.
-        unitquat: World rotation of the pelvis (frame, 4).
-        spine_rotvec: Rotation of the chest against the pelvis (frame, 3): forward bend, twist to the left, bend to
-            the right; shared by three joints.
-        head_rotvec: Rotation of the head against the chest (frame, 3); shared by neck and head.
-    """
-
-    x_m: Array
-    z_m: Array
-    height_m: Array
-    unitquat: Array
-    spine_rotvec: Array
-    head_rotvec: Array
-
-    @classmethod
-    def at(
-        cls, where_m: Array, height_m: Numbers, unitquat: Array, spine: Sequence[Numbers], head: Sequence[Numbers]
-    ) -> Self:
-        """Return a trunk above (frame, x and z) or (frame, 3); parts of rotation vectors are numbers or (frame,)."""
-        x, z = where_m[:, 0], where_m[:, -1]
-        parts = [np.stack(np.broadcast_arrays(*parts, x)[:3], axis=-1) for parts in (spine, head)]
-        return cls(x, z, np.broadcast_to(height_m, x.shape), unitquat, *parts)
-
-
-@dataclass
 class Figure:
     """World positions (frame, 22, 3) and rotations (frame, 22, 4) of one person, filled in step by step.
 
-    The order is: `Figure(body, trunk, left foot, right foot)`, which places trunk and legs, then `reach_hand` for both
-    arms, then `motion`.
+    A new figure has trunk and legs, and its arms hang.  Then comes `reach_hand` for both arms, then `motion`.
+
+    Args:
+        body: Size and girth.
+        feet: Left foot, right foot.
+        floor_m: Pelvis, world X and Z (frame, 2).
+        height_m: Wanted height of the pelvis (frame,); the legs may pull it lower.
+        pelvis: Its yaw to the left, pitch forward and roll to the right, radians, each (frame,) or constant.
+        spine: Rotation vector of the chest against the pelvis, likewise: forward bend, twist to the left, bend to the
+            right; shared by three joints.
+        head: Rotation vector of the head against the chest; shared by neck and head.
     """
 
-    body: Body
-    trunk: Trunk
-    feet: tuple[FootPath, FootPath]
-    positions_m: Array = field(init=False)
-    unitquat: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Place trunk and legs, and let the arms hang."""
-        frames = len(self.trunk.x_m)
-        self.positions_m = np.zeros((frames, BODY22.num_joints, 3))
-        self.unitquat = np.tile([0.0, 0.0, 0.0, 1.0], (frames, BODY22.num_joints, 1))
-        self._place_trunk()
-        for side, foot in zip(SIDES, self.feet, strict=True):
+    def __init__(
+        self,
+        body: Body,
+        feet: tuple[FootPath, FootPath],
+        *,
+        floor_m: Array,
+        height_m: Array,
+        pelvis: Angles,
+        spine: Angles,
+        head: Angles,
+    ) -> None:
+        self.body, self.feet = body, feet
+        self.positions_m = np.zeros((len(floor_m), BODY22.num_joints, 3))
+        self.unitquat = identity_unitquat(len(floor_m), BODY22.num_joints)
+        self.unitquat[:, 0] = turn(*pelvis)
+        height = soft_minimum([height_m, *self._highest_pelvis(floor_m)], _PELVIS_SOFTNESS_M)
+        self.positions_m[:, 0] = columns(floor_m[:, 0], height, floor_m[:, 1])
+        third, half = (unitquat_from_rotvec(columns(*angles) / share) for angles, share in ((spine, 3.0), (head, 2.0)))
+        for name, local in {"spine1": third, "spine2": third, "spine3": third, "neck": half, "head": half}.items():
+            joint = BODY22.index(name)
+            self._follow(joint, multiply(self.unitquat[:, BODY22.parents[joint]], local))
+        for side, foot in zip(SIDES, feet, strict=True):
             self._place_leg(side, foot)
             shoulder = self.on_bone(f"{side}_shoulder", 1.0)
-            down = self.chest_vector(
-                0.0, -0.9 * self.body.length_m("left_elbow") - self.body.length_m("left_wrist"), 0.0
-            )
+            down = self.chest_vector(0.0, -0.9 * body.length_m("left_elbow") - body.length_m("left_wrist"), 0.0)
             self.reach_hand(side, shoulder + down, self.chest_vector(0.0, 0.0, -1.0))
 
     def joint(self, joint_name: str) -> Array:
         """Return a joint's world positions (frame, 3)."""
         return np.asarray(self.positions_m[:, BODY22.index(joint_name)])
 
-    def on_bone(
-        self, bone_name: str, fraction: float, offset_m: Array | tuple[float, float, float] = (0, 0, 0)
-    ) -> Array:
+    def on_bone(self, bone_name: str, fraction: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
         """Return a point (frame, 3) that is carried by a bone: a share of its length, and an offset in its rest axes.
 
         The bone is named by its end; it is carried by the joint where it begins.  Left, up and forward of the rest pose
@@ -106,7 +85,7 @@ class Figure:
         child = BODY22.index(bone_name)
         parent = BODY22.parents[child]
         local = self.body.rest_offsets_m[child] * fraction + np.asarray(offset_m, dtype=np.float64)
-        carried = rotate(self.unitquat[:, parent], np.broadcast_to(local, (len(self.positions_m), 3)))
+        carried = rotate(self.unitquat[:, parent], local)
         return np.asarray(self.positions_m[:, parent] + carried)
 
     def round_bone(self, bone_name: str, fraction: float, radius_m: float, angle_rad: float) -> Array:
@@ -114,11 +93,10 @@ class Figure:
         offset = (radius_m * float(np.sin(angle_rad)), 0.0, radius_m * float(np.cos(angle_rad)))
         return self.on_bone(bone_name, fraction, offset)
 
-    def chest_vector(self, left: Array | float, up: Array | float, forward: Array | float) -> Array:
+    def chest_vector(self, left: Part, up: Part, forward: Part) -> Array:
         """Return the world vector (frame, 3) of a direction in the chest's axes."""
-        frames = len(self.positions_m)
-        parts = [np.broadcast_to(np.asarray(part, dtype=np.float64), (frames,)) for part in (left, up, forward)]
-        return rotate(self.unitquat[:, BODY22.index("spine3")], np.stack(parts, axis=-1))
+        chest = self.unitquat[:, BODY22.index("spine3")]
+        return rotate(chest, columns(left, up, forward))
 
     def reach_hand(self, side: str, target_m: Array, elbow_pole: Array, *, palm: Array | None = None) -> None:
         """Bring a wrist to its target (frame, 3).
@@ -127,7 +105,7 @@ class Figure:
             side: left or right.
             target_m: Wanted wrist (frame, 3).
             elbow_pole: Where the elbow points (frame, 3), world.
-            palm: Where the palm looks (frame, 3), world; the forearm turns towards it, at most 85 degrees either way.
+            palm: Where the palm looks, (frame, 3) or (3,), world; the forearm turns so, at most 85 degrees either way.
         """
         sign = SIDES[side]
         chest, collar, shoulder, elbow, wrist = BODY22.indices(
@@ -140,7 +118,7 @@ class Figure:
         inward = inward / np.sqrt(1.0 + np.sum(inward**2, axis=-1, keepdims=True)) * np.sqrt(2.0)
         lift = sign * _ELEVATION * (1.0 + inward[:, 1])
         forward = -sign * _PROTRACTION * inward[:, 2]
-        local = unitquat_from_rotvec(np.stack([0.0 * lift, forward, lift], axis=-1))
+        local = unitquat_from_rotvec(columns(0.0, forward, lift))
         self._follow(collar, multiply(self.unitquat[:, chest], local))
         self._follow(shoulder, self.unitquat[:, collar])
         arm = reach(self.positions_m[:, shoulder], target_m, elbow_pole, upper, lower)
@@ -152,9 +130,7 @@ class Figure:
 
     def motion(self, rate_hz: float) -> Motion:
         """Return the motion: local rotations, continuous in sign, and the pelvis as root."""
-        local = self.unitquat.copy()
-        for parent, child in BODY22.bones:
-            local[:, child] = multiply(conjugate(self.unitquat[:, parent]), self.unitquat[:, child])
+        local = local_from_world(BODY22, self.unitquat)
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         is_flipped = np.sum(local[1:] * local[:-1], axis=-1) < 0
         signs = np.cumprod(np.where(is_flipped, -1.0, 1.0), axis=0)
@@ -167,25 +143,13 @@ class Figure:
             rate_hz=rate_hz,
         )
 
-    def _place_trunk(self) -> None:
-        trunk = self.trunk
-        self.unitquat[:, 0] = trunk.unitquat
-        height = soft_minimum([trunk.height_m, *self._highest_pelvis()], _PELVIS_SOFTNESS_M)
-        self.positions_m[:, 0] = np.stack([trunk.x_m, height, trunk.z_m], axis=-1)
-        third = unitquat_from_rotvec(trunk.spine_rotvec / 3.0)
-        half = unitquat_from_rotvec(trunk.head_rotvec / 2.0)
-        for name in ("spine1", "spine2", "spine3", "neck", "head"):
-            joint = BODY22.index(name)
-            local = third if name.startswith("spine") else half
-            self._follow(joint, multiply(self.unitquat[:, BODY22.parents[joint]], local))
-
-    def _highest_pelvis(self) -> list[Array]:
+    def _highest_pelvis(self, floor_m: Array) -> list[Array]:
+        """Return how high either leg lets the pelvis be (frame,)."""
         longest = STRETCH * (self.body.length_m("left_knee") + self.body.length_m("left_ankle"))
         highest = []
         for side, foot in zip(SIDES, self.feet, strict=True):
-            hip = rotate(self.trunk.unitquat, np.broadcast_to(self._offset(f"{side}_hip"), foot.ankle_m.shape))
-            away = (self.trunk.x_m + hip[:, 0] - foot.ankle_m[:, 0]) ** 2
-            away = away + (self.trunk.z_m + hip[:, 2] - foot.ankle_m[:, 2]) ** 2
+            hip = rotate(self.unitquat[:, 0], self.body.rest_offsets_m[BODY22.index(f"{side}_hip")])
+            away = ((floor_m + hip[:, [0, 2]] - foot.ankle_m[:, [0, 2]]) ** 2).sum(axis=1)
             highest.append(foot.ankle_m[:, 1] - hip[:, 1] + np.sqrt(np.maximum(longest**2 - away, 0.01)))
         return highest
 
@@ -193,7 +157,7 @@ class Figure:
         hip, knee, ankle, toe = BODY22.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle", "toe")])
         self._follow(hip, self.unitquat[:, 0])
         sign = SIDES[side]
-        ahead = rotate(self.unitquat[:, 0], np.broadcast_to([0.12 * sign, 0.0, 1.0], foot.ankle_m.shape))
+        ahead = rotate(self.unitquat[:, 0], np.array([0.12 * sign, 0.0, 1.0]))
         pole = ahead * [1.0, 0.0, 1.0] + facing(foot.yaw_rad, 0.0, 0.0, 1.0)
         upper, lower = self.body.length_m(f"{side}_knee"), self.body.length_m(f"{side}_ankle")
         leg = reach(self.positions_m[:, hip], foot.ankle_m, pole, upper, lower)
@@ -207,12 +171,9 @@ class Figure:
     def _follow(self, joint: int, unitquat: Array) -> None:
         """Place a joint by its parent's rotation, and give it a world rotation."""
         parent = BODY22.parents[joint]
-        offset = np.broadcast_to(self.body.rest_offsets_m[joint], (len(self.positions_m), 3))
-        self.positions_m[:, joint] = self.positions_m[:, parent] + rotate(self.unitquat[:, parent], offset)
+        carried = rotate(self.unitquat[:, parent], self.body.rest_offsets_m[joint])
+        self.positions_m[:, joint] = self.positions_m[:, parent] + carried
         self.unitquat[:, joint] = unitquat
-
-    def _offset(self, joint_name: str) -> Array:
-        return np.asarray(self.body.rest_offsets_m[BODY22.index(joint_name)])
 
     def _pronation(self, elbow: int, palm: Array | None) -> Array:
         """Return the turn about the forearm (frame, 4) that brings the palm, down at rest, towards a direction."""
@@ -221,7 +182,7 @@ class Figure:
             seen = rotate(conjugate(self.unitquat[:, elbow]), normalise(palm))
             # Half-angle form: no jump where the palm would have to turn by a half circle; 1.3: at most 85 degrees.
             angle = 1.3 * np.arctan2(-seen[:, 2], 1.1 - seen[:, 1])
-        return unitquat_from_rotvec(np.stack([angle, 0.0 * angle, 0.0 * angle], axis=-1))
+        return unitquat_from_rotvec(columns(angle, 0.0, 0.0))
 
 
 def _from_axes(x: Array, y: Array, z: Array) -> Array:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import Numbers, facing, mix, moves, turn, window
-from pasdedeux.choreography.duet import Contact, Duet, DuetStyle, finish, rest_distance_m, wrist_contact
-from pasdedeux.choreography.figure import SIDES, Figure, Trunk
-from pasdedeux.choreography.steps import Plant, plan_foot, walk_feet
+from pasdedeux.choreography.curves import halfway, mix, moves, window
+from pasdedeux.choreography.duet import BonePoint, Contact, Dance
+from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.geometry import SIDES, on_floor
+from pasdedeux.choreography.steps import Plant, walk_feet
 
 Vector = tuple[float, float, float]
 
@@ -24,6 +26,8 @@ _LET_GO_S, _ON_BACK_S, _BACK_S, _REGRIP_S = 3.3, 4.6, 5.8, 7.3
 """Until when A's right hand holds the lapel; from when and until when it lies on B's back; from when it holds again."""
 _WALK = ((0.25, 1.30), (1.30, 2.35), (7.5, 8.55), (8.55, 9.6))
 """Walking: in each of these the pair moves by one step of both feet; two there and two back."""
+_HIP, _ASIDE = 0.205, -0.05
+"""Distance of the pelvises when A is turned in, and how far A is then to the left, fractions of the mean height."""
 _TRACK = 0.075
 """Distance of each foot from the middle of the body, fraction of height."""
 _TURNED_TRACK, _TURNED_SHIFT = 0.060, 0.045
@@ -40,171 +44,13 @@ _OVER_RATIO = 1.11
 """A who is so much taller than B puts the right arm over B's shoulder instead of under the arm."""
 
 
-class JudoStyle(DuetStyle):
-    """Style of the judo form; lengths are fractions of the mean height.  The form lasts 10 s and is repeated."""
-
-    apart: float = Field(0.40, ge=0.38, le=0.42, description="Distance of the two pelvises in the grip")
-    stride: float = Field(0.13, ge=0.0, le=0.15, description="Length of a walking step")
-    circle_rad: float = Field(0.35, ge=-0.4, le=0.4, description="Turn of the pair in a walking step")
-    turn_rad: float = Field(1.35, ge=1.3, le=1.36, description="How far A turns in")
-
-
-def make_judo(style: JudoStyle) -> Duet:
-    """Make a judo form: A turns in, B is taken onto the hip and set back.
-
-    A's right arm goes under B's left arm round the waist (uki-goshi); when A is more than 11 % taller, over B's left
-    shoulder (koshi-guruma).  Contacts: A's left hand on B's right sleeve and B's right hand on A's left lapel all the
-    time; A's right hand on B's left lapel and B's left hand on A's right sleeve, but on the other's back while A is
-    turned in.
-    """
-    vary, mean_m, time_s, bodies, heights_m = style.vary(3), style.mean_m, style.time_s, style.bodies, style.heights_m
-    form = _Form(
-        apart_m=style.apart * mean_m * (1.0 - 0.25 * (max(heights_m) / min(heights_m) - 1.0)),
-        stride_m=style.stride * (1.0 - 0.2 * abs(float(vary[0]))) * mean_m,
-        circle_rad=style.circle_rad * (1.0 + 0.2 * float(vary[1])),
-        turn_rad=style.turn_rad * (1.0 + 0.02 * float(vary[2])),
-        hip_m=0.205 * mean_m,
-        aside_m=-0.05 * mean_m,
-        num_cycles=max(1, int(np.ceil(style.duration_s / _CYCLE_S))),
-    )
-    stoop_rad = 0.5 * max(0.0, heights_m[1] / heights_m[0] - 1.0)
-    figures = (_tori(bodies[0], form, time_s), _uke(bodies[1], form, time_s, stoop_rad))
-    return finish("judo", style, figures, _grip(figures, form, time_s, style.duration_s))
-
-
 @dataclass(frozen=True)
-class _Form:
-    """Where both people stand.
-
-    Args:
-        apart_m: Distance of the pelvises in the grip.
-        stride_m: How far the pair goes in a walking step.
-        circle_rad: Turn of the pair in a walking step.
-        turn_rad: How far A turns in.
-        hip_m: Distance of the pelvises when A is turned in.
-        aside_m: How far A is then to the left of the line between them as it was.
-        num_cycles: How often the form is done.
-    """
-
-    apart_m: float
-    stride_m: float
-    circle_rad: float
-    turn_rad: float
-    hip_m: float
-    aside_m: float
-    num_cycles: int
-
-    def every_cycle(self, time_s: Array, rise_s: float, full_s: float, fade_s: float, stop_s: float) -> Array:
-        """Return a window (frame,) that comes once in every cycle."""
-        starts = _CYCLE_S * np.arange(self.num_cycles)
-        return np.asarray(sum(window(time_s - start, rise_s, full_s, fade_s, stop_s) for start in starts))
-
-    def inside(self, time_s: Array) -> Array:
-        """Return how far A is turned in (frame,), 0 to 1."""
-        return self.every_cycle(time_s, _IN_S, _HELD_S, _OUT_S, _LEAVE_S)
-
-    def loaded(self, time_s: Array) -> Array:
-        """Return how far B is taken onto the hip (frame,), 0 to 1."""
-        return self.every_cycle(time_s, _HELD_S - 0.7, _HELD_S + 0.2, _OUT_S - 0.2, _OUT_S + 0.7)
-
-    def place(self, person: int, time_s: Array) -> tuple[Array, Array]:
-        """Return where a person's pelvis is (frame, x and z) and its facing (frame,)."""
-        walked = [
-            (cycle * _CYCLE_S + start_s, cycle * _CYCLE_S + stop_s, share)
-            for cycle in range(self.num_cycles)
-            for (start_s, stop_s), share in zip(_WALK, (1.0, 2.0, 1.0, 0.0), strict=True)
-        ]
-        progress = moves(time_s, 0.0, walked)
-        yaw = self.circle_rad * progress
-        centre = facing(0.0, 0.0, 0.0, self.stride_m * progress)
-        if person == 1:
-            return (centre + facing(yaw, 0.0, 0.0, 0.5 * self.apart_m))[:, [0, 2]], yaw + np.pi
-        inside = self.inside(time_s)
-        ahead = -0.5 * self.apart_m + inside * (self.apart_m - self.hip_m)
-        return (centre + facing(yaw, inside * self.aside_m, 0.0, ahead))[:, [0, 2]], yaw + self.turn_rad * inside
-
-
-def _tori(body: Body, form: _Form, time_s: Array) -> Figure:
-    """Place trunk and feet of A, who turns in, sinks and leans away with B on the hip."""
-    inside, loaded = form.inside(time_s), form.loaded(time_s)
-    breath = np.sin(2.0 * np.pi * time_s / 2.5)
-    return _on_feet(
-        0,
-        body,
-        form,
-        time_s,
-        sink=0.035 + 0.025 * inside - 0.008 * loaded,
-        tilt=(0.10 - 0.02 * inside, -0.10 * inside),
-        spine=(0.12 + 0.10 * inside, 0.10 * inside + 0.03 * breath, -0.26 * inside - 0.10 * loaded),
-        head=(-0.12 + 0.05 * inside, 0.10 * inside, -0.10 * inside),
-    )
-
-
-def _uke(body: Body, form: _Form, time_s: Array, stoop_rad: float) -> Figure:
-    """Place trunk and feet of B, who is drawn forward and stoops when taller."""
-    inside, loaded = form.inside(time_s), form.loaded(time_s)
-    breath = np.sin(2.0 * np.pi * time_s / 2.5)
-    return _on_feet(
-        1,
-        body,
-        form,
-        time_s,
-        sink=0.030 - 0.012 * inside,
-        tilt=(0.10 + 0.04 * loaded, 0.03 * inside),
-        spine=(0.10 + 0.06 * loaded + stoop_rad * inside, 0.04 * breath - 0.08 * inside, 0.05 * inside),
-        head=(-0.12, -0.25 * inside, 0.0),
-    )
-
-
-def _on_feet(
-    person: int,
-    body: Body,
-    form: _Form,
-    time_s: Array,
-    *,
-    sink: Array,
-    tilt: tuple[Array, Array],
-    spine: tuple[Numbers, ...],
-    head: tuple[Numbers, ...],
-) -> Figure:
-    """Return somebody who sinks by a share of the height and tilts forward and to the right, on walking feet."""
-    where, yaw = form.place(person, time_s)
-    height_m = body.standing_m("pelvis") - body.height_m * sink
-    left, right = (_plants(person, side, body, form) for side in SIDES)
-    feet = walk_feet(time_s, body, left, right, heel=0.8)
-    return Figure(body, Trunk.at(where, height_m, turn(yaw, *tilt), spine, head), feet)
-
-
-def _plants(person: int, side: str, body: Body, form: _Form) -> list[Plant]:
-    """Plan a foot: it lands where the pelvis will be when the pair, or A alone, has moved."""
-    sign = SIDES[side]
-    # Right feet lead for A, left feet for B; the other foot follows half a second later.
-    wait_s = 0.0 if (side == "right") == (person == 0) else 0.5
-    steps = [(start_s + wait_s, start_s + wait_s + 0.5, stop_s) for start_s, stop_s in _WALK]
-    if person == 0 and side == "right":
-        steps += [(_IN_S, _IN_S + 0.75, _HELD_S), (_OUT_S + 0.75, _LEAVE_S, _LEAVE_S)]
-    elif person == 0:
-        steps += [(_IN_S + 0.8, _HELD_S, _HELD_S), (_OUT_S, _OUT_S + 0.7, _LEAVE_S)]
-    steps.sort()
-    at_s = np.arange(form.num_cycles)[:, None] * _CYCLE_S
-    lifts, lands, ends = ((at_s + np.array(column)).ravel() for column in zip(*steps, strict=True))
-    is_turned = np.concatenate(
-        [[False], np.tile([person == 0 and step[2] == _HELD_S for step in steps], form.num_cycles)]
-    )
-    lateral = np.where(is_turned, sign * _TURNED_TRACK + _TURNED_SHIFT, sign * _TRACK)
-    where, yaw = form.place(person, np.concatenate([[0.0], ends]))
-    where = where + facing(yaw, lateral * body.height_m, 0.0, -0.02 * body.height_m)[:, [0, 2]]
-    lands, lifts = np.concatenate([[-1.0], lands]), np.concatenate([lifts, [1e6]])
-    return plan_foot(where, yaw + sign * 0.22, lands, lifts)
-
-
-@dataclass(frozen=True)
-class _Hold:
+class _BackHold:
     """A hand on the partner's back: where, how its elbow points, and by which detour it goes there.
 
-    `bone`, `share` and `angle_deg` (from the front over the left) are the place; `pole` and `detour` are left, up and
+    `bone`, `share` and `angle_deg` (from the front over the left) give the place; `pole` and `detour` are left, up and
     forward of B's chest, the detour as a share of B's height.  `haste_s` is how much sooner it is there, and how much
-    later it leaves, than the contact's times.
+    later it leaves, than the contact states.
     """
 
     bone: str
@@ -216,74 +62,152 @@ class _Hold:
 
 
 _UNDER = (
-    _Hold("spine2", 0.6, 120.0, (1.0, -0.75, 0.3), (0.14, -0.09, 0.08)),
-    _Hold("spine3", 0.5, -160.0, (1.0, 0.0, 0.3), (0.08, 0.10, 0.0)),
+    _BackHold("spine2", 0.6, 120.0, (1.0, -0.75, 0.3), (0.14, -0.09, 0.08)),
+    _BackHold("spine3", 0.5, -160.0, (1.0, 0.0, 0.3), (0.08, 0.10, 0.0)),
 )
 _OVER = (
-    _Hold("neck", 0.5, 150.0, (1.0, 0.6, 0.3), (0.10, 0.25, 0.07)),
-    _Hold("spine2", 0.5, -150.0, (1.0, -0.6, 0.0), (0.14, -0.18, -0.08), haste_s=0.3),
+    _BackHold("neck", 0.5, 150.0, (1.0, 0.6, 0.3), (0.10, 0.25, 0.07)),
+    _BackHold("spine2", 0.5, -150.0, (1.0, -0.6, 0.0), (0.14, -0.18, -0.08), haste_s=0.3),
 )
 """A's right hand on B's back and B's left hand on A's back."""
+_APART, _STRIDE = 0.40, 0.13
+"""Distance of the two pelvises in the grip, length of a walking step, fractions of the mean height."""
+_CIRCLE_RAD, _TURN_RAD = 0.35, 1.35
+"""Turn of the pair in a walking step, and how far A turns in."""
 
 
-def _grip(figures: tuple[Figure, Figure], form: _Form, time_s: Array, duration_s: float) -> list[Contact]:
-    """Bring all hands where they belong; gives the contacts.
+class Judo(Dance):
+    """Judo form of 10 s, repeated: A turns in, B is taken onto the hip and set back.
 
-    Right hands first: lapels and backs depend on the trunks alone.  Then left hands: sleeves depend on the right arms.
+    A's right arm goes under B's left arm round the waist (uki-goshi); when A is more than 11 % taller, over B's left
+    shoulder (koshi-guruma).  Contacts: A's left hand on B's right sleeve and B's right hand on A's left lapel all the
+    time; A's right hand on B's left lapel and B's left hand on A's right sleeve, but on the other's back while A is
+    turned in.
     """
-    tori, uke = figures
-    holds = _OVER if tori.body.height_m > _OVER_RATIO * uke.body.height_m else _UNDER
-    contacts = []
-    for person, figure in enumerate(figures):
-        other = figures[1 - person]
-        target, held = _on_trunk(
-            person, "right", figures, *_lapel(figure.body, other.body), _LAPEL_DEG[person], "left lapel"
+
+    @property
+    def _starts_s(self) -> Array:
+        """When the form begins, each time."""
+        return np.arange(0.0, max(self.duration_s, _CYCLE_S), _CYCLE_S)
+
+    def _every_cycle(self, time_s: Array, rise_s: float, full_s: float, fade_s: float, stop_s: float) -> Array:
+        """Return a window (frame,) that comes once in every cycle."""
+        return np.asarray(sum(window(time_s - start, rise_s, full_s, fade_s, stop_s) for start in self._starts_s))
+
+    def _inside(self, time_s: Array) -> Array:
+        """Return how far A is turned in (frame,), 0 to 1."""
+        return self._every_cycle(time_s, _IN_S, _HELD_S, _OUT_S, _LEAVE_S)
+
+    def _station(self, person: int, time_s: Array) -> tuple[Array, Array]:
+        """Return where a person's pelvis is, X and Z (frame, 2), and its facing (frame,)."""
+        walked = [
+            (start + start_s, start + stop_s, share)
+            for start in self._starts_s
+            for (start_s, stop_s), share in zip(_WALK, (1.0, 2.0, 1.0, 0.0), strict=True)
+        ]
+        vary, mean_m, heights_m = self.vary, self.mean_m, self.heights_m
+        progress = moves(time_s, 0.0, walked)
+        yaw = _CIRCLE_RAD * (1.0 + 0.2 * vary[1]) * progress
+        centre = on_floor(0.0, 0.0, _STRIDE * (1.0 - 0.2 * abs(vary[0])) * mean_m * progress)
+        apart_m = _APART * mean_m * (1.0 - 0.25 * (max(heights_m) / min(heights_m) - 1.0))
+        if person == 1:
+            return centre + on_floor(yaw, 0.0, 0.5 * apart_m), yaw + np.pi
+        inside = self._inside(time_s)
+        ahead = -0.5 * apart_m + inside * (apart_m - _HIP * mean_m)
+        turned = _TURN_RAD * (1.0 + 0.02 * vary[2]) * inside
+        return centre + on_floor(yaw, inside * (_ASIDE * mean_m), ahead), yaw + turned
+
+    def place(self, person: int) -> Figure:
+        """Place trunk and feet: A turns in, sinks and leans away with B on the hip; B stoops when taller."""
+        time_s, body = self.time_s, self.bodies[person]
+        floor, yaw = self._station(person, time_s)
+        inside = self._inside(time_s)
+        loaded = self._every_cycle(time_s, _HELD_S - 0.7, _HELD_S + 0.2, _OUT_S - 0.2, _OUT_S + 0.7)
+        breath = np.sin(2.0 * np.pi * time_s / 2.5)
+        if person == 0:
+            sunk = 0.035 + 0.025 * inside - 0.008 * loaded
+            pelvis = (yaw, 0.10 - 0.02 * inside, -0.10 * inside)
+            spine = (0.12 + 0.10 * inside, 0.10 * inside + 0.03 * breath, -0.26 * inside - 0.10 * loaded)
+            head = (-0.12 + 0.05 * inside, 0.10 * inside, -0.10 * inside)
+        else:
+            stoop = 0.5 * max(0.0, self.heights_m[1] / self.heights_m[0] - 1.0)
+            sunk = 0.030 - 0.012 * inside
+            pelvis = (yaw, 0.10 + 0.04 * loaded, 0.03 * inside)
+            spine = (0.10 + 0.06 * loaded + stoop * inside, 0.04 * breath - 0.08 * inside, 0.05 * inside)
+            head = (np.full_like(inside, -0.12), -0.25 * inside, 0.0 * inside)
+        left, right = (self._plants(person, side, body) for side in SIDES)
+        return Figure(
+            body,
+            walk_feet(time_s, body, left, right, heel=0.8),
+            floor_m=floor,
+            height_m=body.standing_m("pelvis") - body.height_m * sunk,
+            pelvis=pelvis,
+            spine=spine,
+            head=head,
         )
-        pole, palm = figure.chest_vector(-0.7, -1.0, 0.0), other.joint("spine3") - target
-        if person == 0:
-            target, pole, changed = _to_back(0, "right", figures, form, time_s, (target, pole), held, holds[0])
-            contacts += changed
-        else:
-            contacts.append(replace(held, stop_s=duration_s))
-        figure.reach_hand("right", target, pole, palm=palm)
-    for person, figure in enumerate(figures):
-        target, palm, held = _sleeve(person, figures)
-        pole = figure.chest_vector(0.8, -1.0, -0.2)
-        if person == 0:
-            # Turned in, the hand comes to the sleeve from B's right.
-            turned = form.every_cycle(time_s, _LET_GO_S, _ON_BACK_S, _BACK_S, _REGRIP_S)
-            pole = mix(pole, uke.chest_vector(-1.0, 0.2, 0.0), turned)
-            contacts.append(replace(held, stop_s=duration_s))
-        else:
-            target, pole, changed = _to_back(1, "left", figures, form, time_s, (target, pole), held, holds[1])
-            contacts += changed
-        figure.reach_hand("left", target, pole, palm=palm)
-    return contacts
 
+    def _plants(self, person: int, side: str, body: Body) -> list[Plant]:
+        """Plan a foot: it lands where the pelvis will be when the pair, or A alone, has moved."""
+        sign = SIDES[side]
+        # Right feet lead for A, left feet for B; the other foot follows half a second later.
+        wait_s = 0.0 if (side == "right") == (person == 0) else 0.5
+        walked = [(start_s + wait_s, start_s + wait_s + 0.5, stop_s) for start_s, stop_s in _WALK]
+        if person == 0 and side == "right":
+            walked += [(_IN_S, _IN_S + 0.75, _HELD_S), (_OUT_S + 0.75, _LEAVE_S, _LEAVE_S)]
+        elif person == 0:
+            walked += [(_IN_S + 0.8, _HELD_S, _HELD_S), (_OUT_S, _OUT_S + 0.7, _LEAVE_S)]
+        steps = np.array(sorted(walked))
+        lifts, lands, ends = (self._starts_s[:, None, None] + steps).reshape(-1, 3).T
+        is_turned = np.append(False, np.tile((person == 0) & (steps[:, 2] == _HELD_S), len(self._starts_s)))
+        lateral = np.where(is_turned, sign * _TURNED_TRACK + _TURNED_SHIFT, sign * _TRACK)
+        floor, yaw = self._station(person, np.append(0.0, ends))
+        floor = floor + on_floor(yaw, lateral * body.height_m, -0.02 * body.height_m)
+        return Plant.series(floor, yaw + sign * 0.22, np.append(-1.0, lands), np.append(lifts, 1e6))
 
-def _to_back(
-    person: int,
-    side: str,
-    figures: tuple[Figure, Figure],
-    form: _Form,
-    time_s: Array,
-    gripping: tuple[Array, Array],
-    held: Contact,
-    hold: _Hold,
-) -> tuple[Array, Array, list[Contact]]:
-    """Return target and elbow pole (frame, 3) of a hand that goes to the other's back and returns, and its contacts."""
-    uke = figures[1]
-    lead_s = 0.0 if person == 0 else _LEAD_S
-    away_s = (_ON_BACK_S - hold.haste_s, _BACK_S + hold.haste_s)
-    share = form.every_cycle(time_s, _LET_GO_S - lead_s, *away_s, _REGRIP_S + lead_s)
-    back, on_back = _on_trunk(person, side, figures, hold.bone, hold.share, hold.angle_deg, "back")
-    detour = (4.0 * share * (1.0 - share))[:, None] * uke.chest_vector(*hold.detour) * uke.body.height_m
-    contacts = [replace(held, stop_s=_LET_GO_S - lead_s)]
-    for at in _CYCLE_S * np.arange(form.num_cycles):
-        contacts.append(replace(on_back, start_s=float(at + _ON_BACK_S), stop_s=float(at + _BACK_S)))
-        again_s, next_s = at + _REGRIP_S + lead_s, at + _CYCLE_S + _LET_GO_S - lead_s
-        contacts.append(replace(held, start_s=float(again_s), stop_s=float(next_s)))
-    return mix(gripping[0], back, share) + detour, mix(gripping[1], uke.chest_vector(*hold.pole), share), contacts
+    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+        """Bring all hands where they belong.
+
+        Right hands first: lapels and backs depend on the trunks alone.  Then left hands: sleeves depend on the right
+        arms.
+        """
+        tori, uke = figures
+        on_b_back, on_a_back = _OVER if tori.body.height_m > _OVER_RATIO * uke.body.height_m else _UNDER
+        holds = {(0, "right"): on_b_back, (1, "left"): on_a_back}
+        contacts = []
+        for side, (person, figure) in product(("right", "left"), enumerate(figures)):
+            other, wrist = figures[1 - person], BonePoint(person, f"{side}_wrist")
+            if side == "right":
+                target, held = _on_trunk(wrist, figures, *_lapel(figure.body, other.body), _LAPEL_DEG[person])
+                pole, palm = figure.chest_vector(-0.7, -1.0, 0.0), other.joint("spine3") - target
+            else:
+                target, palm, held = _sleeve(wrist, figures)
+                pole = figure.chest_vector(0.8, -1.0, -0.2)
+                if person == 0:
+                    # Turned in, the hand comes to the sleeve from B's right.
+                    turned = self._every_cycle(self.time_s, _LET_GO_S, _ON_BACK_S, _BACK_S, _REGRIP_S)
+                    pole = mix(pole, uke.chest_vector(-1.0, 0.2, 0.0), turned)
+            if (person, side) in holds:
+                target, pole, changed = self._to_back(figures, target, pole, held, holds[person, side])
+                contacts += changed
+            else:
+                contacts.append(held)
+            figure.reach_hand(side, target, pole, palm=palm)
+        return contacts
+
+    def _to_back(
+        self, figures: Sequence[Figure], target: Array, pole: Array, held: Contact, hold: _BackHold
+    ) -> tuple[Array, Array, list[Contact]]:
+        """Return target and elbow pole (frame, 3) of a hand that goes to the other's back and returns, and contacts."""
+        uke, wrist = figures[1], held.point_a
+        leave_s, again_s = _LET_GO_S - _LEAD_S * wrist.person, _REGRIP_S + _LEAD_S * wrist.person
+        share = self._every_cycle(self.time_s, leave_s, _ON_BACK_S - hold.haste_s, _BACK_S + hold.haste_s, again_s)
+        back, on_back = _on_trunk(wrist, figures, hold.bone, hold.share, hold.angle_deg)
+        detour = halfway(share) * uke.chest_vector(*hold.detour) * uke.body.height_m
+        contacts = [replace(held, stop_s=leave_s)]
+        for at in self._starts_s.tolist():
+            contacts.append(replace(on_back, start_s=at + _ON_BACK_S, stop_s=at + _BACK_S))
+            contacts.append(replace(held, start_s=at + again_s, stop_s=at + _CYCLE_S + leave_s))
+        return mix(target, back, share) + detour, mix(pole, uke.chest_vector(*hold.pole), share), contacts
 
 
 def _lapel(body: Body, other: Body) -> tuple[str, float]:
@@ -293,22 +217,20 @@ def _lapel(body: Body, other: Body) -> tuple[str, float]:
 
 
 def _on_trunk(
-    person: int, side: str, figures: tuple[Figure, Figure], bone: str, share: float, angle_deg: float, name: str
+    wrist: BonePoint, figures: Sequence[Figure], bone: str, share: float, angle_deg: float
 ) -> tuple[Array, Contact]:
     """Return where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
-    figure, other = figures[person], figures[1 - person]
-    rest_m = rest_distance_m(figure.body, other.body, bone, "spine3")
+    figure, other = figures[wrist.person], figures[1 - wrist.person]
+    rest_m = figure.body.rest_distance_m(other.body, bone, "spine3")
     point = other.round_bone(bone, share, rest_m, np.radians(angle_deg))
-    text = f"{'AB'[person]}'s {side} hand on {'AB'[1 - person]}'s {name}"
-    return point, wrist_contact(text, person, side, bone, share, rest_m)
+    return point, Contact(wrist, BonePoint(1 - wrist.person, bone, share), rest_m)
 
 
-def _sleeve(person: int, figures: tuple[Figure, Figure]) -> tuple[Array, Array, Contact]:
+def _sleeve(wrist: BonePoint, figures: Sequence[Figure]) -> tuple[Array, Array, Contact]:
     """Return where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
-    figure, other = figures[person], figures[1 - person]
-    distance_m = rest_distance_m(figure.body, other.body, "left_elbow")
+    figure, other = figures[wrist.person], figures[1 - wrist.person]
+    rest_m = figure.body.rest_distance_m(other.body, "left_elbow")
     share = _SLEEVE_SHARE + 0.5 * max(0.0, other.body.height_m / figure.body.height_m - 1.0)
-    text = f"{'AB'[person]}'s left hand on {'AB'[1 - person]}'s right sleeve"
-    point = other.on_bone("right_elbow", share, np.array(_SLEEVE_SIDE) * distance_m)
+    point = other.on_bone("right_elbow", share, np.array(_SLEEVE_SIDE) * rest_m)
     palm = other.on_bone("right_elbow", share) - point
-    return point, palm, wrist_contact(text, person, "left", "right_elbow", share, distance_m)
+    return point, palm, Contact(wrist, BonePoint(1 - wrist.person, "right_elbow", share), rest_m)

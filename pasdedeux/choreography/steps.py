@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import blend, bump, curve_through, facing, turn
+from pasdedeux.choreography.curves import blend, bump, curve_through
+from pasdedeux.choreography.geometry import SIDES, Part, on_floor, turn
 from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.skeletons import BODY22
+
+Flags = npt.NDArray[np.bool_]
 
 _PEEL = 0.22
 """Share of a swing during which the heel rises over the ball of the foot that still stands."""
 _CLEARANCE = 0.018
 """Height of the arc of a step, fraction of body height."""
 _STANDING_GAP, _PASSING_GAP = 0.085, 0.062
-"""Least distance of the ankles where a foot lands, and when one passes the other, fractions of body height."""
-
+"""Smallest distance of the ankles where a foot lands, and when one passes the other, fractions of body height."""
 
 _DOUBLE_SUPPORT = 0.16
 """Share of a beat during which both feet stand."""
@@ -50,6 +53,12 @@ class Plant:
     lift_s: float
     bow_m: float = 0.0
 
+    @classmethod
+    def series(cls, floor_m: Array, yaw_rad: Part, land_s: ArrayLike, lift_s: ArrayLike) -> list[Self]:
+        """Return the plants of one foot from X and Z of the ankle (plant, 2), directions and times (plant,)."""
+        columns = np.broadcast_arrays(floor_m[:, 0], floor_m[:, 1], yaw_rad, land_s, lift_s)
+        return [cls(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
 
 @dataclass(frozen=True)
 class FootPath:
@@ -59,66 +68,6 @@ class FootPath:
     unitquat: Array
     yaw_rad: Array
     plants: tuple[Plant, ...]
-
-
-@dataclass(frozen=True)
-class Walk:
-    """Somebody who steps on beats: both feet, the middle of the body (frame, x and z) and its facing (frame,)."""
-
-    feet: tuple[FootPath, FootPath]
-    where_m: Array
-    yaw_rad: Array
-
-
-def plan_foot(where_m: Array, yaw_rad: Array, land_s: Iterable[Any], lift_s: Iterable[Any]) -> list[Plant]:
-    """Return plants at (n, x and z) or (n, 3), with directions (n,), when the foot lands and lifts off (n,)."""
-    rows = zip(where_m[:, 0], where_m[:, -1], yaw_rad, land_s, lift_s, strict=True)
-    return [Plant(*map(float, row)) for row in rows]
-
-
-def walk_on_beats(
-    time_s: Array,
-    body: Body,
-    stations: tuple[Array, Array],
-    beats: npt.NDArray[np.int_],
-    beat_s: float,
-    is_left: npt.NDArray[np.bool_],
-    *,
-    track: float,
-    out_rad: float,
-    sway: float,
-) -> Walk:
-    """Step on every beat with one foot, the body leaning over it some time after it has landed.
-
-    Args:
-        time_s: Times (frame,).
-        body: Who.
-        stations: Where (beat, x and z) and in which direction (beat,) the body is at each beat.
-        beats: Numbers of the beats (beat,), well before the first time to well after the last.
-        beat_s: Time of a beat.
-        is_left: Which beats the left foot steps on (beat,).
-        track: Distance of each foot from the middle of the body, fraction of height.
-        out_rad: How far the feet point outward.
-        sway: How far the body leans over the standing foot, fraction of height.
-    """
-    where, yaw = stations
-    left, right = (
-        plan_foot(
-            (where + facing(yaw, sign * track * body.height_m, 0.0, -0.01 * body.height_m)[:, [0, 2]])[mask],
-            yaw[mask] + sign * out_rad,
-            beats[mask] * beat_s,
-            (beats[mask] + 1.0 + _DOUBLE_SUPPORT) * beat_s,
-        )
-        for sign, mask in ((1.0, is_left), (-1.0, ~is_left))
-    )
-    over = where + facing(yaw, sway * body.height_m * np.where(is_left, 1.0, -1.0), 0.0, 0.0)[:, [0, 2]]
-    middle, facing_rad = (over_beats(time_s, keys, beats, beat_s) for keys in (over, yaw))
-    return Walk(walk_feet(time_s, body, left, right), middle, facing_rad)
-
-
-def over_beats(time_s: Array, keys: Array, beats: npt.NDArray[np.int_], beat_s: float) -> Array:
-    """Pass through keys (beat, ...), each when the weight is over the foot that has landed on its beat."""
-    return curve_through(time_s, float(beats[0] + _MID_STANCE) * beat_s, beat_s, keys)
 
 
 def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float = 1.0) -> FootPath:
@@ -153,7 +102,7 @@ def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float
             heel * (0.08 + 0.3 * min(length, 0.5) + 0.8 * float(np.clip(forward, 0.0, 0.5))) * bump(fraction, fall=4)
         )
     unitquat = turn(yaw, pitch)
-    ankle = position - rotate(unitquat, np.broadcast_to(ankle_to_toe, position.shape))
+    ankle = position - rotate(unitquat, ankle_to_toe)
     return FootPath(ankle_m=ankle, unitquat=unitquat, yaw_rad=yaw, plants=tuple(plants))
 
 
@@ -168,19 +117,62 @@ def walk_feet(
     )
 
 
+@dataclass(frozen=True)
+class Rhythm:
+    """Steps to a beat: a foot lands on each beat, and the weight is over it a little later.
+
+    Args:
+        time_s: Times of the frames (frame,).
+        beats: Numbers of the beats (beat,), from some before the first frame to some after the last.
+        beat_s: Length of a beat, seconds; beat 0 is at 0.
+    """
+
+    time_s: Array
+    beats: npt.NDArray[np.intp]
+    beat_s: float
+
+    @classmethod
+    def of(cls, time_s: Array, duration_s: float, tempo_bpm: float) -> Self:
+        """Return the beats of a tempo."""
+        beat_s = 60.0 / tempo_bpm
+        return cls(time_s, np.arange(-5, int(np.ceil(duration_s / beat_s)) + 6), beat_s)
+
+    def curve(self, keys: Array) -> Array:
+        """Pass through values of the beats (beat, ...) when the weight is over the foot (frame, ...)."""
+        return curve_through(self.time_s, float(self.beats[0] + _MID_STANCE) * self.beat_s, self.beat_s, keys)
+
+    def walk_feet(
+        self, body: Body, floor_m: Array, yaw_rad: Array, is_left: Flags, *, track: float, out_rad: float
+    ) -> tuple[FootPath, FootPath]:
+        """Step with the left or the right foot on each beat.
+
+        Args:
+            body: Whose feet.
+            floor_m: Middle of the body at each beat, X and Z, (beat, 2).
+            yaw_rad: Facing at each beat (beat,).
+            is_left: Which foot lands (beat,).
+            track: Distance of each foot from the middle of the body, fraction of height.
+            out_rad: How far the toes point outward.
+        """
+        left, right = (
+            Plant.series(
+                (floor_m + on_floor(yaw_rad, sign * track * body.height_m, -0.01 * body.height_m))[is_mine],
+                yaw_rad[is_mine] + sign * out_rad,
+                self.beats[is_mine] * self.beat_s,
+                (self.beats[is_mine] + 1.0 + _DOUBLE_SUPPORT) * self.beat_s,
+            )
+            for sign, is_mine in zip(SIDES.values(), (is_left, ~is_left), strict=True)
+        )
+        return walk_feet(self.time_s, body, left, right)
+
+
 def _ball(plant: Plant, ankle_to_toe: Array) -> Array:
     forward = ankle_to_toe[2]
     return np.array([plant.x_m + forward * np.sin(plant.yaw_rad), 0.0, plant.z_m + forward * np.cos(plant.yaw_rad)])
 
 
 def spread_feet(body: Body, left: Sequence[Plant], right: Sequence[Plant]) -> tuple[list[Plant], list[Plant]]:
-    """Move plants outward where a foot would land too near the one that stands, each checked against the one before.
-
-    Args:
-        body: Whose feet.
-        left: Plants of the left foot.
-        right: Plants of the right foot.
-    """
+    """Move plants outward where a foot would land too near the one that stands, each against the one before."""
     plants = sorted([(p, 1.0) for p in left] + [(p, -1.0) for p in right], key=lambda item: item[0].land_s)
     moved = plants[:1]
     for plant, sign in plants[1:]:
@@ -197,13 +189,7 @@ def spread_feet(body: Body, left: Sequence[Plant], right: Sequence[Plant]) -> tu
 
 
 def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant]) -> list[Plant]:
-    """Bow swings sideways, away from the foot that stands meanwhile, so that the feet do not touch.
-
-    Args:
-        body: Whose feet.
-        plants: Plants of one foot.
-        other: Plants of the other foot.
-    """
+    """Bow swings sideways, away from the foot that stands meanwhile, so that the feet do not touch."""
     result = [plants[0]]
     for before, after in pairwise(plants):
         middle_s = 0.5 * (before.lift_s + after.land_s)

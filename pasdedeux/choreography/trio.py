@@ -2,84 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body
-from pasdedeux.choreography.curves import turn
-from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, finish
-from pasdedeux.choreography.figure import Figure, Trunk
-from pasdedeux.choreography.steps import over_beats, walk_on_beats
+from pasdedeux.choreography.duet import BonePoint, Contact, Dance
+from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.geometry import on_circle, on_floor
+from pasdedeux.choreography.steps import Rhythm
 
-_TRACK = 0.068
-"""Distance of each foot from the middle of the body, fraction of body height."""
 _ROUND = 8
 """Beats in which the ring closes and opens once."""
+_TEMPO_BPM = 96.0
+"""Beats per minute, a side step each."""
+_RADIUS, _CLOSING, _STRIDE, _RISE = 0.35, 0.04, 0.045, 0.07
+"""Distance of the pelvises from the middle of the ring, how much nearer they come when it closes, length of a side step
+to the left, how much higher the hands are when it is closed; fractions of the mean height."""
 
 
-class TrioStyle(DuetStyle):
-    """Style of the trio; lengths are fractions of the mean height."""
-
-    num_people: ClassVar[int] = 3
-
-    tempo_bpm: float = Field(96.0, ge=60.0, le=110.0, description="Beats per minute, a side step each")
-    radius: float = Field(0.35, ge=0.33, le=0.36, description="Distance of the pelvises from the middle of the ring")
-    closing: float = Field(0.04, ge=0.0, le=0.06, description="How much nearer they come when the ring closes")
-    stride: float = Field(0.045, ge=0.0, le=0.05, description="Length of a side step, to the left")
-    rise: float = Field(0.07, ge=0.0, le=0.08, description="How much higher the hands are when the ring is closed")
-
-
-def make_trio(style: TrioStyle) -> Duet:
-    """Make a trio: A, B and C face the middle of a ring, B on A's left, and step to the left.
+class Trio(Dance):
+    """Trio: A, B and C face the middle of a ring, B on A's left, and step to the left.
 
     Contacts, all the time: everybody's left wrist with the right wrist of the next (clasped hands).
     """
-    vary, mean_m, time_s, bodies = style.vary(4), style.mean_m, style.time_s, style.bodies
-    beat_s = 60.0 / (style.tempo_bpm * (1.0 + 0.05 * vary[0]))
-    beats = np.arange(-5, int(np.ceil(style.duration_s / beat_s)) + 6)
-    closed = 0.5 - 0.5 * np.cos(2.0 * np.pi * (beats / _ROUND + 0.5 * vary[1]))
-    radius_m = np.asarray(mean_m * (style.radius - style.closing * closed))
-    turn_rad = -style.stride * (1.0 - 0.2 * abs(float(vary[3]))) / style.radius
-    angle = np.asarray(np.pi * float(vary[2]) + turn_rad * beats, dtype=np.float64)
-    figures = tuple(
-        _dancer(person, body, angle - 2.0 * np.pi * person / len(bodies), radius_m, beats, beat_s, time_s)
-        for person, body in enumerate(bodies)
-    )
-    raised_m = mean_m * (style.rise * over_beats(time_s, closed, beats, beat_s) - 0.10)
-    contacts = [
-        _clasp(figures, person, (person + 1) % len(figures), raised_m, style.duration_s)
-        for person in range(len(figures))
-    ]
-    return finish("trio", style, figures, contacts)
+
+    num_people: ClassVar[int] = 3
+
+    def _rhythm(self) -> tuple[Rhythm, Array]:
+        """Return the beats, and how closed the ring is at each (beat,), 0 to 1."""
+        rhythm = Rhythm.of(self.time_s, self.duration_s, _TEMPO_BPM * (1.0 + 0.05 * self.vary[0]))
+        return rhythm, 0.5 - 0.5 * np.cos(2.0 * np.pi * (rhythm.beats / _ROUND + 0.5 * self.vary[1]))
+
+    def place(self, person: int) -> Figure:
+        """Place trunk and feet of one dancer.
+
+        B steps with the other foot, and everybody looks round and bends at another time.
+        """
+        body, (rhythm, closed) = self.bodies[person], self._rhythm()
+        turn_rad = -_STRIDE * (1.0 - 0.2 * abs(self.vary[3])) / _RADIUS
+        angle = np.asarray(np.pi * self.vary[2] + turn_rad * rhythm.beats, dtype=np.float64)
+        angle = angle - 2.0 * np.pi * person / self.num_people
+        floor = on_circle(self.mean_m * (_RADIUS - _CLOSING * closed), angle)
+        yaw = angle - 0.5 * np.pi
+        is_left = (rhythm.beats + person) % 2 == 1
+        sway = 0.016 * body.height_m * np.where(is_left, 1.0, -1.0)
+        phase = np.pi * (self.time_s / rhythm.beat_s + person)
+        look = 0.25 * phase + 2.0 * np.pi * person / 3.0
+        return Figure(
+            body,
+            rhythm.walk_feet(body, floor, yaw, is_left, track=0.068, out_rad=0.10),
+            floor_m=rhythm.curve(floor + on_floor(yaw, sway, 0.0)),
+            height_m=body.standing_m("pelvis") - body.height_m * (0.02 - 0.006 * np.cos(2.0 * phase)),
+            pelvis=(rhythm.curve(yaw), 0.02, 0.02 * np.sin(phase)),
+            spine=(0.06 + 0.10 * np.sin(0.5 * look), 0.16 * np.sin(look), 0.03 * np.sin(phase)),
+            head=(0.05, 0.5 * np.sin(look), 0.0),
+        )
+
+    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+        """Clasp hands all round, raised as the ring closes."""
+        rhythm, closed = self._rhythm()
+        raised_m = self.mean_m * (_RISE * rhythm.curve(closed) - 0.10)
+        return [_clasp(figures, person, (person + 1) % len(figures), raised_m) for person in range(len(figures))]
 
 
-def _dancer(
-    person: int, body: Body, angle: Array, radius_m: Array, beats: npt.NDArray[np.int_], beat_s: float, time_s: Array
-) -> Figure:
-    """Place trunk and feet of one dancer, whose place on the ring at each beat is given by angle and radius (beat,).
-
-    B steps with the other foot, and everybody looks round and bends at another time.
-    """
-    is_left = (beats + person) % 2 == 1
-    stations = radius_m[:, None] * np.stack([np.cos(angle), -np.sin(angle)], axis=-1), angle - 0.5 * np.pi
-    walk = walk_on_beats(time_s, body, stations, beats, beat_s, is_left, track=_TRACK, out_rad=0.10, sway=0.016)
-    phase = np.pi * (time_s / beat_s + person)
-    look = 0.25 * phase + 2.0 * np.pi * person / 3.0
-    trunk = Trunk.at(
-        walk.where_m,
-        body.standing_m("pelvis") - body.height_m * (0.02 - 0.006 * np.cos(2.0 * phase)),
-        turn(walk.yaw_rad, 0.02, 0.02 * np.sin(phase)),
-        (0.06 + 0.10 * np.sin(0.5 * look), 0.16 * np.sin(look), 0.03 * np.sin(phase)),
-        (0.05, 0.5 * np.sin(look), 0.0),
-    )
-    return Figure(body=body, trunk=trunk, feet=walk.feet)
-
-
-def _clasp(figures: tuple[Figure, ...], one: int, other: int, raised_m: Array, duration_s: float) -> Contact:
+def _clasp(figures: Sequence[Figure], one: int, other: int, raised_m: Array) -> Contact:
     """Bring a left and a right wrist together between two shoulders, so that both arms are as straight."""
     giver, taker = figures[one], figures[other]
     shoulders = giver.joint("left_shoulder"), taker.joint("right_shoulder")
@@ -92,5 +80,4 @@ def _clasp(figures: tuple[Figure, ...], one: int, other: int, raised_m: Array, d
     for figure, side, sign in ((giver, "left", 1.0), (taker, "right", -1.0)):
         pole = figure.chest_vector(0.6 * sign, -1.0, -0.5)
         figure.reach_hand(side, point - 0.5 * sign * apart_m * across, pole, palm=sign * across)
-    ends = BonePoint(one, "left_wrist"), BonePoint(other, "right_wrist")
-    return Contact(f"{'ABC'[one]}'s left hand in {'ABC'[other]}'s right", *ends, 0.0, duration_s, apart_m)
+    return Contact(BonePoint(one, "left_wrist"), BonePoint(other, "right_wrist"), apart_m)

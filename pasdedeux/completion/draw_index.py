@@ -8,6 +8,7 @@ full.  The answer is the exact one, ties aside.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +27,9 @@ MIN_SEEN = 4
 """Joints of both people together that must be seen for a comparison to mean anything."""
 _NUM_JOINTS = 2 * PAIR17.num_joints
 _FAR_APART = ("left_wrist", "right_ankle", "head", "right_wrist", "left_ankle", "pelvis", "left_elbow")
-_NUM_FIRST = 2 * len(_FAR_APART)
+_FIRST = [person * PAIR17.num_joints + PAIR17.index(name) for name in _FAR_APART for person in range(2)]
+_ORDER = np.array(sorted(range(_NUM_JOINTS), key=lambda joint: (*_FIRST, joint).index(joint)), dtype=np.int64)
+"""Joints of both people (34,) in the order of comparison: those that move farthest apart come first."""
 _SLACK_M2 = 1e-4
 """What single precision may be wrong by in a sum of squares over 34 joints, with a wide margin."""
 _BATCH = 32_768
@@ -62,8 +65,6 @@ class DrawIndex:
             raise InputError(f"an index needs draws of shape (draw, 2, 17, 3), at least one; found {pairs_m.shape}")
         self.num_draws = len(pairs_m)
         num_blocks = -(-self.num_draws // LANES)
-        self._mean: tuple[Array, Array] | None = None
-        self._order = _comparison_order()
         self._points = np.zeros((num_blocks, _NUM_JOINTS, 3, LANES), dtype=np.float32)
         # Once more, draw by draw: what is measured in full is scattered over all of them.
         self._rows = np.empty((self.num_draws, _NUM_JOINTS, 3), dtype=np.float32)
@@ -71,9 +72,9 @@ class DrawIndex:
         for start in range(0, self.num_draws, _BATCH):
             stop = min(start + _BATCH, self.num_draws)
             local, tilt = _own_frames(np.asarray(pairs_m[start:stop], dtype=np.float64))
-            self._rows[start:stop] = local[:, self._order]
+            self._rows[start:stop] = local[:, _ORDER]
             block, lane = np.divmod(np.arange(start, stop), LANES)
-            self._points[block, :, :, lane] = local[:, self._order]
+            self._points[block, :, :, lane] = local[:, _ORDER]
             self._tilt[block, :, lane] = tilt
         if not np.isfinite(self._points).all():
             raise InputError("an index needs draws with finite coordinates")
@@ -94,7 +95,7 @@ class DrawIndex:
             raise InputError("retrieval needs at least one view of the annotation")
         count = min(count, self.num_draws)
         views = normalise(np.asarray(directions, dtype=np.float64))
-        first = joints < _NUM_FIRST
+        first = joints < len(_FIRST)
         few = joints[first] if first.sum() >= 3 else joints
         near = image[first] if first.sum() >= 3 else image
         coarse = np.empty((len(views), len(self._points), LANES), dtype=np.float32)
@@ -128,23 +129,26 @@ class DrawIndex:
             Camera axes: x right, y up, z towards the camera.  Over the joints seen the image is the best rigid fit in
             the plane and the mean depth is 0.
         """
-        tilt = self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
-        return self._seen_as(self._rows[draws].astype(np.float64), tilt, directions, image_m)
+        return self._seen_as(self._rows[draws].astype(np.float64), self._tilts(draws), directions, image_m)
 
     def placed_mean(self, direction: Array, image_m: Array) -> Array:
         """Return mean of all draws, in their local frames, as a camera with the image saw it, (2, 17, 3), metres."""
-        if self._mean is None:
-            tilts = self._tilt.transpose(0, 2, 1).reshape(-1, 2)[: self.num_draws]
-            self._mean = (self._rows.mean(axis=0, dtype=np.float64), tilts.mean(axis=0, dtype=np.float64))
         points, tilt = self._mean
         return np.asarray(self._seen_as(points[None], tilt[None], direction[None], image_m)[0])
+
+    @cached_property
+    def _mean(self) -> tuple[Array, Array]:
+        return self._rows.mean(axis=0, dtype=np.float64), self._tilts(np.arange(self.num_draws)).mean(axis=0)
+
+    def _tilts(self, draws: Indices) -> Array:
+        return self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
 
     def _seen_as(self, points: Array, tilt: Array, directions: Array, image_m: Array) -> Array:
         joints, _ = self._seen(image_m)
         seen_from = view_rotmat(_towards(tilt, normalise(directions)), np.array([0.0, 1.0, 0.0]))
         points = np.einsum("nij,nkj->nki", seen_from, points)
         points = points - points[:, joints].mean(axis=1, keepdims=True)
-        image = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[self._order][joints]
+        image = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER][joints]
         centre = image.mean(axis=0)
         a = np.sum(points[:, joints, :2] * (image - centre), axis=(1, 2))
         b = np.sum(
@@ -153,14 +157,14 @@ class DrawIndex:
         angle = np.arctan2(b, a)[:, None]
         cosine, sine = np.cos(angle), np.sin(angle)
         out = np.empty(points.shape)
-        out[:, self._order, 0] = cosine * points[..., 0] - sine * points[..., 1] + centre[0]
-        out[:, self._order, 1] = sine * points[..., 0] + cosine * points[..., 1] + centre[1]
-        out[:, self._order, 2] = points[..., 2]
+        out[:, _ORDER, 0] = cosine * points[..., 0] - sine * points[..., 1] + centre[0]
+        out[:, _ORDER, 1] = sine * points[..., 0] + cosine * points[..., 1] + centre[1]
+        out[:, _ORDER, 2] = points[..., 2]
         return out.reshape(len(points), 2, PAIR17.num_joints, 3)
 
     def _seen(self, image_m: Array) -> tuple[Indices, Array]:
         """Return the joints seen, by their place in the index, and their centred image points."""
-        points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[self._order]
+        points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER]
         joints = np.flatnonzero(np.isfinite(points).all(axis=1))
         if len(joints) < MIN_SEEN:
             raise InputError(f"{len(joints)} joints of the two people are seen; retrieval needs at least {MIN_SEEN}")
@@ -171,7 +175,7 @@ class DrawIndex:
         self, draws: Indices, views: Array, image: Array, joints: Indices, *, ceiling_m2: float = np.inf
     ) -> Array:
         """Return squared distances (draw, view) in double precision; inf where a draw is surely beyond a ceiling."""
-        tilt = self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
+        tilt = self._tilts(draws)
         squared = np.empty((len(draws), len(views)))
         for view, direction in enumerate(views):
             world = _towards(tilt, direction)
@@ -179,13 +183,6 @@ class DrawIndex:
             refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, own)
             squared[:, view] = own
         return squared
-
-
-def _comparison_order() -> Indices:
-    """Return the joints of both people (34,) in the order of comparison: those that move farthest apart come first."""
-    first = [person * PAIR17.num_joints + PAIR17.index(name) for name in _FAR_APART for person in range(2)]
-    rest = [joint for joint in range(_NUM_JOINTS) if joint not in first]
-    return np.array([*first, *rest], dtype=np.int64)
 
 
 def _towards(tilt: Array, direction: Array) -> Array:

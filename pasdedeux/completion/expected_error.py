@@ -1,13 +1,13 @@
-"""How wrong a lifted pair may be, told without the truth.
+"""How wrong a lifted pair may be, estimated without the ground truth.
 
-Where draws hold the pair, the fit to the image only touches their mean up; where they do not, they have to give way.
-The depth of people who are far apart or stretched out has farther to go wrong, however well draws fit.
+Where draws contain the pair, the fit to the image changes their mean little, elsewhere much.  The depth of people who
+are far apart or stretched out can be more wrong, however well draws fit.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,11 @@ and of chains); and where 80 % of true errors lie about that.  Fitted to other t
 true error correlate at 0.71 and 78 % of the errors are inside (0.69 and 79 % on 306 whole images of takes that no draw
 was made from; 57 % of the duets that draws were made from).  Of a take of salsa lifted from 2D alone, which nothing was
 fitted to, 87 % are inside (70 % without the third number; 14 cm expected, 13 found).  The spread of near draws and d_I
-add nothing; among images with a draw of their own nothing tells the error (0.08)."""
+add nothing; among images with a draw of their own nothing predicts the error (0.08)."""
 
 
-@dataclass(frozen=True)
-class ExpectedError:
-    """Mean distance of a joint from the truth to expect, the middle of the pair in one place, metres; 80 % lie between.
+class ExpectedError(NamedTuple):
+    """Expected mean distance of a joint from the ground truth, pairs centred, metres; 80 % lie between the limits.
 
     NaN where nothing is seen.
     """

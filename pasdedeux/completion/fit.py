@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, FitSettings, PointTerm, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm
 from pasdedeux.kinematics import bone_lengths
@@ -57,8 +56,6 @@ def fit_people(
     Raises:
         InputError: A position or length is not finite.
     """
-    if not np.isfinite(pair_m).all():
-        raise InputError("the pair to be fitted has a position that is not finite")
     weights = np.broadcast_to(np.asarray(deviation_m, dtype=np.float64) ** -2, targets_m.shape)
     bones = pair_m - pair_m[:, _PARENTS]
     bone_weight = np.array(bone_deviation_m**-2)

@@ -14,6 +14,7 @@ from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics import align_rigid
 
 Indices = npt.NDArray[np.int64]
+Draws = npt.NDArray[np.floating]
 
 MIN_KNOWN = 5
 """Joints of both people together that must be known: fewer have no tetrahedra, or nearly none."""
@@ -34,7 +35,7 @@ class Neighbours:
     distance_m: Array
 
 
-def nearest_rigid(draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: int) -> Neighbours:
+def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> Neighbours:
     """Return the draws nearest over the known joints: root mean square after the best proper rigid motion.
 
     Args:
@@ -67,9 +68,7 @@ def nearest_rigid(draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: in
     )
 
 
-def nearest_by_interaction(
-    draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: int, num_ranked: int
-) -> Neighbours:
+def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ranked: int) -> Neighbours:
     """Return the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) taken over the known joints alone.
 
     D_I is measured for the `num_ranked` draws nearest by `nearest_rigid`; with `num_ranked` as large as the number of

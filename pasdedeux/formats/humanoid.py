@@ -41,10 +41,10 @@ class HumanoidMotion:
 
 def humanoid_motion(motion: Motion) -> Motion:
     """Return a motion of body22, whose rest pose is the T-pose, on `HUMANOID`: other names, and end sites."""
-    carriers = motion.skeleton.indices(site.joint for site in END_SITES)
+    carriers = motion.skeleton.indices(END_SITES)
     lengths_m = [np.linalg.norm(motion.rest_offsets_m[joint]) for joint in carriers]
-    offsets_m = [np.array(site.offset) * length_m for site, length_m in zip(END_SITES, lengths_m, strict=True)]
-    ended = motion.with_joints([f"{site.joint}_end" for site in END_SITES], carriers, offsets_m)
+    offsets_m = [np.array(offset) * length_m for offset, length_m in zip(END_SITES.values(), lengths_m, strict=True)]
+    ended = motion.with_joints([f"{joint}_end" for joint in END_SITES], carriers, offsets_m)
     return replace(ended, skeleton=HUMANOID)
 
 

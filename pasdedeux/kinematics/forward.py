@@ -11,6 +11,7 @@ from pasdedeux.kinematics.rotations import (
     conjugate,
     identity_unitquat,
     multiply,
+    normalise,
     rotate,
     rotmat_from_unitquat,
     swing_between,
@@ -43,8 +44,8 @@ def forward_kinematics(
             positions[..., joint, :] = root_translation_m
         else:
             world_unitquat[..., joint, :] = multiply(world_unitquat[..., parent, :], local_unitquat[..., joint, :])
-            offset = np.broadcast_to(rest_offsets_m[..., joint, :], positions[..., joint, :].shape)
-            positions[..., joint, :] = positions[..., parent, :] + rotate(world_unitquat[..., parent, :], offset)
+            carried = rotate(world_unitquat[..., parent, :], rest_offsets_m[..., joint, :])
+            positions[..., joint, :] = positions[..., parent, :] + carried
     return positions, world_unitquat
 
 
@@ -60,9 +61,7 @@ def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
     """Return the unit direction (*batch, J, 3) of the bone ending in each joint; 0 for the root and for empty bones."""
     parents, children = _ends_of(skeleton)
     directions = np.zeros(positions.shape)
-    vectors = positions[..., children, :] - positions[..., parents, :]
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    directions[..., children, :] = vectors / np.where(lengths > 1e-12, lengths, 1.0)
+    directions[..., children, :] = normalise(positions[..., children, :] - positions[..., parents, :])
     return directions
 
 
@@ -117,7 +116,7 @@ def local_rotations(
         if len(children) > 1:
             world[..., joint, :] = _refine_rotation(world[..., joint, :], rest, posed)
         else:
-            carried = rotate(world[..., joint, :], np.broadcast_to(rest[0], posed[..., 0, :].shape))
+            carried = rotate(world[..., joint, :], rest[0])
             world[..., joint, :] = multiply(swing_between(carried, posed[..., 0, :]), world[..., joint, :])
     return local_from_world(skeleton, world)
 

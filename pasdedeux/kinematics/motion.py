@@ -61,11 +61,6 @@ class Motion:
         """Number of frames."""
         return len(self.root_translation_m)
 
-    @property
-    def duration_s(self) -> float:
-        """Time between the first and the last frame."""
-        return max(self.num_frames - 1, 0) / self.rate_hz
-
     def world(self) -> tuple[Array, Array]:
         """Return world positions (frame, J, 3) and world rotations (frame, J, 4)."""
         return forward_kinematics(self.skeleton, self.rest_offsets_m, self.root_translation_m, self.local_unitquat)
@@ -86,12 +81,6 @@ class Motion:
             skeleton=Skeleton(known.name, (*known.joint_names, *names), (*known.parents, *parents)),
             rest_offsets_m=np.concatenate([self.rest_offsets_m, offsets_m]),
             local_unitquat=np.concatenate([self.local_unitquat, still], axis=1),
-        )
-
-    def slice(self, start: int, stop: int) -> Motion:
-        """Return frames `start` to `stop` (exclusive)."""
-        return replace(
-            self, root_translation_m=self.root_translation_m[start:stop], local_unitquat=self.local_unitquat[start:stop]
         )
 
     def resample(self, rate_hz: float) -> Motion:

@@ -13,20 +13,16 @@ from pasdedeux.arrays import Array
 _TINY = 1e-12
 
 
-def identity_unitquat(*batch: int) -> Array:
-    """Return identity rotations (*batch, 4)."""
-    result = np.zeros((*batch, 4))
-    result[..., 3] = 1.0
-    return result
-
-
 def normalise(vector: Array, *, fallback: Array | None = None) -> Array:
     """Scale vectors (*batch, d) to length 1; a vector of length zero gives `fallback`, or zeros without one."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     unit = vector / np.where(length > _TINY, length, 1.0)
-    if fallback is None:
-        return np.where(length > _TINY, unit, 0.0)
-    return np.where(length > _TINY, unit, fallback)
+    return np.where(length > _TINY, unit, 0.0 if fallback is None else fallback)
+
+
+def identity_unitquat(*batch: int) -> Array:
+    """Return identity rotations (*batch, 4)."""
+    return np.tile([0.0, 0.0, 0.0, 1.0], (*batch, 1))
 
 
 def multiply(left: Array, right: Array) -> Array:
@@ -112,7 +108,7 @@ def swing_between(start: Array, end: Array) -> Array:
     general = normalise(np.concatenate([axis, 1.0 + cosine], axis=-1))
     is_zero = (np.linalg.norm(a, axis=-1, keepdims=True) == 0) | (np.linalg.norm(b, axis=-1, keepdims=True) == 0)
     result = np.where(cosine < -1.0 + 1e-10, half_turn, general)
-    return np.where(is_zero, np.array([0.0, 0.0, 0.0, 1.0]), result)
+    return np.where(is_zero, identity_unitquat(), result)
 
 
 def angle_between(left: Array, right: Array) -> Array:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pasdedeux.skeletons.mapping import JointMap
-from pasdedeux.skeletons.skeleton import Skeleton
-from pasdedeux.skeletons.working import BODY22
+from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton, by_joint
+from pasdedeux.skeletons.working import BODY22, limb
 
-_SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
-_PARENTS = {"elbow": "shoulder", "wrist": "elbow", "knee": "hip", "ankle": "knee", "toe": "ankle"}
-_TREE = {"back": "", "head": "back", "left_head": "head", "right_head": "head"} | {
-    f"{side}_{joint}": f"{side}_{_PARENTS[joint]}" if joint in _PARENTS else "back"
-    for joint in _SIDED
+_ENDS = by_joint("left", *ARM, *LEG, "toe")
+_PARENTS = {
+    child: parent
     for side in ("left", "right")
+    for joints in (ARM, (*LEG, "toe"))
+    for child, parent in limb("back", side, *joints).items()
 }
 
-EXPI18 = Skeleton("expi18", tuple(_TREE), tuple(list(_TREE).index(up) if up else -1 for up in _TREE.values()))
+EXPI18 = Skeleton.of_tree(
+    "expi18",
+    {"back": "", "head": "back", "left_head": "head", "right_head": "head"} | {name: _PARENTS[name] for name in _ENDS},
+)
 """As ExPI (Guo et al. 2022): three places of the head, the back, and of each side shoulder, elbow, wrist, hip, knee,
 heel and toes; no spine, neck, pelvis or collars.  Ours are the tree, which the data set leaves open, the order, its
 root first, and names: a heel is an ankle, as everywhere here."""
@@ -27,7 +30,7 @@ EXPI18_OF_BODY22 = JointMap(
         "head": {"neck": -0.6, "head": 1.6},
         "left_head": {"head": 1.0, "left_shoulder": 0.2, "right_shoulder": -0.2},
         "right_head": {"head": 1.0, "left_shoulder": -0.2, "right_shoulder": 0.2},
-        **{f"{side}_{joint}": f"{side}_{joint}" for joint in _SIDED if joint != "ankle" for side in ("left", "right")},
+        **{name: name for name in _ENDS},
         **{f"{side}_ankle": {f"{side}_ankle": 1.25, f"{side}_toe": -0.25} for side in ("left", "right")},
     },
 )

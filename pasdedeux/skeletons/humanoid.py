@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from pasdedeux.skeletons.layouts import LAYOUTS
 from pasdedeux.skeletons.skeleton import Skeleton
 from pasdedeux.skeletons.working import BODY22
 
@@ -47,82 +47,30 @@ def t_pose(joint_name: str) -> Point:
     return (-x, y, z)
 
 
-@dataclass(frozen=True)
-class EndSite:
-    """Where the last bone of a chain ends.
-
-    Args:
-        joint: Joint of `body22` that the bone starts in.
-        offset: Its end (left, up, forward), lengths of the bone that ends in `joint`; at rest in the T-pose.
-    """
-
-    joint: str
-    offset: Point
-
-
 _FOOT = (_FOOT_FORWARD**2 + (_ANKLE_HEIGHT - _TOE_HEIGHT) ** 2) ** 0.5
 _NECK = (0.070**2 + 0.016**2) ** 0.5
-END_SITES: tuple[EndSite, ...] = (
-    EndSite("head", (0.0, 0.095 / _NECK, 0.0)),
-    EndSite("left_wrist", (_HAND / _FOREARM, 0.0, 0.0)),
-    EndSite("right_wrist", (-_HAND / _FOREARM, 0.0, 0.0)),
-    EndSite("left_toe", (0.0, 0.0, _TOES / _FOOT)),
-    EndSite("right_toe", (0.0, 0.0, _TOES / _FOOT)),
+END_SITES: Mapping[str, Point] = {
+    "head": (0.0, 0.095 / _NECK, 0.0),
+    "left_wrist": (_HAND / _FOREARM, 0.0, 0.0),
+    "right_wrist": (-_HAND / _FOREARM, 0.0, 0.0),
+    "left_toe": (0.0, 0.0, _TOES / _FOOT),
+    "right_toe": (0.0, 0.0, _TOES / _FOOT),
+}
+"""Where the last bone of a chain ends (top of the head, tips of hands and toes), by the joint of `body22` in which it
+starts: left, up and forward at rest, lengths of the bone that ends in the joint."""
+
+
+_MIXAMO = LAYOUTS["mixamo"].joint_map(BODY22.name)
+HUMANOID_NAMES: Mapping[str, str] = {joint: _MIXAMO.carrier(joint) for joint in BODY22.joint_names}
+"""Names of the joints of `body22` in files written here, and in Mixamo's characters after `mixamorig:`."""
+
+
+HUMANOID = Skeleton(
+    "humanoid",
+    (
+        *(HUMANOID_NAMES[joint] for joint in BODY22.joint_names),
+        *(f"{HUMANOID_NAMES[joint]}_end" for joint in END_SITES),
+    ),
+    (*BODY22.parents, *BODY22.indices(END_SITES)),
 )
-"""Top of the head, tips of the hands and of the toes."""
-
-
-@dataclass(frozen=True)
-class HumanoidName:
-    """What a joint of `body22` is called elsewhere.
-
-    Args:
-        mixamo: In files written here, and in Mixamo's characters after `mixamorig:`.
-        unity: Bone of Unity's humanoid avatar (`HumanBodyBones`).
-        rigify: Bone of Blender's human meta-rig of Rigify.
-    """
-
-    mixamo: str
-    unity: str
-    rigify: str
-
-
-_TRUNK = {
-    "pelvis": HumanoidName("Hips", "Hips", "spine"),
-    "spine1": HumanoidName("Spine", "Spine", "spine.001"),
-    "spine2": HumanoidName("Spine1", "Chest", "spine.002"),
-    "spine3": HumanoidName("Spine2", "UpperChest", "spine.003"),
-    "neck": HumanoidName("Neck", "Neck", "spine.004"),
-    "head": HumanoidName("Head", "Head", "spine.006"),
-}
-_LEFT = {
-    "left_collar": HumanoidName("LeftShoulder", "LeftShoulder", "shoulder.L"),
-    "left_shoulder": HumanoidName("LeftArm", "LeftUpperArm", "upper_arm.L"),
-    "left_elbow": HumanoidName("LeftForeArm", "LeftLowerArm", "forearm.L"),
-    "left_wrist": HumanoidName("LeftHand", "LeftHand", "hand.L"),
-    "left_hip": HumanoidName("LeftUpLeg", "LeftUpperLeg", "thigh.L"),
-    "left_knee": HumanoidName("LeftLeg", "LeftLowerLeg", "shin.L"),
-    "left_ankle": HumanoidName("LeftFoot", "LeftFoot", "foot.L"),
-    "left_toe": HumanoidName("LeftToeBase", "LeftToes", "toe.L"),
-}
-HUMANOID_NAMES: Mapping[str, HumanoidName] = {
-    **_TRUNK,
-    **_LEFT,
-    **{
-        joint.replace("left_", "right_"): HumanoidName(
-            name.mixamo.replace("Left", "Right"), name.unity.replace("Left", "Right"), name.rigify.replace(".L", ".R")
-        )
-        for joint, name in _LEFT.items()
-    },
-}
-"""Names of the joints of `body22` in other rigs."""
-
-
-def _humanoid() -> Skeleton:
-    names = [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names]
-    ends = [BODY22.index(site.joint) for site in END_SITES]
-    return Skeleton("humanoid", (*names, *(f"{names[joint]}_end" for joint in ends)), (*BODY22.parents, *ends))
-
-
-HUMANOID: Skeleton = _humanoid()
 """`body22` in its own order under the names that files have, then the end sites (`<joint>_end`)."""

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 from pasdedeux.errors import InputError
+
+ARM = ("shoulder", "elbow", "wrist")
+LEG = ("hip", "knee", "ankle")
+_OTHER_SIDE = {"left": "right", "right": "left"}
+
+
+def by_side(first: str, *joints: str) -> tuple[str, ...]:
+    """Return names of joints of both sides, `left` or `right` first, one side after the other."""
+    return tuple(f"{side}_{joint}" for side in (first, _OTHER_SIDE[first]) for joint in joints)
+
+
+def by_joint(first: str, *joints: str) -> tuple[str, ...]:
+    """Return names of joints of both sides, one joint after the other, its `left` or `right` first."""
+    return tuple(f"{side}_{joint}" for joint in joints for side in (first, _OTHER_SIDE[first]))
 
 
 @dataclass(frozen=True)
@@ -43,6 +58,12 @@ class Skeleton:
             raise InputError(f"skeleton '{self.name}': parent index {bad[0]} is outside 0..{len(self.parents) - 1}")
         if len(self.order) != len(self.parents):
             raise InputError(f"skeleton '{self.name}': the parents form a cycle")
+
+    @classmethod
+    def of_tree(cls, name: str, tree: Mapping[str, str]) -> Self:
+        """Return the skeleton of joints in order, each with its parent; the root's is empty."""
+        joint_names = tuple(tree)
+        return cls(name, joint_names, tuple(joint_names.index(parent) if parent else -1 for parent in tree.values()))
 
     @property
     def num_joints(self) -> int:
@@ -86,14 +107,16 @@ class Skeleton:
     @cached_property
     def arms(self) -> tuple[list[int], list[int]]:
         """Shoulder, elbow and wrist of the left arm and of the right one; an InputError where there are none."""
-        left, right = ([f"{side}_{name}" for name in ("shoulder", "elbow", "wrist")] for side in ("left", "right"))
-        return self.indices(left), self.indices(right)
+        return self._both_sides(ARM)
 
     @cached_property
     def legs(self) -> tuple[list[int], list[int]]:
         """Hip, knee and ankle of the left leg and of the right one; an InputError where there are none."""
-        left, right = ([f"{side}_{name}" for name in ("hip", "knee", "ankle")] for side in ("left", "right"))
-        return self.indices(left), self.indices(right)
+        return self._both_sides(LEG)
+
+    def _both_sides(self, joints: tuple[str, ...]) -> tuple[list[int], list[int]]:
+        found = self.indices(by_side("left", *joints))
+        return found[: len(joints)], found[len(joints) :]
 
     @property
     def limbs(self) -> tuple[list[int], list[int], list[int], list[int]]:
@@ -103,15 +126,7 @@ class Skeleton:
     @cached_property
     def mirror(self) -> tuple[int, ...]:
         """Index of each joint's left/right counterpart (`left_` against `right_`); itself where there is none."""
-        swapped = {"left_": "right_", "right_": "left_"}
-
-        def counterpart(name: str) -> str:
-            for side, other in swapped.items():
-                if name.startswith(side):
-                    return other + name.removeprefix(side)
-            return name
-
-        return tuple(
-            self.joint_names.index(counterpart(name)) if counterpart(name) in self.joint_names else index
-            for index, name in enumerate(self.joint_names)
-        )
+        names = self.joint_names
+        split = (name.partition("_") for name in names)
+        others = [f"{_OTHER_SIDE.get(side, side)}_{joint}" for side, _, joint in split]
+        return tuple(names.index(other) if other in names else index for index, other in enumerate(others))

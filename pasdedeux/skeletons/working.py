@@ -2,88 +2,54 @@
 
 from __future__ import annotations
 
-from pasdedeux.skeletons.skeleton import Skeleton
+from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton
 
 
-def _skeleton(name: str, tree: dict[str, str]) -> Skeleton:
-    joint_names = tuple(tree)
-    return Skeleton(
-        name=name,
-        joint_names=joint_names,
-        parents=tuple(joint_names.index(parent) if parent else -1 for parent in tree.values()),
-    )
+def _chain(*joints: str) -> dict[str, str]:
+    """Return each joint of a chain but the first, with its parent."""
+    return dict(zip(joints[1:], joints[:-1], strict=True))
 
 
-PAIR17 = _skeleton(
+def limb(start: str, side: str, *joints: str) -> dict[str, str]:
+    """Return the joints of one side's limb, each with its parent; the first hangs from `start`."""
+    return _chain(start, *(f"{side}_{joint}" for joint in joints))
+
+
+PAIR17 = Skeleton.of_tree(
     "pair17",
     {
         "pelvis": "",
-        "spine": "pelvis",
-        "chest": "spine",
-        "neck": "chest",
-        "head": "neck",
-        "left_shoulder": "chest",
-        "left_elbow": "left_shoulder",
-        "left_wrist": "left_elbow",
-        "right_shoulder": "chest",
-        "right_elbow": "right_shoulder",
-        "right_wrist": "right_elbow",
-        "left_hip": "pelvis",
-        "left_knee": "left_hip",
-        "left_ankle": "left_knee",
-        "right_hip": "pelvis",
-        "right_knee": "right_hip",
-        "right_ankle": "right_knee",
+        **_chain("pelvis", "spine", "chest", "neck", "head"),
+        **limb("chest", "left", *ARM),
+        **limb("chest", "right", *ARM),
+        **limb("pelvis", "left", *LEG),
+        **limb("pelvis", "right", *LEG),
     },
 )
 """The skeleton of lifting by sampling: 1 root and 16 joints (Yin et al. 2018, section 3)."""
 
-OP14 = _skeleton(
+OP14 = Skeleton.of_tree(
     "op14",
     {
         "head": "neck",
         "neck": "",
-        "right_shoulder": "neck",
-        "right_elbow": "right_shoulder",
-        "right_wrist": "right_elbow",
-        "left_shoulder": "neck",
-        "left_elbow": "left_shoulder",
-        "left_wrist": "left_elbow",
-        "right_hip": "neck",
-        "right_knee": "right_hip",
-        "right_ankle": "right_knee",
-        "left_hip": "neck",
-        "left_knee": "left_hip",
-        "left_ankle": "left_knee",
+        **limb("neck", "right", *ARM),
+        **limb("neck", "left", *ARM),
+        **limb("neck", "right", *LEG),
+        **limb("neck", "left", *LEG),
     },
 )
 """The skeleton of the projection database, in the order of OpenPose COCO-18's first 14 keypoints."""
 
-BODY22 = _skeleton(
+BODY22 = Skeleton.of_tree(
     "body22",
     {
         "pelvis": "",
-        "spine1": "pelvis",
-        "spine2": "spine1",
-        "spine3": "spine2",
-        "neck": "spine3",
-        "head": "neck",
-        "left_hip": "pelvis",
-        "left_knee": "left_hip",
-        "left_ankle": "left_knee",
-        "left_toe": "left_ankle",
-        "right_hip": "pelvis",
-        "right_knee": "right_hip",
-        "right_ankle": "right_knee",
-        "right_toe": "right_ankle",
-        "left_collar": "spine3",
-        "left_shoulder": "left_collar",
-        "left_elbow": "left_shoulder",
-        "left_wrist": "left_elbow",
-        "right_collar": "spine3",
-        "right_shoulder": "right_collar",
-        "right_elbow": "right_shoulder",
-        "right_wrist": "right_elbow",
+        **_chain("pelvis", "spine1", "spine2", "spine3", "neck", "head"),
+        **limb("pelvis", "left", *LEG, "toe"),
+        **limb("pelvis", "right", *LEG, "toe"),
+        **limb("spine3", "left", "collar", *ARM),
+        **limb("spine3", "right", "collar", *ARM),
     },
 )
 """The skeleton of augmentation and models."""

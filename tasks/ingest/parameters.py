@@ -194,7 +194,7 @@ class PairOptions(CommonOptions):
 class DuetOptions(DuetStyle, Parameters):
     """A take of a built-in duet."""
 
-    num_people: ClassVar[int] = max(dance.style.num_people for dance in DUETS.values())
+    num_people: ClassVar[int] = max(dance.num_people for dance in DUETS.values())
 
     name: str
     id: str | None = None
@@ -241,7 +241,7 @@ class DuetEntry(Parameters):
 
 def num_people_of(duet: str) -> int:
     """Return the number of people of a duet; 2 where there is none of that name, which planning refuses."""
-    return DUETS[duet].style.num_people if duet in DUETS else DuetStyle.num_people
+    return DUETS[duet].num_people if duet in DUETS else DuetStyle.num_people
 
 
 class CaptureOptions(Parameters):

@@ -277,7 +277,7 @@ def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, tak
         return
     cameras = options.model_dump(include=set(VirtualCameras.model_fields))
     cameras["pitch_deviation_deg"] = min(options.pitch_deviation_deg, UNIFORM_PITCH_DEG)
-    num_people = DUETS[told.duet.name].style.num_people if isinstance(told, DuetParameters) else len(told.persons)
+    num_people = DUETS[told.duet.name].num_people if isinstance(told, DuetParameters) else len(told.persons)
     is_pair = num_people == 2
     num_random_views = options.num_random_views if is_pair and not told.is_held_out else 0
     wanted: list[tuple[Purpose, int, DetectorOptions | None]] = [

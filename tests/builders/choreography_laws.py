@@ -7,13 +7,13 @@ from itertools import combinations
 
 import numpy as np
 
-from pasdedeux.choreography.duet import Duet
+from pasdedeux.choreography.duet import BonePoint, Duet
 from pasdedeux.plausibility.capsules import capsule_model, segment_distance
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["Measured", "measure"]
+__all__ = ["Measured", "measure", "place_m"]
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,15 @@ def measure(duet: Duet) -> Measured:
     )
 
 
+def place_m(point: BonePoint, positions: np.ndarray) -> np.ndarray:
+    """Return a point of a bone (frame, 3) from everybody's positions (frame, person, 22, 3)."""
+    child = BODY22.index(point.bone)
+    end, start = positions[:, point.person, child], positions[:, point.person, BODY22.parents[child]]
+    return start + point.fraction * (end - start)
+
+
 def _contact_error(duet: Duet, positions, contact) -> float:
-    apart = contact.point_a.position_m(positions) - contact.point_b.position_m(positions)
+    apart = place_m(contact.point_a, positions) - place_m(contact.point_b, positions)
     distances = np.linalg.norm(apart, axis=-1)[duet.frames(contact)]
     return float(np.abs(distances - contact.distance_m).max(initial=0.0))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +151,12 @@ def real_motions(data_dir: Path) -> dict[str, Motion]:
         "cmu_asf": amc.to_motion(metres_per_unit=_METRES_PER_UNIT, rate_hz=120),
         "yiannakides": rows.to_motion(metres_per_unit=0.0645, rate_hz=24),
     }
+
+
+def first_frames(motion: Motion, count: int) -> Motion:
+    """Return the first frames of a motion."""
+    roots, rotations = motion.root_translation_m[:count], motion.local_unitquat[:count]
+    return replace(motion, root_translation_m=roots, local_unitquat=rotations)
 
 
 def film_duet(name: str, *, duration_s: float, rate_hz: float, yaw_rad: float = 0.5) -> FilmedDuet:

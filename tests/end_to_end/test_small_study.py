@@ -245,7 +245,7 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
             assert source.num_frames == int(rows.sum()) == 18
             motion = source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ)
             positions, _ = motion.world()
-            names = [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names]
+            names = [HUMANOID_NAMES[joint] for joint in BODY22.joint_names]
             found = positions[:, [motion.skeleton.index(name) for name in names]]
             upright = motions["body22_m"][rows] @ camera.camera_from_upright_rotmat
             # Everybody is put on one floor, so the place of the two is compared about the pelvis.

@@ -176,7 +176,7 @@ def test_files_hold_the_motion_with_hips_as_root_and_no_bone_without_length() ->
         assert set(names) == set(HUMANOID.joint_names)
         lengths = np.linalg.norm(source.rest_offsets_m, axis=-1)
         assert lengths[[at for at in range(len(names)) if at != source.skeleton.root]].min() > 0.01
-        at = [names.index(HUMANOID_NAMES[joint].mixamo) for joint in BODY22.joint_names]
+        at = [names.index(HUMANOID_NAMES[joint]) for joint in BODY22.joint_names]
         np.testing.assert_allclose(source.world()[0][:, at], truth, atol=1e-6)
         rest = source.rest_positions_m()[at]
         head, toe, wrist = (rest[BODY22.index(name)] for name in ("head", "left_toe", "left_wrist"))

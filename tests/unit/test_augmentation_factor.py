@@ -5,8 +5,9 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.problem import Problem
+from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem
-from pasdedeux.benchmarks.augmentation import benchmark_source
+from pasdedeux.choreography.duets import make_duet
 
 
 def banded_matrix(problem: Problem) -> np.ndarray:
@@ -22,7 +23,7 @@ def banded_matrix(problem: Problem) -> np.ndarray:
 
 
 def test_the_shared_factor_solves_the_same_system() -> None:
-    problem = build_problem(benchmark_source(10))
+    problem = build_problem(Source(make_duet("waltz", duration_s=1.0, rate_hz=10.0).positions_m(), 10.0))
     factor = factorise(problem.matrix[0], problem.lag1[0], problem.lag2[0])
     rhs = np.random.default_rng(1).normal(size=(5, 88, 1, 3))
     plain = cho_solve_banded((cholesky_banded(banded_matrix(problem), lower=True), True), rhs.reshape(-1, 3))

@@ -23,6 +23,7 @@ from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
+from tests.builders.choreography_laws import place_m
 from tests.builders.moving_pairs import swaying_pair
 from tests.builders.oracles_augmentation import plain_residuals
 
@@ -312,7 +313,7 @@ def test_who_is_carried_hangs_in_the_partners_hands_at_every_size_with_free_feet
     heights = []
     for variant in augmenter.solve(uniform_variations([0.75, 1.25], ["A"])):
         for contact in duet.contacts:
-            apart = contact.point_a.position_m(variant.positions_m) - contact.point_b.position_m(variant.positions_m)
+            apart = place_m(contact.point_a, variant.positions_m) - place_m(contact.point_b, variant.positions_m)
             np.testing.assert_allclose(np.linalg.norm(apart, axis=-1), contact.distance_m, atol=0.002)
         heights.append(variant.positions_m[:, 1, toes, 1].min(axis=-1) - low)
     assert heights[0].mean() < -0.05

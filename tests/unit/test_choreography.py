@@ -70,8 +70,8 @@ def test_known_contacts_hold_to_a_tenth_of_a_millimetre(duet, measured):
 
 
 @pytest.mark.parametrize("variation", [0, 17])
-def test_a_tall_lifter_keeps_hold_of_a_small_partner_who_is_hardly_lifted(variation):
-    duet = make_duet("lift", rate_hz=20.0, heights_m=(2.0, 1.5), lift=0.05, variation=variation)
+def test_a_tall_lifter_keeps_hold_of_a_small_partner(variation):
+    duet = make_duet("lift", rate_hz=20.0, heights_m=(2.0, 1.5), variation=variation)
     assert measure(duet).contact_error_m < 1e-4
 
 
@@ -142,7 +142,11 @@ def test_the_same_call_gives_the_same_bytes(duet):
 def test_a_variation_is_another_take_of_the_same_dance(name):
     plain, other = make_duet(name), make_duet(name, variation=3)
     assert np.abs(plain.positions_m() - other.positions_m()).max() > 0.02
-    assert [c.name for c in plain.contacts] == [c.name for c in other.contacts]
+    assert _touching(plain) == _touching(other)
+
+
+def _touching(duet: Duet) -> list[tuple[int, str, int, str]]:
+    return [(c.point_a.person, c.point_a.bone, c.point_b.person, c.point_b.bone) for c in duet.contacts]
 
 
 def _facing(duet: Duet, person: int) -> np.ndarray:
@@ -189,8 +193,11 @@ def test_knees_and_elbows_are_hinges_that_bend_one_way(duet):
 
 def test_the_waltz_has_its_hold_and_travels():
     duet = make_duet("waltz")
-    names = {contact.name for contact in duet.contacts}
-    assert names == {"clasped hands", "hand on back", "hand on upper arm"}
+    assert _touching(duet) == [
+        (0, "left_wrist", 1, "right_wrist"),
+        (0, "right_wrist", 1, "spine3"),
+        (1, "left_wrist", 0, "right_elbow"),
+    ]
     assert all(contact.start_s == 0.0 and contact.stop_s == 10.0 for contact in duet.contacts)
     centre = duet.positions_m()[:, :, 0].mean(axis=1)
     assert np.linalg.norm(np.diff(centre, axis=0), axis=-1).sum() > 2.0
@@ -215,8 +222,8 @@ def test_in_the_lift_b_hangs_in_a_s_hands_with_both_feet_off_the_floor():
     is_up = (time_s >= 3.2) & (time_s <= 6.8)
     feet = BODY22.indices(["left_toe", "right_toe"])
     assert positions[is_up, 1][:, feet, 1].min() > 0.2
-    standing = make_duet("lift", lift=0.05).positions_m()[0, 1, BODY22.indices(["left_ankle", "right_ankle"]), 1]
-    np.testing.assert_allclose(positions[time_s > 8.0, 1][:, BODY22.index("left_ankle"), 1], standing[0], atol=1e-9)
+    ankle_m = positions[:, 1, BODY22.index("left_ankle"), 1]
+    np.testing.assert_allclose(ankle_m[time_s > 8.0], ankle_m[0], atol=1e-9)
     # Held all the time that B is up, by both hands of both.
     assert len(duet.contacts) == 4
     assert all(contact.start_s < 2.0 and contact.stop_s > 8.0 for contact in duet.contacts)
@@ -244,11 +251,9 @@ def test_push_hands_feet_never_leave_the_floor():
     assert all(stance.stop_s - stance.start_s == 10.0 for stance in duet.stances)
 
 
-def test_unknown_names_are_answered_with_the_nearest_known_one():
+def test_an_unknown_name_is_answered_with_the_nearest_known_one():
     with pytest.raises(InputError, match="did you mean 'waltz'"):
         make_duet("walz")
-    with pytest.raises(InputError, match="did you mean 'stride'"):
-        make_duet("waltz", strid=0.3)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +265,7 @@ def test_unknown_names_are_answered_with_the_nearest_known_one():
         ({"duration_s": 0.0}, "duration_s is 0"),
         ({"rate_hz": float("nan")}, "rate_hz is nan"),
         ({"variation": -1}, "variation is -1"),
-        ({"tempo_bpm": 500.0}, "tempo_bpm is 500"),
+        ({"tempo": 500.0}, "tempo is 500"),
     ],
 )
 def test_values_out_of_range_are_refused(changes, message):

@@ -7,7 +7,7 @@ import pytest
 
 from pasdedeux.choreography.anthropometry import CAPSULE_RADII, make_body
 from pasdedeux.choreography.curves import blend, bump, curve_through, moves, saturate, soft_minimum
-from pasdedeux.choreography.reach import STRETCH, reach
+from pasdedeux.choreography.geometry import STRETCH, reach
 from pasdedeux.choreography.steps import Plant, clear_other_foot, spread_feet, walk_foot
 from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT
 from pasdedeux.skeletons import BODY22

@@ -22,7 +22,7 @@ from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import ArtifactRef, Store
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
-from tests.builders.own_sources import write_walk
+from tests.builders.own_sources import first_frames, write_walk
 from tests.builders.source_samples import bvh_text
 from tests.builders.storage_rows import put, random_columns
 from tests.builders.walkers import reconstruction, walk
@@ -96,7 +96,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, ArtifactRef,
     ref = STAGE.run_shard(plan[0], store)
     bvh = read_bvh((folder / "a.bvh").read_bytes()).to_motion(metres_per_unit=0.01, rate_hz=30.0, up_axis="z")
     asf = read_amc(amc.read_bytes(), read_asf((folder / "90.asf").read_bytes()))
-    return store, ref, [bvh, asf.to_motion(metres_per_unit=0.0254 / 0.45, rate_hz=30.0).slice(0, 12)]
+    return store, ref, [bvh, first_frames(asf.to_motion(metres_per_unit=0.0254 / 0.45, rate_hz=30.0), 12)]
 
 
 def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], scale: float) -> ArtifactRef:
@@ -234,6 +234,6 @@ def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp
     camera, whole = DatabaseCamera(float(np.deg2rad(30.0))), body_of_walk(3)
     columns = rows_of(np.arange(3), whole.turned(camera.camera_from_upright_rotmat), "walk", 0, "fit")
     motion = exported(tmp_path, columns, {"pitch_deg": 30.0})["walk_0_fit"]
-    at = [motion.skeleton.joint_names.index(HUMANOID_NAMES[joint].mixamo) for joint in BODY22.joint_names]
+    at = [motion.skeleton.joint_names.index(HUMANOID_NAMES[joint]) for joint in BODY22.joint_names]
     soles = whole.motion(30.0).world()[0] + [0.0, whole.body.ankle_height_m, 0.0]
     np.testing.assert_allclose(motion.world()[0][:, at], soles, atol=1e-5)

@@ -89,7 +89,7 @@ def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
         joints, _ = forward_kinematics(
             skeleton, offsets[line["person_id"]], np.array(line["hips_m"]), np.array(line["local_unitquat"])
         )
-        own = joints[[skeleton.index(HUMANOID_NAMES[name].mixamo) for name in SHARED]]
+        own = joints[[skeleton.index(HUMANOID_NAMES[name]) for name in SHARED]]
         op14 = np.array(line["op14_m"])[[head["op14_names"].index(name) for name in SHARED]]
         np.testing.assert_allclose(own, op14, atol=2e-6)
         floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])

@@ -21,7 +21,7 @@ from pasdedeux.kinematics.rotations import angle_between, multiply, unitquat_fro
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import LAYOUTS, find_layout
-from tests.builders.own_sources import real_motions, write_walk
+from tests.builders.own_sources import first_frames, real_motions, write_walk
 from tests.builders.source_samples import figure_motion
 
 EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
@@ -30,7 +30,7 @@ EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for
 def rig(seed: int = 0) -> OwnSkeleton:
     """Return the figure with a rig's names, one more joint in the left forearm, a thumb and the crown of the head."""
     figure = figure_motion(seed=seed)
-    names = [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names]
+    names = [HUMANOID_NAMES[joint] for joint in BODY22.joint_names]
     parents, offsets = list(BODY22.parents), list(figure.rest_offsets_m)
     elbow, wrist = BODY22.indices(["left_elbow", "left_wrist"])
     twist = len(names)
@@ -168,7 +168,7 @@ def test_weights_derive_body22_of_real_files_as_their_layouts_do(data_dir: Path)
     for name, motion in real_motions(data_dir).items():
         layout = find_layout(motion.skeleton.joint_names)
         assert layout is not None
-        part = motion.slice(0, 60)
+        part = first_frames(motion, 60)
         own = OwnSkeleton(part, body_map(layout, part.skeleton, part.rest_offsets_m))
         np.testing.assert_allclose(
             own.body.of(part), derive_working_poses(part, layout).body22_m, atol=1e-9, err_msg=name

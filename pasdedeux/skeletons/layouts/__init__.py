@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pasdedeux.skeletons.layouts.cmu import CMU_ASF, CMU_CGSPEED, CMU_DAZ
 from pasdedeux.skeletons.layouts.keypoints import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT, KeypointLayout
-from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout
-from pasdedeux.skeletons.layouts.others import BODY22_LAYOUT, LAFAN, MIXAMO, YIANNAKIDES
+from pasdedeux.skeletons.layouts.layout import Layout
+from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
 
 __all__ = [
     "FEET4",
     "KEYPOINT_LAYOUTS",
     "LAYOUTS",
     "LAYOUT_OF_COUNT",
-    "AddedPoint",
     "KeypointLayout",
     "Layout",
     "find_layout",
     "joints_missing",
 ]
-
-LAYOUTS: dict[str, Layout] = {
-    layout.name: layout for layout in (BODY22_LAYOUT, CMU_ASF, CMU_CGSPEED, CMU_DAZ, LAFAN, MIXAMO, YIANNAKIDES)
-}
 
 
 def find_layout(joint_names: Sequence[str]) -> Layout | None:
@@ -32,14 +26,10 @@ def find_layout(joint_names: Sequence[str]) -> Layout | None:
     Where several fit, the one with the longest signature wins.  A namespace that all joints share ('mixamorig:Hips')
     is part of the layout that is given.
     """
-    fitting = [layout for layout in LAYOUTS.values() if layout.matches(joint_names)]
-    if fitting:
-        return max(fitting, key=lambda layout: len(layout.signature))
-    prefixes = {name.rpartition(":")[0] for name in joint_names if ":" in name}
-    if len(prefixes) == 1:
-        prefix = prefixes.pop() + ":"
-        bare = [name.removeprefix(prefix) for name in joint_names]
-        fitting = [layout for layout in LAYOUTS.values() if layout.matches(bare)]
+    namespaces = {name.rpartition(":")[0] for name in joint_names if ":" in name}
+    for prefix in ("", *(f"{one}:" for one in namespaces if len(namespaces) == 1)):
+        bare = {name.removeprefix(prefix) for name in joint_names}
+        fitting = [layout for layout in LAYOUTS.values() if layout.signature <= bare]
         if fitting:
             return max(fitting, key=lambda layout: len(layout.signature)).with_prefix(prefix)
     return None

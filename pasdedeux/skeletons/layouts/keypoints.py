@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+from pasdedeux.skeletons.mapping import Weights
+from pasdedeux.skeletons.skeleton import ARM, LEG, by_joint, by_side
 from pasdedeux.skeletons.working import OP14, PAIR17, WORKING_SKELETONS
 
-Recipe = tuple[Mapping[str, float], ...]
+Recipe = tuple[Weights, ...]
 """Weighted means of keypoints, best first; the first whose keypoints are all seen is taken."""
 
-_LIMBS = tuple(
-    f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-)
+_LIMBS = by_side("left", *ARM, *LEG)
 
-FEET4 = ("left_heel", "left_toe", "right_heel", "right_toe")
+FEET4 = by_side("left", "heel", "toe")
 """What `feet4` gives of feet: the back of the heel and body22's toe, the ball of the foot."""
 _BALL_OF_FOOT = 0.73
 """Where the ball lies from the heel to the tip of the big toe: a usual proportion, not measured here."""
@@ -55,7 +55,7 @@ class KeypointLayout:
     def derive(self, skeleton_name: str, positions: Array, confidence: Array) -> Keypoints:
         """Derive the joints of pair17 or op14, or the points of `FEET4`, from keypoints.
 
-        A joint is missing where a keypoint of each of its means is missing; its confidence is the least of its sources.
+        A joint is missing where a keypoint of each of its means is missing; its confidence is the minimum of theirs.
 
         Args:
             skeleton_name: pair17, op14 or feet4.
@@ -63,10 +63,8 @@ class KeypointLayout:
             confidence: (*batch, K).
 
         Raises:
-            InputError: The skeleton is not derived from 2D, or the number of keypoints is not the layout's.
+            InputError: The number of keypoints is not the layout's.
         """
-        if skeleton_name not in self.recipes:
-            raise InputError(f"layout '{self.name}' gives {', '.join(self.recipes)}, not '{skeleton_name}'")
         if positions.shape[-2] != self.num_keypoints:
             raise InputError(
                 f"layout '{self.name}' has {self.num_keypoints} keypoints, the data has {positions.shape[-2]}"
@@ -77,160 +75,110 @@ class KeypointLayout:
         result = np.full((*positions.shape[:-2], len(joint_names), 2), np.nan)
         result_confidence = np.zeros((*positions.shape[:-2], len(joint_names)))
         for row, joint in enumerate(joint_names):
-            is_open = np.ones(positions.shape[:-2], dtype=bool)
-            for weights in self.recipes[skeleton_name].get(joint, ()):
+            for weights in reversed(self.recipes[skeleton_name].get(joint, ())):
                 columns = [self.keypoint_names.index(name) for name in weights]
-                is_used = is_open & is_seen[..., columns].all(axis=-1)
+                is_used = np.asarray(is_seen[..., columns].all(axis=-1))
                 mean = np.einsum("k,...kd->...d", np.array(list(weights.values())), known[..., columns, :])
-                result[..., row, :] = np.where(is_used[..., None], mean, result[..., row, :])
-                result_confidence[..., row] = np.where(
-                    is_used, confidence[..., columns].min(axis=-1), result_confidence[..., row]
-                )
-                is_open &= ~is_used
+                np.copyto(result[..., row, :], mean, where=is_used[..., None])
+                np.copyto(result_confidence[..., row], confidence[..., columns].min(axis=-1), where=is_used)
         return Keypoints(positions=result, confidence=result_confidence)
 
 
-def _detector(name: str, keypoint_names: tuple[str, ...]) -> KeypointLayout:
-    """Describe a detector that reports limbs, nose, eyes, ears, and perhaps neck and the middle of the hips."""
-    mid_shoulder = {"left_shoulder": 0.5, "right_shoulder": 0.5}
-    mid_hip = {"left_hip": 0.5, "right_hip": 0.5}
-    # The middle of both hips is what the 3D layouts call pelvis; a keypoint of that name serves when a hip is hidden.
-    pelvis: Recipe = (mid_hip, {"mid_hip": 1.0}) if "mid_hip" in keypoint_names else (mid_hip,)
-    neck: Recipe = ({"neck": 1.0}, mid_shoulder) if "neck" in keypoint_names else (mid_shoulder,)
-
-    def between(fraction: float) -> Recipe:
-        return tuple(_mix(low, 1.0 - fraction, high, fraction) for low in pelvis for high in neck)
-
-    limbs: dict[str, Recipe] = {joint: ({joint: 1.0},) for joint in _LIMBS}
-    return KeypointLayout(
-        name=name,
-        keypoint_names=keypoint_names,
-        recipes={
-            PAIR17.name: {
-                **limbs,
-                "pelvis": pelvis,
-                "spine": between(1.0 / 3.0),
-                "chest": between(2.0 / 3.0),
-                "neck": neck,
-                "head": ({"left_ear": 0.5, "right_ear": 0.5}, {"nose": 1.0}),
-            },
-            OP14.name: {**limbs, "neck": neck, "head": ({"nose": 1.0},)},
-            "feet4": _feet(keypoint_names),
-        },
-    )
+_MID_SHOULDER = {"left_shoulder": 0.5, "right_shoulder": 0.5}
+_MID_HIP = {"left_hip": 0.5, "right_hip": 0.5}
 
 
-def _feet(keypoint_names: tuple[str, ...]) -> dict[str, Recipe]:
-    """Return the recipes of those points of `FEET4` that a layout has keypoints for."""
-    recipes: dict[str, Recipe] = {}
-    for side in ("left", "right"):
-        heel, tip = f"{side}_heel", f"{side}_big_toe"
-        if heel in keypoint_names:
-            recipes |= {heel: ({heel: 1.0},), f"{side}_toe": ({heel: 1.0 - _BALL_OF_FOOT, tip: _BALL_OF_FOOT},)}
-    return recipes
+def _own(joints: Iterable[str]) -> dict[str, Recipe]:
+    """Return the recipes of joints that are keypoints of the same name."""
+    return {joint: ({joint: 1.0},) for joint in joints}
 
 
-def _mix(
-    low: Mapping[str, float], low_weight: float, high: Mapping[str, float], high_weight: float
-) -> dict[str, float]:
+def _mix(low: Weights, low_weight: float, high: Weights, high_weight: float) -> Weights:
     return {name: weight * low_weight for name, weight in low.items()} | {
         name: weight * high_weight for name, weight in high.items()
     }
 
 
-_RIGHT_THEN_LEFT_ARMS = ("right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist")
-_RIGHT_THEN_LEFT_LEGS = ("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle")
-_FACE = ("right_eye", "left_eye", "right_ear", "left_ear")
+def _detector(name: str, keypoint_names: tuple[str, ...]) -> KeypointLayout:
+    """Describe a detector that reports limbs, nose, eyes, ears, and perhaps neck, middle of the hips and feet."""
+    # The middle of both hips is what the 3D layouts call pelvis; a keypoint of that name serves when a hip is hidden.
+    pelvis: Recipe = (_MID_HIP, {"mid_hip": 1.0}) if "mid_hip" in keypoint_names else (_MID_HIP,)
+    neck: Recipe = ({"neck": 1.0}, _MID_SHOULDER) if "neck" in keypoint_names else (_MID_SHOULDER,)
 
-COCO18 = _detector("coco18", ("nose", "neck", *_RIGHT_THEN_LEFT_ARMS, *_RIGHT_THEN_LEFT_LEGS, *_FACE))
+    def between(fraction: float) -> Recipe:
+        return tuple(_mix(low, 1.0 - fraction, high, fraction) for low in pelvis for high in neck)
+
+    trunk = {"pelvis": pelvis, "spine": between(1.0 / 3.0), "chest": between(2.0 / 3.0), "neck": neck}
+    feet: dict[str, Recipe] = {}
+    for side in ("left", "right") if "left_heel" in keypoint_names else ():
+        heel, tip = f"{side}_heel", f"{side}_big_toe"
+        feet |= {heel: ({heel: 1.0},), f"{side}_toe": ({heel: 1.0 - _BALL_OF_FOOT, tip: _BALL_OF_FOOT},)}
+    return KeypointLayout(
+        name,
+        keypoint_names,
+        {
+            PAIR17.name: _own(_LIMBS) | trunk | {"head": ({"left_ear": 0.5, "right_ear": 0.5}, {"nose": 1.0})},
+            OP14.name: {**_own(_LIMBS), "neck": neck, "head": ({"nose": 1.0},)},
+            "feet4": feet,
+        },
+    )
+
+
+_FEET = by_side("left", "big_toe", "small_toe", "heel")
+
+COCO18 = _detector(
+    "coco18", ("nose", "neck", *by_side("right", *ARM), *by_side("right", *LEG), *by_joint("right", "eye", "ear"))
+)
 """OpenPose's COCO model."""
 
 BODY25 = _detector(
     "body25",
     (
-        "nose",
-        "neck",
-        *_RIGHT_THEN_LEFT_ARMS,
-        "mid_hip",
-        *_RIGHT_THEN_LEFT_LEGS,
-        *_FACE,
-        "left_big_toe",
-        "left_small_toe",
-        "left_heel",
-        "right_big_toe",
-        "right_small_toe",
-        "right_heel",
+        *("nose", "neck", *by_side("right", *ARM), "mid_hip", *by_side("right", *LEG)),
+        *(*by_joint("right", "eye", "ear"), *_FEET),
     ),
 )
 """OpenPose's BODY_25 model."""
 
-_LEFT_AND_RIGHT_ARMS = ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist")
-_LEFT_AND_RIGHT_LEGS = ("left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle")
-_COCO17_NAMES = (
-    *("nose", "left_eye", "right_eye", "left_ear", "right_ear"),
-    *_LEFT_AND_RIGHT_ARMS,
-    *_LEFT_AND_RIGHT_LEGS,
-)
-
-COCO17 = _detector("coco17", _COCO17_NAMES)
+COCO17 = _detector("coco17", ("nose", *by_joint("left", "eye", "ear", *ARM, *LEG)))
 """The COCO keypoint annotations."""
 
-COCO23 = _detector(
-    "coco23",
-    (
-        *_COCO17_NAMES,
-        *("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel"),
-    ),
-)
+COCO23 = _detector("coco23", (*COCO17.keypoint_names, *_FEET))
 """COCO-WholeBody without face and hands: the first 23 of its 133 keypoints."""
 
 HALPE26 = _detector(
     "halpe26",
-    (
-        *_COCO17_NAMES,
-        *("head_top", "neck", "mid_hip"),
-        *("left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe", "left_heel", "right_heel"),
-    ),
+    (*COCO17.keypoint_names, "head_top", "neck", "mid_hip", *by_joint("left", "big_toe", "small_toe", "heel")),
 )
 """The 26 body keypoints of Halpe Full-Body, the first of its 136; its "head" is the crown, its "hip" the middle."""
 
 MEDIAPIPE33 = _detector(
     "mediapipe33",
     (
-        "nose",
-        *("left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer"),
-        *("left_ear", "right_ear", "mouth_left", "mouth_right"),
-        *_LEFT_AND_RIGHT_ARMS,
-        *("left_pinky", "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb"),
-        *_LEFT_AND_RIGHT_LEGS,
-        *("left_heel", "right_heel", "left_big_toe", "right_big_toe"),
+        *("nose", *by_side("left", "eye_inner", "eye", "eye_outer"), *by_joint("left", "ear")),
+        *("mouth_left", "mouth_right", *by_joint("left", *ARM, "pinky", "index", "thumb", *LEG, "heel", "big_toe")),
     ),
 )
 """MediaPipe's (BlazePose's) landmarks; what it calls foot index is the tip of the big toe here."""
 
 _PAIR17_2D = KeypointLayout(
-    name="pair17",
-    keypoint_names=PAIR17.joint_names,
-    recipes={
-        PAIR17.name: {joint: ({joint: 1.0},) for joint in PAIR17.joint_names},
-        # The nose is not among the joints of pair17; its head is the nearest there is.
-        OP14.name: {joint: ({joint: 1.0},) for joint in OP14.joint_names},
-        "feet4": {},
-    },
+    "pair17",
+    PAIR17.joint_names,
+    # The nose is not among the joints of pair17; its head is the nearest there is.
+    {PAIR17.name: _own(PAIR17.joint_names), OP14.name: _own(OP14.joint_names), "feet4": {}},
 )
 
-_OP14_MID_HIP = {"left_hip": 0.5, "right_hip": 0.5}
 _OP14_2D = KeypointLayout(
-    name="op14",
-    keypoint_names=OP14.joint_names,
-    recipes={
+    "op14",
+    OP14.joint_names,
+    {
         PAIR17.name: {
-            **{joint: ({joint: 1.0},) for joint in (*_LIMBS, "neck", "head")},
-            "pelvis": (_OP14_MID_HIP,),
-            "spine": (_mix(_OP14_MID_HIP, 2.0 / 3.0, {"neck": 1.0}, 1.0 / 3.0),),
-            "chest": (_mix(_OP14_MID_HIP, 1.0 / 3.0, {"neck": 1.0}, 2.0 / 3.0),),
+            **_own((*_LIMBS, "neck", "head")),
+            "pelvis": (_MID_HIP,),
+            "spine": (_mix(_MID_HIP, 2.0 / 3.0, {"neck": 1.0}, 1.0 / 3.0),),
+            "chest": (_mix(_MID_HIP, 1.0 / 3.0, {"neck": 1.0}, 2.0 / 3.0),),
         },
-        OP14.name: {joint: ({joint: 1.0},) for joint in OP14.joint_names},
+        OP14.name: _own(OP14.joint_names),
         "feet4": {},
     },
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from pasdedeux.errors import InputError
@@ -62,11 +62,6 @@ class Layout:
         Raises:
             InputError: The skeleton is not known, or its table is missing, incomplete or does not sum to 1.
         """
-        if skeleton_name not in WORKING_SKELETONS:
-            raise InputError(
-                f"layout '{self.name}': '{skeleton_name}' is not a working skeleton; "
-                f"known: {', '.join(WORKING_SKELETONS)}"
-            )
         if skeleton_name not in self.tables:
             raise InputError(f"layout '{self.name}' has no table for '{skeleton_name}'")
         return JointMap(
@@ -74,10 +69,6 @@ class Layout:
             target=WORKING_SKELETONS[skeleton_name],
             table=self.tables[skeleton_name],
         )
-
-    def matches(self, joint_names: Sequence[str]) -> bool:
-        """Tell whether these joint names have the signature of this layout."""
-        return self.signature.issubset(joint_names)
 
     def with_tables(self, tables: Mapping[str, Table]) -> Layout:
         """Return this layout with single entries of its tables replaced."""
@@ -110,51 +101,3 @@ class Layout:
                 replace(point, joint=put(point.joint), unit_bone=put(point.unit_bone)) for point in self.points
             ),
         )
-
-
-LIMB_JOINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
-
-
-def working_tables(
-    *, limbs: tuple[str, ...], trunk: Table, collar: Entry, spine: Table, head: Entry, nose: str
-) -> dict[str, Table]:
-    """Return the tables of the three working skeletons.
-
-    Args:
-        limbs: Source joints of the left side, as `LIMB_JOINTS`.
-        trunk: pelvis, spine1, spine2, spine3, neck of body22.
-        collar: left_collar of body22.
-        spine: spine, chest of pair17.
-        head: The head (ear height, on the neck's line).
-        nose: Joint or added point for the nose.
-    """
-    left = {f"left_{joint}": source for joint, source in zip(LIMB_JOINTS, limbs, strict=True)}
-    sides = left | {_right(joint): _right(source) for joint, source in left.items()}
-    shared = {joint: source for joint, source in sides.items() if not joint.endswith("toe")}
-    shoulders, hips = ([sides[f"{side}_{joint}"] for side in ("left", "right")] for joint in ("shoulder", "hip"))
-    neck = trunk["neck"]
-    assert isinstance(neck, str), "the joint at the base of the neck"
-    collars = {"left_collar": collar, "right_collar": _right(collar) if isinstance(collar, str) else _mirrored(collar)}
-    return {
-        "pair17": {
-            **shared,
-            **spine,
-            "head": head,
-            "pelvis": dict.fromkeys(hips, 0.5),
-            "neck": {neck: 0.4, **dict.fromkeys(shoulders, 0.3)},
-        },
-        "op14": {**shared, "head": nose, "neck": dict.fromkeys(shoulders, 0.5)},
-        "body22": {**sides, **trunk, **collars, "head": head},
-    }
-
-
-def _mirrored(weights: Mapping[str, float]) -> dict[str, float]:
-    return {_right(name): weight for name, weight in weights.items()}
-
-
-def _right(name: str) -> str:
-    """Return the name of a joint on the right side for that on the left; a joint in the middle has its own."""
-    for left, right in (("Left", "Right"), ("left", "right"), ("l", "r")):
-        if name.startswith(left):
-            return right + name.removeprefix(left)
-    return name

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera, cameras_of
+from pasdedeux.projections.camera import CameraModel, DatabaseCamera, cameras_of
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
@@ -44,7 +44,7 @@ _DENSITY = "ic"
 class CameraSettings(Parameters):
     """What cameras see the poses of a database."""
 
-    camera: Literal["orthographic", "pinhole"] = Field(
+    camera: CameraModel = Field(
         "orthographic", description="Rays of the camera: parallel, or through a pinhole distance_m from the mid-hip"
     )
     pitches_deg: tuple[float, ...] = Field(

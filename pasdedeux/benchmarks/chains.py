@@ -18,12 +18,12 @@ from pasdedeux.benchmarks.synthetic import (
 )
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
+from pasdedeux.interaction.nearest import Coverage
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank
 from pasdedeux.sampling.chain import ChainState, run_segment
-from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import Likelihood, PairDensity, TargetSettings
 from pasdedeux.sampling.densities.interaction import INTERACTION, InteractionLikelihood

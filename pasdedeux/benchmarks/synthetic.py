@@ -8,7 +8,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import project_pair
-from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.cameras.view_density import draw_views
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
 from pasdedeux.sampling.parameters import LENGTH_INDICES, NUM_PARAMETERS, POSITION_INDICES, ROTATION_INDICES, PairChart
@@ -71,5 +71,5 @@ def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations
 
 def random_bank(rng: np.random.Generator, annotations: AnnotatedPairs, num_views: int, **options: Any) -> ViewBank:
     """Return what counts for each of so many views, drawn near those of annotations; options are of `build_bank`."""
-    density = ViewDensity(annotations.directions, np.ones(len(annotations.directions)), 0.5)
-    return build_bank(density.sample(rng, num_views), annotations, **options)
+    views = draw_views(rng, annotations.directions, np.ones(len(annotations.directions)), num_views)
+    return build_bank(views, annotations, **options)

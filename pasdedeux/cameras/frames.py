@@ -6,14 +6,17 @@ direction to the camera as coordinates (a, b, c) in that frame, scaled to length
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.orthographic import project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.compiled import compiled
+from pasdedeux.kinematics.rotation_kernels import Vector, cross, dot, inner_kernel, length, mix, row_of, subtract
+from pasdedeux.kinematics.rotation_kernels import normalise as unit
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 
@@ -30,11 +33,9 @@ class LocalFrame:
     Args:
         axes: Columns i, j, k in world axes, (*batch, 3, 3).  i and j are unit but not square to each other, k is not
             unit; the columns are always independent.
-        is_degenerate: Where lift eq. 3 gives no good frame, (*batch,): i was parallel to j, or a vector was zero.
     """
 
     axes: Array
-    is_degenerate: npt.NDArray[np.bool_]
 
     def coordinates(self, direction: Array) -> Array:
         """Return world directions (*batch, 3) as unit coordinates (a, b, c): the 3x3 system of Yin et al., scaled."""
@@ -58,29 +59,57 @@ def local_frame(roots: Array, backbones: Array) -> LocalFrame:
     turned away from j, in their common plane, to 12 degrees, so that coordinates stay bounded.  Opposite backbones
     have no mean: person A's alone is used.  Coinciding roots have no i: it is taken square to j.
     """
-    unit = normalise(backbones)
-    total = unit[..., 0, :] + unit[..., 1, :]
-    is_opposite = np.linalg.norm(total, axis=-1, keepdims=True) < 1e-6
-    j = normalise(np.where(is_opposite, unit[..., 0, :], total), fallback=np.array([0.0, 1.0, 0.0]))
-    between = roots[..., 1, :] - roots[..., 0, :]
-    i = normalise(between)
-    cosine = np.sum(i * j, axis=-1, keepdims=True)
-    across = i - cosine * j
-    sine = np.linalg.norm(across, axis=-1, keepdims=True)
-    # Exactly parallel: the lean of person A against j says where "across" is, else the world axis most square to j.
-    lean = unit[..., 0, :] - np.sum(unit[..., 0, :] * j, axis=-1, keepdims=True) * j
-    spare = np.eye(3)[np.argmin(np.abs(j), axis=-1)]
-    spare = spare - np.sum(spare * j, axis=-1, keepdims=True) * j
-    helper = np.where(np.linalg.norm(lean, axis=-1, keepdims=True) > 1e-6, lean, spare)
-    across = normalise(np.where(sine > 1e-9, across, helper))
-    kept_cosine = np.sign(cosine) * np.sqrt(np.clip(1.0 - np.maximum(sine, MIN_SINE) ** 2, 0.0, 1.0))
-    i = np.where(sine < MIN_SINE, kept_cosine * j + MIN_SINE * across, i)
-    is_zero = np.linalg.norm(between, axis=-1) < 1e-9
-    i = np.where(is_zero[..., None], across, i)
-    return LocalFrame(
-        axes=np.stack([i, j, np.cross(i, j)], axis=-1),
-        is_degenerate=np.asarray((sine[..., 0] < MIN_SINE) | is_opposite[..., 0] | is_zero),
-    )
+    axes = _frames(*(np.ascontiguousarray(one, dtype=np.float64).reshape(-1, 2, 3) for one in (roots, backbones)))
+    return LocalFrame(axes.reshape(*np.shape(roots)[:-2], 3, 3))
+
+
+@compiled()
+def _frames(roots: Array, backbones: Array) -> Array:
+    axes = np.empty((len(roots), 3, 3))
+    for row in range(len(roots)):
+        between = subtract(row_of(roots[row], 1), row_of(roots[row], 0))
+        columns = frame_columns(between, row_of(backbones[row], 0), row_of(backbones[row], 1))
+        for column in range(3):
+            for axis in range(3):
+                axes[row, axis, column] = columns[column][axis]
+    return axes
+
+
+@inner_kernel
+def frame_columns(between: Vector, backbone_a: Vector, backbone_b: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return i, j, k of one pair, from the vector between its roots and its backbones."""
+    a, b = unit(backbone_a), unit(backbone_b)
+    both = mix(1.0, a, 1.0, b)
+    j = unit(both if length(both) >= 1e-6 else a)
+    if dot(j, j) == 0.0:
+        j = (0.0, 1.0, 0.0)
+    i = unit(between)
+    cosine = dot(i, j)
+    across = mix(1.0, i, -cosine, j)
+    sine, is_zero = length(across), length(between) < 1e-9
+    if sine < MIN_SINE or is_zero:
+        if sine <= 1e-9:
+            # Exactly parallel: "across" is the lean of person A against j, else some axis square to j.
+            across = mix(1.0, a, -dot(a, j), j)
+            if length(across) <= 1e-6:
+                across = square_to(j)
+        across = unit(across)
+        kept = math.sqrt(1.0 - MIN_SINE * MIN_SINE)
+        i = across if is_zero else mix(np.sign(cosine) * kept, j, MIN_SINE, across)
+    return i, j, cross(i, j)
+
+
+@inner_kernel
+def square_to(axis: Vector) -> Vector:
+    """Return what is square to a unit vector of the world axis that is most so."""
+    x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])
+    if x <= y and x <= z:
+        helper = (1.0, 0.0, 0.0)
+    elif y <= z:
+        helper = (0.0, 1.0, 0.0)
+    else:
+        helper = (0.0, 0.0, 1.0)
+    return mix(1.0, helper, -dot(helper, axis), axis)
 
 
 def pair_frame(pair17_m: Array) -> LocalFrame:

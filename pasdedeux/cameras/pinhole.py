@@ -32,7 +32,7 @@ class PinholeCamera:
         principal_point_px: Pixel on the optical axis, (2,), x right and y down.
         camera_from_world_rotmat: Rotation from world to camera axes, (3, 3).
         position_m: World position of the camera, (3,), metres.
-        image_size_px: Width and height of the image; only says what is inside, pixels outside are given all the same.
+        image_size_px: Width and height of the image, for `is_inside`; pixels outside are projected all the same.
 
     Raises:
         InputError: The focal length is not positive, a shape is wrong, a value is not finite, the matrix is not a

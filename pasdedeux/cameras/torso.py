@@ -26,6 +26,7 @@ NOISE_SHARE = 0.05
 """Standard deviation of a 2D joint as a share of the torso's extent in the image (root mean square, about 0.25 m)."""
 
 _SIZE_BONES = PAIR17.indices(("spine", "chest", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip"))
+_NUM_COMPONENTS = 4
 _NUM_ITERATIONS = 20
 BLOCK_SIZE = 4096
 
@@ -80,20 +81,18 @@ class LiftedTorsos:
         return np.asarray(self.torso_m[..., 1, :] - self.torso_m[..., 0, :])
 
 
-def learn_torso_basis(pair17_m: Array, *, num_components: int = 4) -> TorsoBasis:
+def learn_torso_basis(pair17_m: Array) -> TorsoBasis:
     """Learn the torso basis from poses (*batch, joint=17, 3) of any number of people, metres.
 
     Each torso is scaled to the mean size (sum of its bone lengths, which does not change as a person moves) and turned
     onto the mean (Procrustes), so that neither size nor direction is learned.
 
     Raises:
-        InputError: Fewer than 10 poses, or more components than 12.
+        InputError: Fewer than 10 poses.
     """
     poses = np.asarray(pair17_m, dtype=np.float64).reshape(-1, PAIR17.num_joints, 3)
     if len(poses) < 10:
         raise InputError(f"torso basis: at least 10 poses are needed, found {len(poses)}")
-    if not 0 <= num_components <= 12:
-        raise InputError(f"torso basis: {num_components} components asked for; allowed are 0 to 12")
     size = bone_lengths(PAIR17, poses)[:, _SIZE_BONES].sum(axis=-1)
     torsos = poses[:, TORSO_INDICES] - poses[:, TORSO_INDICES[:1]]
     torsos = torsos * (size.mean() / size)[:, None, None]
@@ -108,15 +107,15 @@ def learn_torso_basis(pair17_m: Array, *, num_components: int = 4) -> TorsoBasis
     _, singular, components = np.linalg.svd(flat, full_matrices=False)
     variance = singular**2 / max(len(flat) - 1, 1)
     total = max(float(variance.sum()), 1e-300)
-    components = components[:num_components]
+    components = components[:_NUM_COMPONENTS]
     # A component's sign is free: its greatest entry is made positive, so that a rerun gives the same basis.
     greatest = np.take_along_axis(components, np.argmax(np.abs(components), axis=1)[:, None], axis=1)
     components = components * np.where(greatest < 0, -1.0, 1.0)
     return TorsoBasis(
         mean_m=mean,
         components_m=components.reshape(-1, len(TORSO_JOINTS), 3),
-        standard_deviation_m=np.sqrt(variance[:num_components]),
-        explained_variance=variance[:num_components] / total,
+        standard_deviation_m=np.sqrt(variance[:_NUM_COMPONENTS]),
+        explained_variance=variance[:_NUM_COMPONENTS] / total,
     )
 
 
@@ -131,24 +130,19 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
         basis: Basis learned from other takes.
         weights: Weight of each joint, (n, 6), such as its confidence; 1 when not given.
     """
-    if len(torso_px) > BLOCK_SIZE:
-        # Torsos do not know of each other; blocks keep the memory small.
-        parts = [
-            lift_torsos(
-                torso_px[start : start + BLOCK_SIZE],
-                basis,
-                weights=None if weights is None else weights[start : start + BLOCK_SIZE],
-            )
-            for start in range(0, len(torso_px), BLOCK_SIZE)
-        ]
-        return LiftedTorsos(
-            **{
-                field.name: np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(LiftedTorsos)
-            }
-        )
+    given = np.ones(torso_px.shape[:2]) if weights is None else np.asarray(weights, dtype=np.float64)
+    # Torsos do not know of each other; blocks keep the memory small.
+    parts = [
+        _lift_block(torso_px[start : start + BLOCK_SIZE], given[start : start + BLOCK_SIZE], basis)
+        for start in range(0, max(len(torso_px), 1), BLOCK_SIZE)
+    ]
+    names = [field.name for field in fields(LiftedTorsos)]
+    return LiftedTorsos(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _lift_block(torso_px: Array, weights: Array, basis: TorsoBasis) -> LiftedTorsos:
     seen = np.asarray(np.isfinite(torso_px).all(axis=-1))
-    weight = np.where(seen, 1.0 if weights is None else np.asarray(weights, dtype=np.float64), 0.0)
+    weight = np.where(seen, weights, 0.0)
     num_seen = (weight > 0).sum(axis=-1)
     image = np.where(seen[..., None], torso_px, 0.0) * np.array([1.0, -1.0])
     total = np.maximum(weight.sum(axis=-1), 1e-12)[:, None, None]
@@ -274,7 +268,7 @@ class _Fit:
         zero = np.zeros_like(x)
         # d(rotation) = w x torso: the image columns of (w_x, w_y, w_z).
         turn = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1)], axis=-2)
-        bent = self._centred_components() if len(self.basis.components_m) else np.zeros((*x.shape, 2, 0))
+        bent = self._centred_components()
         columns = (
             np.concatenate([turn, torso[..., :2, None], bent], axis=-1) * scale[..., None] * self.root_weight[..., None]
         )

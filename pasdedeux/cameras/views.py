@@ -11,14 +11,14 @@ image does not show which root is nearer, so their relative depth follows one of
   deviations of what is known, so that the three together have its mean and variance.
 
 A hypothesis is weighed by how people stand (backbones near upright for a camera held near level), how well its depth
-agrees with the apparent sizes, and whether the bodies would share one place.  The fit of the torso says nothing about
+agrees with the apparent sizes, and whether the bodies would share one place.  The fit of the torso does not show
 which twin is true (in trials on captured dancers the better fitting one was right in 36-49 % of the cases), so it does
 not enter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,14 +27,16 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import angles_of_direction, local_frame
 from pasdedeux.cameras.orthographic import metres_from_pixels
-from pasdedeux.cameras.torso import TORSO_INDICES, LiftedTorsos, TorsoBasis, lift_torsos
+from pasdedeux.cameras.torso import TORSO_INDICES, TorsoBasis, lift_torsos
 from pasdedeux.settings import Settings
 
 Indices = npt.NDArray[np.int64]
 
 DEPTH_RULES = ("zero", "contact_near", "contact_far", "size", "near", "far")
 _ZERO, _CONTACT_NEAR, _CONTACT_FAR, _SIZE, _NEAR, _FAR = range(6)
-_FLIPS = ((0, 0), (1, 0), (0, 1), (1, 1))
+_FLIPS = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
+"""Twins of person A and B under each choice, (flip, person)."""
+_SAME_TWIN = [0, 3]
 
 BODY_DEVIATION = 0.06
 """Standard deviation of the logarithm of the ratio of two adults' statures before anything is seen."""
@@ -59,8 +61,8 @@ class ViewOptions(Settings):
     """What is assumed of cameras and people when views are estimated.
 
     The ratio of the two bodies' sizes is learned from that of their apparent sizes over all annotations, as far as
-    neither person stays the nearer: many cameras say much, one camera says little unless the two pass round each other
-    in front of it.
+    neither person stays the nearer: many cameras determine it well, one camera badly unless the two pass round each
+    other in front of it.
     """
 
     distance_m: float | None = Field(
@@ -143,20 +145,19 @@ def estimate_views(
     lifted = lift_torsos(torso_px, basis, weights=weights)
     is_lifted = np.asarray(lifted.is_lifted.reshape(count, 2).all(axis=1))
     rows = np.flatnonzero(is_lifted)
-    pairs = _Lifted.of(lifted, rows)
-    if len(rows) == 0:
-        return _empty(count)
+    twins = _Twins(
+        *(
+            values.reshape(count, 2, *values.shape[1:])[rows][:, np.arange(2), _FLIPS]
+            for values in (lifted.backbones, lifted.metres_per_pixel, lifted.root_px, lifted.log_scale_deviation)
+        )
+    )
     cameras = np.arange(count) if camera_index is None else np.asarray(camera_index)
-    sizes = _size_ratio(pairs, cameras[rows], options)
-
-    blocks = [_hypotheses(pairs, flip, sizes, options) for flip in range(len(_FLIPS))]
-    num_rules = len(DEPTH_RULES)
-    rule = np.tile(np.arange(num_rules), len(_FLIPS))
-    flip = np.repeat(np.arange(len(_FLIPS)), num_rules)
-    log_weight = np.concatenate([block.log_weight for block in blocks], axis=1)
-    depth = np.concatenate([block.depth_m for block in blocks], axis=1)
-    direction = np.concatenate([block.direction for block in blocks], axis=1)
-    scale = np.concatenate([np.repeat(block.metres_per_pixel[:, None], num_rules, axis=1) for block in blocks], axis=1)
+    sizes = _size_ratio(twins, cameras[rows], options)
+    # True sizes: half of the ratio to each, so that the mean size stays that of the basis.
+    twins = replace(twins, metres_per_pixel=twins.metres_per_pixel * np.exp(np.array([0.5, -0.5]) * sizes.log_ratio))
+    made = _hypotheses(twins, sizes.variance, options)
+    each_rule = (len(rows), len(_FLIPS) * len(DEPTH_RULES))
+    log_weight, direction = made.log_weight.reshape(each_rule), made.direction.reshape(*each_rule, 3)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     weight = np.where(weight < _MIN_WEIGHT, 0.0, weight)
@@ -170,12 +171,12 @@ def estimate_views(
     return ViewEstimates(
         annotation=rows[each],
         hypothesis=place,
-        depth_rule=rule[column],
-        flip=flip[column],
-        root_depth_m=depth[each, column],
+        depth_rule=column % len(DEPTH_RULES),
+        flip=column // len(DEPTH_RULES),
+        root_depth_m=made.depth_m.reshape(each_rule)[each, column],
         direction=direction[each, column],
         weight=weight[each, column],
-        metres_per_pixel=scale[each, column],
+        metres_per_pixel=twins.metres_per_pixel[each, column // len(DEPTH_RULES)],
         trust=np.minimum(trust, 1.0),
         is_lifted=is_lifted,
         size_ratio=float(np.exp(sizes.log_ratio)),
@@ -204,35 +205,22 @@ def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Lifted:
-    """Lifted torsos of pairs: arrays (pair, person, twin, ...)."""
+class _Twins:
+    """The two people of pairs as lifted, under each choice of twins: arrays (pair, flip, person, ...)."""
 
     backbones: Array
     metres_per_pixel: Array
     root_px: Array
     log_scale_deviation: Array
 
-    @classmethod
-    def of(cls, lifted: LiftedTorsos, rows: Indices) -> _Lifted:
-        def pick(values: Array) -> Array:
-            return np.asarray(values.reshape(-1, 2, *values.shape[1:])[rows])
-
-        return cls(
-            backbones=pick(lifted.backbones),
-            metres_per_pixel=pick(lifted.metres_per_pixel),
-            root_px=pick(lifted.root_px),
-            log_scale_deviation=pick(lifted.log_scale_deviation),
-        )
-
 
 @dataclass(frozen=True)
-class _Block:
-    """All depth rules under one choice of twins: arrays (pair, rule, ...)."""
+class _Hypotheses:
+    """All depth rules under each choice of twins: arrays (pair, flip, rule, ...)."""
 
     depth_m: Array
     direction: Array
     log_weight: Array
-    metres_per_pixel: Array
 
 
 @dataclass(frozen=True)
@@ -243,15 +231,18 @@ class _Sizes:
     variance: float
 
 
-def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Sizes:
+def _size_ratio(twins: _Twins, cameras: Indices, options: ViewOptions) -> _Sizes:
     """Estimate the ratio of body sizes: weighted median over cameras of the apparent one, drawn to 1 by the prior.
 
-    A camera in front of which person B stays on one side of A may have B always nearer, and says as much as a single
+    A camera in front of which person B stays on one side of A may have B always nearer, and counts as much as a single
     frame; the more evenly the two change sides, the more their depths balance.
     """
+    if not len(cameras):
+        return _Sizes(0.0, BODY_DEVIATION**2)
+    scale, x = twins.metres_per_pixel[:, _SAME_TWIN], twins.root_px[..., 0][:, _SAME_TWIN]
     # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
-    apparent = np.log(pairs.metres_per_pixel[:, 1] / pairs.metres_per_pixel[:, 0]).mean(axis=-1)
-    across = (pairs.root_px[:, 1, :, 0] - pairs.root_px[:, 0, :, 0]).mean(axis=-1)
+    apparent = np.log(scale[..., 1] / scale[..., 0]).mean(axis=-1)
+    across = (x[..., 1] - x[..., 0]).mean(axis=-1)
     one_frame = _DEPTH_DEVIATION_M / (options.distance_m or USUAL_DISTANCE_M)
     ratio, precision = [], []
     for camera in np.unique(cameras):
@@ -270,51 +261,46 @@ def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Size
     return _Sizes(log_ratio=median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), variance=1.0 / total)
 
 
-def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) -> _Block:
-    twins = _FLIPS[flip]
-    backbones = np.stack([pairs.backbones[:, person, twins[person]] for person in range(2)], axis=1)
-    scale = np.stack([pairs.metres_per_pixel[:, person, twins[person]] for person in range(2)], axis=1)
-    deviation = np.stack([pairs.log_scale_deviation[:, person, twins[person]] for person in range(2)], axis=1)
-    # True sizes: half of the ratio to each, so that the mean size stays that of the basis.
-    scale = scale * np.exp(np.array([0.5, -0.5]) * sizes.log_ratio)
-    root_px = np.stack([pairs.root_px[:, person, twins[person]] for person in range(2)], axis=1)
-    across = (root_px[:, 1] - root_px[:, 0]) * np.array([1.0, -1.0]) * scale.mean(axis=1)[:, None]
-    gap = np.linalg.norm(across, axis=1)
+def _hypotheses(twins: _Twins, size_variance: float, options: ViewOptions) -> _Hypotheses:
+    scale, root_px = twins.metres_per_pixel, twins.root_px
+    across = (root_px[..., 1, :] - root_px[..., 0, :]) * np.array([1.0, -1.0]) * scale.mean(axis=-1)[..., None]
+    gap = np.linalg.norm(across, axis=-1)
 
-    depth = np.zeros((len(scale), len(DEPTH_RULES)))
+    depth = np.zeros((*gap.shape, len(DEPTH_RULES)))
     log_weight = np.zeros_like(depth)
     reach = np.sqrt(np.maximum(_CONTACT_DISTANCE_M**2 - gap**2, 0.0))
-    depth[:, _CONTACT_NEAR], depth[:, _CONTACT_FAR] = reach, -reach
+    depth[..., _CONTACT_NEAR], depth[..., _CONTACT_FAR] = reach, -reach
     # What is known of the relative depth: normal, mean and variance.
-    mean, variance = np.zeros(len(scale)), np.full(len(scale), _DEPTH_DEVIATION_M**2)
+    mean, variance = np.zeros(gap.shape), np.full(gap.shape, _DEPTH_DEVIATION_M**2)
     if options.distance_m is not None:
         # Depth is proportional to metres per pixel; the two depths have the camera's distance as their mean.
-        apparent = 2.0 * options.distance_m * (scale[:, 0] - scale[:, 1]) / scale.sum(axis=1)
-        noise = options.distance_m**2 * (_SIZE_DEVIATION**2 + sizes.variance + (deviation**2).sum(axis=1))
+        apparent = 2.0 * options.distance_m * (scale[..., 0] - scale[..., 1]) / scale.sum(axis=-1)
+        fit_variance = (twins.log_scale_deviation**2).sum(axis=-1)
+        noise = options.distance_m**2 * (_SIZE_DEVIATION**2 + size_variance + fit_variance)
         # The mean stays the apparent depth: drawing it towards 0, as a normal prior would, turns every view the same
-        # way and cost 3 degrees in the median on captured dancers.
+        # direction and cost 3 degrees in the median on captured dancers.
         mean, variance = apparent, variance * noise / (variance + noise)
     step = np.sqrt(3.0 * variance)
-    depth[:, _SIZE], depth[:, _NEAR], depth[:, _FAR] = mean, mean + step, mean - step
+    depth[..., _SIZE], depth[..., _NEAR], depth[..., _FAR] = mean, mean + step, mean - step
     centre = _ZERO if options.distance_m is None else _SIZE
     for rule in range(len(DEPTH_RULES)):
-        agreement = -0.5 * (depth[:, rule] - mean) ** 2 / variance
-        log_weight[:, rule] = 0.0 if rule in (_NEAR, _FAR) else agreement
-        log_weight[:, rule] += np.log(2 / 3) if rule == centre else np.log(1 / 6)
-    log_weight[:, [_CONTACT_NEAR, _CONTACT_FAR]] += np.where(reach > 0, 0.0, -np.inf)[:, None]
+        agreement = -0.5 * (depth[..., rule] - mean) ** 2 / variance
+        log_weight[..., rule] = 0.0 if rule in (_NEAR, _FAR) else agreement
+        log_weight[..., rule] += np.log(2 / 3) if rule == centre else np.log(1 / 6)
+    log_weight[..., [_CONTACT_NEAR, _CONTACT_FAR]] += np.where(reach > 0, 0.0, -np.inf)[..., None]
     if options.distance_m is None:
-        log_weight[:, _SIZE] = -np.inf
-    distance = np.sqrt(gap[:, None] ** 2 + depth**2)
+        log_weight[..., _SIZE] = -np.inf
+    distance = np.sqrt(gap[..., None] ** 2 + depth**2)
     shortfall = np.maximum(_MIN_ROOT_DISTANCE_M - distance, 0.0) / (0.5 * _MIN_ROOT_DISTANCE_M)
     log_weight -= 0.5 * shortfall**2
-    log_weight += _log_lean(backbones, options)[:, None]
+    log_weight += _log_lean(twins.backbones, options)[..., None]
 
     roots = np.zeros((*depth.shape, 2, 3))
-    roots[:, :, 1, :2] = across[:, None]
-    roots[:, :, 1, 2] = depth
-    frame = local_frame(roots, np.broadcast_to(backbones[:, None], roots.shape))
+    roots[..., 1, :2] = across[..., None, :]
+    roots[..., 1, 2] = depth
+    frame = local_frame(roots, np.broadcast_to(twins.backbones[..., None, :, :], roots.shape))
     direction = frame.coordinates(np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*depth.shape, 3)))
-    return _Block(depth_m=depth, direction=direction, log_weight=log_weight, metres_per_pixel=scale)
+    return _Hypotheses(depth_m=depth, direction=direction, log_weight=log_weight)
 
 
 def _log_lean(backbones: Array, options: ViewOptions) -> Array:
@@ -325,20 +311,3 @@ def _log_lean(backbones: Array, options: ViewOptions) -> Array:
     # Inverse of own x identity + shared x ones for two people.
     total = lean.sum(axis=-1)
     return np.asarray(-0.5 * ((lean**2).sum(axis=-1) - shared * total**2 / (own + 2.0 * shared)) / own)
-
-
-def _empty(count: int) -> ViewEstimates:
-    none = np.zeros(0, dtype=np.int64)
-    return ViewEstimates(
-        annotation=none,
-        hypothesis=none,
-        depth_rule=none,
-        flip=none,
-        root_depth_m=np.zeros(0),
-        direction=np.zeros((0, 3)),
-        weight=np.zeros(0),
-        metres_per_pixel=np.zeros((0, 2)),
-        trust=np.zeros(count),
-        is_lifted=np.zeros(count, dtype=bool),
-        size_ratio=1.0,
-    )

@@ -1,7 +1,7 @@
 """Virtual video: takes seen by pinhole cameras from drawn views, with pixel noise and hidden joints.
 
 The experiment of Yin et al. (2018, section 6): 3D pairs are seen from random views and become 2D annotations whose
-truth is known.
+ground truth is known.
 """
 
 from __future__ import annotations
@@ -24,31 +24,11 @@ PERSON_HEIGHT_M = 1.7
 _JUNK_CONFIDENCE = (0.05, 0.2)
 _MIN_DEPTH_M = 1.0
 """Nothing that a camera sees is nearer than this."""
+_MIN_PITCH_RAD, _MAX_PITCH_RAD = float(np.deg2rad(-15.0)), float(np.deg2rad(60.0))
 _WALK_M_S = 1.3
 """Comfortable walking speed (Bohannon 1997)."""
 _MAX_TURN_RAD, _MAX_AWAY_M = np.pi / 6.0, 0.6
 """A passer-by crosses the image within 30 degrees and within 0.6 m of the middle of the pair."""
-
-
-@dataclass(frozen=True)
-class ViewDistribution:
-    """Where virtual cameras stand: any yaw, pitch normal and kept inside an interval, radians.
-
-    The default is about eye level or slightly above, as people film people.  `pitch_deviation_rad` of
-    infinity draws directions uniform on the band of the sphere between the two pitches.
-    """
-
-    pitch_mean_rad: float = float(np.deg2rad(10.0))
-    pitch_deviation_rad: float = float(np.deg2rad(10.0))
-    pitch_min_rad: float = float(np.deg2rad(-15.0))
-    pitch_max_rad: float = float(np.deg2rad(60.0))
-
-    def __post_init__(self) -> None:
-        """Check that the intervals are in order."""
-        if not -np.pi / 2 <= self.pitch_min_rad <= self.pitch_max_rad:
-            raise InputError(f"view distribution: an interval is empty or below -90 degrees: {self}")
-        if self.pitch_max_rad > np.pi / 2 or self.pitch_deviation_rad < 0:
-            raise InputError(f"view distribution: pitch beyond 90 degrees or a negative deviation: {self}")
 
 
 @dataclass(frozen=True)
@@ -57,11 +37,6 @@ class ViewAngles:
 
     yaw_rad: Array
     pitch_rad: Array
-
-    def directions(self) -> Array:
-        """Return the world directions (n, 3) from the scene towards the cameras."""
-        level = np.cos(self.pitch_rad)
-        return np.stack([level * np.sin(self.yaw_rad), np.sin(self.pitch_rad), level * np.cos(self.yaw_rad)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -82,21 +57,24 @@ class Annotated:
     confidence: Array
 
 
-def sample_views(rng: np.random.Generator, count: int, distribution: ViewDistribution | None = None) -> ViewAngles:
-    """Draw the angles of `count` views; a pitch outside its interval is drawn again by folding it back at the ends."""
-    d = distribution or ViewDistribution()
+def sample_views(
+    rng: np.random.Generator,
+    count: int,
+    *,
+    pitch_mean_rad: float = float(np.deg2rad(10.0)),
+    pitch_deviation_rad: float = float(np.deg2rad(10.0)),
+) -> ViewAngles:
+    """Draw the angles of `count` views: any yaw, pitch normal, folded back at the ends of -15 to 60 degrees.
+
+    The default is about eye level or slightly above, as people film people.  A deviation of infinity draws directions
+    uniform on the band of the sphere between the two ends.
+    """
     yaw = rng.uniform(-np.pi, np.pi, size=count)
-    if np.isinf(d.pitch_deviation_rad):
-        pitch = np.arcsin(rng.uniform(np.sin(d.pitch_min_rad), np.sin(d.pitch_max_rad), size=count))
-        return ViewAngles(yaw_rad=yaw, pitch_rad=pitch)
-    pitch = rng.normal(d.pitch_mean_rad, d.pitch_deviation_rad, size=count)
-    span = d.pitch_max_rad - d.pitch_min_rad
-    if span > 0:
-        folded = np.mod(pitch - d.pitch_min_rad, 2 * span)
-        pitch = d.pitch_min_rad + np.minimum(folded, 2 * span - folded)
-    else:
-        pitch = np.full(count, d.pitch_min_rad)
-    return ViewAngles(yaw_rad=yaw, pitch_rad=pitch)
+    if np.isinf(pitch_deviation_rad):
+        return ViewAngles(yaw, np.arcsin(rng.uniform(np.sin(_MIN_PITCH_RAD), np.sin(_MAX_PITCH_RAD), size=count)))
+    span = _MAX_PITCH_RAD - _MIN_PITCH_RAD
+    folded = np.mod(rng.normal(pitch_mean_rad, pitch_deviation_rad, size=count) - _MIN_PITCH_RAD, 2 * span)
+    return ViewAngles(yaw, _MIN_PITCH_RAD + np.minimum(folded, 2 * span - folded))
 
 
 def look_at_camera(
@@ -115,7 +93,7 @@ def look_at_camera(
     """
     if not (np.isfinite(distance_m) and distance_m > 0):
         raise InputError(f"camera: the distance is {distance_m} m, it must be positive")
-    direction = ViewAngles(yaw_rad=np.array([yaw_rad]), pitch_rad=np.array([pitch_rad])).directions()[0]
+    direction = _towards(yaw_rad, pitch_rad)
     right = np.array([np.cos(yaw_rad), 0.0, -np.sin(yaw_rad)])
     return PinholeCamera(
         focal_px=focal_px,
@@ -124,6 +102,12 @@ def look_at_camera(
         position_m=np.asarray(target_m) + distance_m * direction,
         image_size_px=image_size_px,
     )
+
+
+def _towards(yaw_rad: float, pitch_rad: float) -> Array:
+    """Return the world direction (3,) from the scene towards a camera."""
+    level = np.cos(pitch_rad)
+    return np.array([level * np.sin(yaw_rad), np.sin(pitch_rad), level * np.cos(yaw_rad)])
 
 
 def frame_take(
@@ -157,8 +141,7 @@ def frame_take(
     if len(points) == 0 or len(centres) == 0:
         raise InputError("virtual video: the take has no finite positions to look at")
     target = centres.mean(axis=0)
-    angles = ViewAngles(yaw_rad=np.array([yaw_rad]), pitch_rad=np.array([pitch_rad]))
-    towards = float(((points - target) @ angles.directions()[0]).max())
+    towards = float(((points - target) @ _towards(yaw_rad, pitch_rad)).max())
     distance = max(distance_m, towards + _MIN_DEPTH_M)
     focal = PERSON_HEIGHT_PX * distance / PERSON_HEIGHT_M
 
@@ -168,39 +151,22 @@ def frame_take(
         )
 
     reach = np.abs(camera((2, 2)).project(points).px - 1.0).max(axis=0) + 0.05 * PERSON_HEIGHT_PX
-    size = np.maximum(np.ceil(2.0 * reach / 16.0).astype(int) * 16, [1280, 720])
-    return VirtualView(
-        camera=camera((int(size[0]), int(size[1]))), distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad
-    )
+    width, height = np.maximum(np.ceil(2.0 * reach / 16.0).astype(int) * 16, [1280, 720])
+    return VirtualView(camera((int(width), int(height))), distance, yaw_rad, pitch_rad)
 
 
-def annotate(
-    rng: np.random.Generator,
-    px: Array,
-    *,
-    noise_px: float = 0.0,
-    occlusion: float = 0.0,
-    person_height_px: float = PERSON_HEIGHT_PX,
-) -> Annotated:
+def annotate(rng: np.random.Generator, px: Array, *, noise_px: float = 0.0, occlusion: float = 0.0) -> Annotated:
     """Make annotations of exact pixels: normal noise on every coordinate, and joints hidden at random.
 
     Args:
         rng: Random generator.
         px: Exact pixels, (*batch, joint, 2); NaN stays missing.
-        noise_px: Standard deviation of the noise for a person 600 px tall.
+        noise_px: Standard deviation of the noise.
         occlusion: Share of the joints that are hidden, each on its own, from 0 to 1.
-        person_height_px: Height of the people in this image; the noise is scaled with it.
-
-    Raises:
-        InputError: Negative noise, or a share outside 0..1.
     """
-    if not noise_px >= 0:
-        raise InputError(f"virtual video: the noise is {noise_px} px, it must not be negative")
-    if not 0 <= occlusion <= 1:
-        raise InputError(f"virtual video: the occlusion is {occlusion}, it must be a share from 0 to 1")
     exact = np.asarray(px, dtype=np.float64)
     # Both draws are always made, so that the noise of a joint does not depend on the occlusion asked for.
-    noise = rng.standard_normal(exact.shape) * (noise_px * person_height_px / PERSON_HEIGHT_PX)
+    noise = rng.standard_normal(exact.shape) * noise_px
     is_hidden = rng.random(exact.shape[:-1]) < occlusion
     seen = np.where(is_hidden[..., None], np.nan, exact + noise)
     is_seen = np.asarray(np.isfinite(seen).all(axis=-1))
@@ -208,9 +174,9 @@ def annotate(
 
 
 def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_px: tuple[int, int]) -> Annotated:
-    """Put `count` joints of everybody in every frame anywhere in the image, with a confidence below 0.2.
+    """Put `count` joints of each person in every frame anywhere in the image, with a confidence below 0.2.
 
-    Detectors do so with joints that they do not find.  Nobody who is not seen at all gets any.
+    Detectors do so with joints that they do not find.  A person who is not seen at all gets none.
 
     Raises:
         InputError: More joints than there are.
@@ -230,12 +196,12 @@ def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_p
 def passer_by(
     rng: np.random.Generator, person: Array, centre: Array, *, towards_camera: Array, rate_hz: float
 ) -> Array:
-    """Return somebody who walks through a take across the image: `person` later and earlier, at a walk's speed.
+    """Return a person who walks through a take across the image: `person` later and earlier, at a walk's speed.
 
     Args:
-        rng: Draws the direction and how far from the middle of the pair the way leads.
-        person: Joints (frame, joint, 3) that are moved so that the mean of the joints keeps to the way; time is turned
-            round, so that nobody does what that person does.
+        rng: Draws the direction and how far from the middle of the pair the path leads.
+        person: Joints (frame, joint, 3) that are moved so that the mean of the joints keeps to the path; time is
+            reversed, so that the two do not move alike.
         centre: Middle (3,) of the people walked through.
         towards_camera: Direction (3,) from there to the camera.
         rate_hz: Frames per second.
@@ -247,7 +213,7 @@ def passer_by(
     across = np.array([depth[2], 0.0, -depth[0]])
     along = np.cos(turn) * across + np.sin(turn) * depth
     time_s = (np.arange(len(person)) - 0.5 * (len(person) - 1)) / rate_hz
-    way = centre + rng.uniform(-_MAX_AWAY_M, _MAX_AWAY_M) * depth + _WALK_M_S * time_s[:, None] * along
-    shift = way - moved.mean(axis=1)
+    path = centre + rng.uniform(-_MAX_AWAY_M, _MAX_AWAY_M) * depth + _WALK_M_S * time_s[:, None] * along
+    shift = path - moved.mean(axis=1)
     shift[:, 1] = 0.0
     return np.asarray(moved + shift[:, None])

@@ -30,7 +30,7 @@ from pasdedeux.skeletons import Skeleton
 
 Indices = npt.NDArray[np.int64]
 
-TOUCH_M = (0.02, 0.08)
+_TOUCH_M = (0.02, 0.08)
 """Distance of surfaces: in contact up to the first (cloth, flesh, capsules that taper less than limbs do), not beyond
 the second."""
 _HAND_M = 0.08
@@ -42,7 +42,7 @@ _NEXT_M = 0.015
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of weights and points over time."""
 _SMALLEST_WEIGHT = 1e-2
-"""Contacts that weigh less are left out."""
+"""Contacts that weigh less are dropped."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,6 @@ def find_contacts(
     skeleton: Skeleton,
     *,
     rate_hz: float,
-    touch_m: tuple[float, float] = TOUCH_M,
     stated: Sequence[UserContact] = (),
     own: Indices | None = None,
     objects: MovingObjects | None = None,
@@ -107,12 +106,10 @@ def find_contacts(
     """Find where people touch each other, and objects; weights and points are averaged over a moment.
 
     Args:
-        people_m: Motion of everybody (T, person, joint, 3), metres.
+        people_m: Motion of all people (T, person, joint, 3), metres.
         radii_m: Radius of the bone that ends in each joint (person, joint), metres.
         skeleton: Whose joints.
         rate_hz: Frames per second.
-        touch_m: Distance of the surfaces: full weight up to the first, none from the second on; hands reach beyond
-            their wrists.
         stated: Contacts that replace what is found between two bones, and all that is found of a hand or foot; names
             are those of the skeleton.
         own: Bones with which people may touch themselves (n, 2), by child joint, the hand's first; there a hand does
@@ -120,7 +117,7 @@ def find_contacts(
         objects: What else may be touched, by every bone.
     """
     bones, share, gap = _all_gaps(people_m, radii_m, skeleton, own, objects)
-    hand, weights = _found(bones, share, gap, touch_m, skeleton)
+    hand, weights = _found(bones, share, gap, skeleton)
     known = [contact for contact in stated if not contact.is_of_floor]
     for contact in known:
         _clear(weights, hand, bones, contact, skeleton, objects)
@@ -132,10 +129,10 @@ def find_contacts(
         weights = averaged(weights, sigma)
         share = np.clip(moved / np.maximum(weights, 1e-9)[..., None], 0.0, 1.0)
     if known:
-        told = np.zeros((frames, len(known)))
+        constant = np.zeros((frames, len(known)))
         for column, contact in enumerate(known):
-            told[contact.start_frame : contact.stop_frame, column] = contact.weight
-        weights = np.concatenate([weights, averaged(told, sigma)], axis=1)
+            constant[contact.start_frame : contact.stop_frame, column] = contact.weight
+        weights = np.concatenate([weights, averaged(constant, sigma)], axis=1)
         at = np.array([[contact.share_a, contact.share_b] for contact in known])
         share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
         bones = np.concatenate([bones, np.array([contact.bones(skeleton, objects) for contact in known])])
@@ -169,14 +166,12 @@ def _all_gaps(
     return (bones, *nearest_on_bones(points, bones, parents, radii))
 
 
-def _found(
-    bones: Indices, share: Array, gap_m: Array, touch_m: tuple[float, float], skeleton: Skeleton
-) -> tuple[Array, Array]:
+def _found(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     """Return how much the points of two bones are of a hand or foot (T, n, 2), and the weights of contact (T, n)."""
     joints = skeleton.num_joints
     hand, is_own = _hands(bones, share, skeleton), bones[:, 0] // joints == bones[:, 1] // joints
     away = gap_m - _HAND_M * (hand * _is_hand(skeleton)[bones % joints]).sum(axis=-1) * ~is_own
-    weights = fade(away, *touch_m) * standing_out(bones, share, gap_m, skeleton)
+    weights = fade(away, *_TOUCH_M) * standing_out(bones, share, gap_m, skeleton)
     for rows, sides in _of_each_hand(bones, is_own, skeleton):
         of_hand = hand[:, rows, sides]
         nearest = (away[:, rows] + (1.0 - of_hand)).min(axis=1, keepdims=True)
@@ -240,7 +235,7 @@ def _pack(
     if objects is not None:
         starts, ends = (objects.ends_m[frame, thing, end] for end in (0, 1))
         places_m = np.where((thing >= 0)[:, None], starts + t[:, None] * (ends - starts), 0.0)
-    # A point of an object is given, so nobody's joints contribute to it.
+    # A point of an object is given: no joint contributes to it.
     second = np.where((thing >= 0)[:, None], 0.0, np.stack([t - 1.0, -t], axis=-1))
     people = np.where(bones < 0, bones[:, :1], bones)
     return Contacts(

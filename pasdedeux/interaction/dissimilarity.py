@@ -23,12 +23,12 @@ def edge_vectors(points: Array, edges: npt.NDArray[np.integer]) -> Array:
     return np.asarray(points[..., edges[:, 1], :] - points[..., edges[:, 0], :])
 
 
-def edge_weights(points: Array, edges: npt.NDArray[np.integer], *, beta_m: float = BETA_M) -> Array:
+def edge_weights(points: Array, edges: npt.NDArray[np.integer]) -> Array:
     """Return the weights (edge,) of eq. 8 over the edges of points (n, d): 1 / max(beta, length), scaled to sum to 1.
 
     Without edges the result is empty.
     """
-    weight = 1.0 / np.maximum(beta_m, np.linalg.norm(edge_vectors(points, edges), axis=-1))
+    weight = 1.0 / np.maximum(BETA_M, np.linalg.norm(edge_vectors(points, edges), axis=-1))
     return np.asarray(weight / weight.sum()) if len(weight) else weight
 
 
@@ -39,7 +39,7 @@ def plane_residual(moving: Array, fixed: Array) -> Array:
         moving: Points (*batch, n, 2).
         fixed: Points (*batch, n, 2); batch axes broadcast.
 
-    Points that either side lacks (NaN) are left out.  Closed form on centred points:
+    Points that either side lacks (NaN) do not count.  Closed form on centred points:
     |s|^2 + |p|^2 - 2 sqrt(a^2 + b^2) with a = sum s . p and b = sum s x p.  It is rigid: there is no scale, and it
     cannot reflect.
     """
@@ -70,7 +70,7 @@ def align_plane(moving: Array, fixed: Array) -> Array:
     return np.asarray(turned + centre)
 
 
-def interaction_dissimilarity(first: Array, second: Array, *, beta_m: float = BETA_M) -> float:
+def interaction_dissimilarity(first: Array, second: Array) -> float:
     """Return d_I of eq. 8 (Yin et al. 2018) between two point sets (n, d), metres: D_I when d is 3.
 
     `first` is brought onto `second` by the best proper rigid motion; then the edge vectors of both are compared over
@@ -99,7 +99,7 @@ def interaction_dissimilarity(first: Array, second: Array, *, beta_m: float = BE
         edges = np.flatnonzero(seen)[delaunay_edges(points[seen])]
         edges = edges[is_shared[edges].all(axis=-1)]
         lengths = np.linalg.norm(edge_vectors(difference, edges), axis=-1)
-        total += float(np.sum(edge_weights(points, edges, beta_m=beta_m) * lengths))
+        total += float(np.sum(edge_weights(points, edges) * lengths))
     return total
 
 

@@ -19,7 +19,7 @@ _UP, _AWAY = 1, 2
 _NEAR_PERCENT = 20.0
 """Of the frames about one the lowest foot is no higher than the floor: it jumps and steps, and noise goes below."""
 _FLOOR_QUANTILE = 0.1
-"""The same of a whole motion, over the lower foot of everybody who stands."""
+"""The same of a whole motion, over the lower foot of all who stand."""
 
 
 class StandingSettings(Settings):
@@ -49,9 +49,9 @@ def find_standing(
             not there anything finite.
         rate_hz: Frames per second.
         settings: What counts.
-        is_present: Who is there (frame, person); everybody where not given.
+        is_present: Who is there (frame, person); all where not given.
 
-    Motions of fewer than 3 frames have no speed, and nobody stands.
+    Motions of fewer than 3 frames have no speed, and no foot stands.
     """
     from scipy.ndimage import percentile_filter  # here: 0.3 s that planning does not need
 
@@ -74,12 +74,12 @@ def find_standing(
 
 
 def floor_under(feet_m: Array, is_standing: Booleans, is_present: Booleans | None = None) -> float:
-    """Return the height of ankles that stand, from those of everybody who stands; of all when nobody does.
+    """Return the height of ankles that stand, over all people who stand; over all people when none does.
 
     Args:
         feet_m: Ankles (frame, person, foot=2, 3), upright axes, metres.
         is_standing: (frame, person, foot).
-        is_present: Who is there (frame, person); everybody where not given.
+        is_present: Who is there (frame, person); all where not given.
     """
     lowest = feet_m[..., _UP].min(axis=2)
     counted = is_standing.any(axis=2)

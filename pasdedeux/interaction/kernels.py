@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import edge_weights
+from pasdedeux.interaction.dissimilarity import BETA_M, edge_weights
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 
@@ -61,13 +61,13 @@ def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.i
 
 
 @compiled()
-def fill_edge_weights(x, y, edges, count, beta_m, weights):  # type: ignore[no-untyped-def]
+def fill_edge_weights(x, y, edges, count, weights):  # type: ignore[no-untyped-def]
     """Write the weights of eq. 8 of one planar point set into `weights`; they sum to 1."""
     total = 0.0
     for e in range(count):
         i, j = edges[e, 0], edges[e, 1]
         dx, dy = x[j] - x[i], y[j] - y[i]
-        weights[e] = 1.0 / max(beta_m, np.sqrt(dx * dx + dy * dy))
+        weights[e] = 1.0 / max(BETA_M, np.sqrt(dx * dx + dy * dy))
         total += weights[e]
     for e in range(count):
         weights[e] /= total

@@ -91,14 +91,14 @@ def check_contacts(
     things = (*(objects.names if objects else ()), FLOOR)
     for contact in stated:
         other = contact.object or f"{contact.person_b}'s {contact.joint_b}"
-        said = f"{name}: contact of {contact.person_a}'s {contact.joint_a} and {other}"
+        what = f"{name}: contact of {contact.person_a}'s {contact.joint_a} and {other}"
         if max(contact.persons) >= num_people:
-            raise InputError(f"{said}, but the people are {', '.join(ascii_uppercase[:num_people])}")
+            raise InputError(f"{what}, but the people are {', '.join(ascii_uppercase[:num_people])}")
         if contact.object and contact.object not in things:
-            raise InputError(f"{said}, but what there is to be touched is {', '.join(things)}")
+            raise InputError(f"{what}, but what there is to be touched is {', '.join(things)}")
         if contact.stop_frame > num_frames:
             raise InputError(
-                f"{said} over frames {contact.start_frame} to {contact.stop_frame}; allowed are frames within 0 to "
+                f"{what} over frames {contact.start_frame} to {contact.stop_frame}; allowed are frames within 0 to "
                 f"{num_frames}"
             )
 

@@ -1,46 +1,48 @@
 """D_I and D_C between many pairs: running minima over draws, and whole tables of distances.
 
-D_I in 3D sums over 300 edges or so of two pairs.  Whether a draw may be nearer than the nearest so far is first told by
-an estimate in single precision over all pairs of joints, most of weight 0, which runs without gathers; only who has a
-chance is summed exactly.
+D_I in 3D sums over 300 edges or so of two pairs.  An estimate in single precision over all pairs of joints, most of
+weight 0, which runs without gathers, decides whether a draw may be nearer than the nearest so far; only then the exact
+sum is taken.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
+from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M
-from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d, turned_gap
+from pasdedeux.interaction.kernels import best_turn, edge_table_3d, turned_gap
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 
 _LANES = 8
+_CHUNK = 512
+"""Draws taken at a time: bounds the memory for their edges."""
 _REORDERED = {"reassoc", "contract", "nsz"}
 _ESTIMATE_SLACK = 1e-4
 """Relative error allowed for the estimate; over 600 terms single precision makes 1e-5 at worst."""
 
 
-@dataclass(frozen=True)
-class PairTable:
+class PairTable(NamedTuple):
     """Pairs made ready for comparison.
 
     Args:
-        points_m: Centred joints of both people (pair, n, 3), metres.
-        edges: Edges of their Delaunay tetrahedra with the weights of eq. 8.
+        points: Centred joints of both people (pair, n, 3), metres.
+        edges: Edges of their Delaunay tetrahedra, see `EdgeTable`.
+        weights: Their weights (eq. 8).
+        counts: Their numbers.
         ring: The same weights by distance on a ring: of joints k and k + g + 1 (mod n) at (pair, g, k).
     """
 
-    points_m: Array
-    edges: EdgeTable
+    points: Array
+    edges: npt.NDArray[np.int32]
+    weights: Array
+    counts: npt.NDArray[np.int32]
     ring: npt.NDArray[np.float32]
-
-    def __len__(self) -> int:
-        """Number of pairs."""
-        return len(self.points_m)
 
 
 def pair_table(pairs_m: Array) -> PairTable:
@@ -57,23 +59,46 @@ def pair_table(pairs_m: Array) -> PairTable:
     width = -(-num_points // _LANES) * _LANES
     ring = np.zeros((len(points), num_points // 2, width), dtype=np.float32)
     _fill_ring(table.edges, table.weights, table.counts, num_points, ring)
-    return PairTable(points, table, ring)
+    return PairTable(points, table.edges, table.weights, table.counts, ring)
 
 
-def lower_minima(truth: PairTable, others: PairTable, best: Array) -> None:
-    """Lower the running minima of D_I and D_C of each truth to what `others` reach.
+class Coverage:
+    """Smallest D_I and D_C of real pairs to draws that arrive in batches: memory does not grow with their number.
 
     Args:
-        truth: The pairs that minima are kept for.
-        others: The pairs that may be nearer.
-        best: Running minima (2, truth), D_I then D_C, metres; changed in place.
+        real_m: Real pairs (real, person=2, joint, 3), metres; at least one.
+
+    Raises:
+        InputError: There is no real pair, or a coordinate is not finite.
     """
-    mine, theirs = truth.edges, others.edges
-    _lower_minima(
-        *(truth.points_m, mine.edges, mine.weights, mine.counts, truth.ring),
-        *(others.points_m, theirs.edges, theirs.weights, theirs.counts, others.ring),
-        best,
-    )
+
+    def __init__(self, real_m: Array) -> None:
+        if len(real_m) == 0:
+            raise InputError("coverage needs at least one real pair")
+        self._real = pair_table(real_m)
+        self._best = np.full((2, len(real_m)), np.inf)
+        self.num_draws = 0
+
+    def add(self, draws_m: Array) -> None:
+        """Take more draws (draw, person=2, joint, 3), metres, into account.
+
+        Raises:
+            InputError: A coordinate is not finite.
+        """
+        for start in range(0, len(draws_m), _CHUNK):
+            part = pair_table(draws_m[start : start + _CHUNK])
+            _lower_minima(self._real, part, self._best)
+            self.num_draws += len(part.points)
+
+    @property
+    def interaction_m(self) -> Array:
+        """Smallest D_I of each real pair to any draw so far, (real,), metres; inf before the first."""
+        return self._best[0].copy()
+
+    @property
+    def cartesian_m(self) -> Array:
+        """Smallest D_C of each real pair to any draw so far, (real,), metres; inf before the first."""
+        return self._best[1].copy()
 
 
 def interaction_distances(first_m: Array, second_m: Array) -> Array:
@@ -83,13 +108,8 @@ def interaction_distances(first_m: Array, second_m: Array) -> Array:
         InputError: A coordinate is not finite.
     """
     first, second = pair_table(first_m), pair_table(second_m)
-    distances = np.empty((len(first), len(second)))
-    one, other = first.edges, second.edges
-    _fill_distances(
-        *(first.points_m, one.edges, one.weights, one.counts),
-        *(second.points_m, other.edges, other.weights, other.counts),
-        distances,
-    )
+    distances = np.empty((len(first_m), len(second_m)))
+    _fill_distances(first, second, distances)
     return distances
 
 
@@ -101,13 +121,13 @@ def image_distances(first_m: Array, second_m: Array) -> Array:
     shape = (-1, first_m.shape[1] * first_m.shape[2], 2)
     first, second = (np.ascontiguousarray(one, dtype=np.float64).reshape(shape) for one in (first_m, second_m))
     distances = np.empty((len(first), len(second)))
-    _fill_image_distances(first, *delaunay_edges_fast(first), second, *delaunay_edges_fast(second), BETA_M, distances)
+    _fill_image_distances(first, *delaunay_edges_fast(first), second, *delaunay_edges_fast(second), distances)
     return distances
 
 
 @compiled()
 def _fill_image_distances(  # type: ignore[no-untyped-def]
-    first, first_edges, first_counts, second, edges, counts, beta_m, distances
+    first, first_edges, first_counts, second, edges, counts, distances
 ):
     dx, dy = np.empty(first.shape[1]), np.empty(first.shape[1])
     is_shared = np.empty(first.shape[1], dtype=np.bool_)
@@ -115,20 +135,20 @@ def _fill_image_distances(  # type: ignore[no-untyped-def]
         for column in range(second.shape[0]):
             distances[row, column] = np.nan
             if _plane_gaps(first[row], second[column], is_shared, dx, dy) >= 2:
-                total = _shared_side(first[row], first_edges[row], first_counts[row], is_shared, dx, dy, beta_m)
-                total += _shared_side(second[column], edges[column], counts[column], is_shared, dx, dy, beta_m)
+                total = _shared_side(first[row], first_edges[row], first_counts[row], is_shared, dx, dy)
+                total += _shared_side(second[column], edges[column], counts[column], is_shared, dx, dy)
                 distances[row, column] = total
 
 
 @compiled()
-def _shared_side(points, edges, count, is_shared, dx, dy, beta_m):  # type: ignore[no-untyped-def]
+def _shared_side(points, edges, count, is_shared, dx, dy):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8 over the edges of which both ends are shared."""
     total, weights = 0.0, 1e-300
     for e in range(count):
         i, j = edges[e, 0], edges[e, 1]
         if is_shared[i] and is_shared[j]:
             length = np.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
-            weight = 1.0 / max(beta_m, length)
+            weight = 1.0 / max(BETA_M, length)
             total += weight * np.hypot(dx[j] - dx[i], dy[j] - dy[i])
             weights += weight
     return total / weights
@@ -175,55 +195,40 @@ def _fill_ring(edges, weights, counts, num_points, ring):  # type: ignore[no-unt
 
 
 @compiled()
-def _lower_minima(  # type: ignore[no-untyped-def]
-    truth,
-    own_edges,
-    own_weights,
-    own_counts,
-    own_ring,
-    others,
-    edges,
-    weights,
-    counts,
-    ring,
-    best,
-):
-    num_points = truth.shape[1]
+def _lower_minima(real, others, best):  # type: ignore[no-untyped-def]
+    """Lower the running minima (2, real) of D_I and D_C to what others reach."""
+    num_points = real.points.shape[1]
     key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
     difference = np.empty((num_points, 3))
-    size = own_ring.shape[1] + own_ring.shape[2]
+    size = real.ring.shape[1] + real.ring.shape[2]
     x, y, z = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
-    for row in range(truth.shape[0]):
-        for column in range(others.shape[0]):
-            best_turn(others[column], truth[row], key, m, q, rotmat)
-            total = _difference(rotmat, others[column], truth[row], difference) / num_points
+    for row in range(real.points.shape[0]):
+        for column in range(others.points.shape[0]):
+            total = _aligned(real, row, others, column, key, m, q, rotmat, difference) / num_points
             best[1, row] = min(best[1, row], total)
-            for k in range(x.shape[0]):
+            for k in range(size):
                 at = k % num_points
                 x[k], y[k], z[k] = difference[at, 0], difference[at, 1], difference[at, 2]
-            if _estimate(x, y, z, own_ring[row], ring[column]) * (1.0 - _ESTIMATE_SLACK) < best[0, row]:
-                total = _side_sum(difference, own_edges[row], own_counts[row], own_weights[row])
-                total += _side_sum(difference, edges[column], counts[column], weights[column])
+            if _estimate(x, y, z, real.ring[row], others.ring[column]) * (1.0 - _ESTIMATE_SLACK) < best[0, row]:
+                total = _side_sum(difference, real, row) + _side_sum(difference, others, column)
                 best[0, row] = min(best[0, row], total)
 
 
 @compiled()
-def _fill_distances(  # type: ignore[no-untyped-def]
-    first, first_edges, first_weights, first_counts, second, edges, weights, counts, distances
-):
+def _fill_distances(first, second, distances):  # type: ignore[no-untyped-def]
     key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
-    difference = np.empty((first.shape[1], 3))
-    for row in range(first.shape[0]):
-        for column in range(second.shape[0]):
-            best_turn(second[column], first[row], key, m, q, rotmat)
-            _difference(rotmat, second[column], first[row], difference)
-            total = _side_sum(difference, first_edges[row], first_counts[row], first_weights[row])
-            distances[row, column] = total + _side_sum(difference, edges[column], counts[column], weights[column])
+    difference = np.empty((first.points.shape[1], 3))
+    for row in range(first.points.shape[0]):
+        for column in range(second.points.shape[0]):
+            _aligned(first, row, second, column, key, m, q, rotmat, difference)
+            distances[row, column] = _side_sum(difference, first, row) + _side_sum(difference, second, column)
 
 
 @compiled()
-def _difference(rotmat, moving, fixed, difference):  # type: ignore[no-untyped-def]
-    """Write the difference of the turned points to the fixed ones; return the sum of its lengths."""
+def _aligned(first, row, second, column, key, m, q, rotmat, difference):  # type: ignore[no-untyped-def]
+    """Write the difference of one pair, turned onto another, to it; return the sum of its lengths."""
+    fixed, moving = first.points[row], second.points[column]
+    best_turn(moving, fixed, key, m, q, rotmat)
     total = 0.0
     for k in range(moving.shape[0]):
         u, v, w = turned_gap(rotmat, moving, fixed, k)
@@ -248,9 +253,10 @@ def _estimate(x, y, z, one, other):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _side_sum(difference, edges, count, weights):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for e in range(count):
+def _side_sum(difference, table, row):  # type: ignore[no-untyped-def]
+    """Return the side of D_I over the edges of one pair of a table."""
+    edges, weights, total = table.edges[row], table.weights[row], 0.0
+    for e in range(table.counts[row]):
         i, j = edges[e, 0], edges[e, 1]
         u = difference[j, 0] - difference[i, 0]
         v = difference[j, 1] - difference[i, 1]

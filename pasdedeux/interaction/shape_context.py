@@ -1,4 +1,4 @@
-"""Shape contexts of pairs: which way and how far every other joint lies, seen from each joint, as a histogram.
+"""Shape contexts of pairs: in which direction and how far every other joint lies, seen from each joint, as a histogram.
 
 After Belongie, Malik and Puzicha (2002), "Shape matching and object recognition using shape contexts": five shells
 whose radii double, twelve sectors, chi-squared cost; the sectors turn about the vertical of the pair's local frame
@@ -57,16 +57,16 @@ class ShapeCoverage:
     """Smallest D_S of real pairs to pairs that arrive in batches: memory does not grow with their number.
 
     Args:
-        truth_m: Real pairs (truth, person=2, joint=17, 3), metres; at least one.
+        real_m: Real pairs (real, person=2, joint=17, 3), metres; at least one.
 
     Raises:
         InputError: There is no real pair, or a coordinate is not finite.
     """
 
-    def __init__(self, truth_m: Array) -> None:
-        if len(truth_m) == 0:
+    def __init__(self, real_m: Array) -> None:
+        if len(real_m) == 0:
             raise InputError("coverage needs at least one real pair")
-        bins = shape_bins(truth_m)
+        bins = shape_bins(real_m)
         self._counts = np.zeros((*bins.shape[:2], _NUM_PAIR_BINS), dtype=np.uint8)
         rows = np.arange(bins.shape[0])[:, None, None]
         np.add.at(self._counts, (rows, np.arange(bins.shape[1])[:, None], bins), 1)
@@ -82,20 +82,20 @@ class ShapeCoverage:
 
     @property
     def shape(self) -> Array:
-        """Smallest D_S of each real pair to any pair so far, (truth,); inf before the first."""
+        """Smallest D_S of each real pair to any pair so far, (real,); inf before the first."""
         return self._best.copy()
 
 
 @compiled()
 def lower_shape_minima(counts, bins, best):  # type: ignore[no-untyped-def]
-    """Lower the running minima of D_S of each truth to what others reach.
+    """Lower the running minima of D_S of each real pair to what others reach.
 
     With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count.
 
     Args:
-        counts: Joints in each bin, (truth, joint, bin), uint8.
+        counts: Joints in each bin, (real, joint, bin), uint8.
         bins: Bins of the others, sorted, (other, joint, joint - 1).
-        best: Running minima (truth,); changed in place.
+        best: Running minima (real,); changed in place.
     """
     num_joints, num_seen = bins.shape[1], bins.shape[2]
     shared = np.zeros((num_seen + 1, num_seen + 1))

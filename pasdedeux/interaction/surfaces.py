@@ -23,7 +23,7 @@ _AT_END = 0.2
 def closest_joint_distance(pair_m: Array) -> Array:
     """Return the distance (*batch,) of the closest joints of A and B of pairs (*batch, person=2, joint, 3), metres.
 
-    NaN joints are left out.
+    NaN joints do not count.
     """
     difference = pair_m[..., 0, :, None, :] - pair_m[..., 1, None, :, :]
     return np.asarray(np.nanmin(np.linalg.norm(difference, axis=-1), axis=(-2, -1)))

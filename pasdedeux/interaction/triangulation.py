@@ -34,6 +34,7 @@ def max_edges(num_points: int) -> int:
     return max(3 * num_points - 6, num_points * (num_points - 1) // 2 if num_points < 4 else 0)
 
 
+@compiled()
 def workspace(num_points: int) -> Workspace:
     """Return scratch arrays for `triangulate`: triangles' vertices, their neighbours, and small stacks."""
     num_triangles = 2 * num_points + 8
@@ -71,7 +72,7 @@ def _in_conflict(x, y, triangles, t, px, py, infinity):  # type: ignore[no-untyp
 def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no-untyped-def]
     """Write the Delaunay edges (i < j) of points `x`, `y` (already jittered) into `edges`; give their number.
 
-    A point for which no conflicting triangle is found (an exact duplicate, or NaN) is left out of the triangulation.
+    A point for which no conflicting triangle is found (an exact duplicate, or NaN) is skipped.
     Fewer than two points give no edge; two give one.
     """
     num_points = x.shape[0]
@@ -211,7 +212,7 @@ def _edges_of_all(points, offsets, triangles, neighbours, scratch, edges, counts
 
 
 def delaunay_edges_fast(points: Array) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return the Delaunay edges of many point sets (set, n, 2), metres; points that are not finite are left out.
+    """Return the Delaunay edges of many point sets (set, n, 2), metres; points that are not finite are skipped.
 
     Returns:
         Edges (set, max_edges, 2) with i < j in each pair, and the number of valid ones of each set (set,).

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,7 @@ def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child
     """Return the penetration depth of two capsules whose radii sum to `reach`; 0 when they are apart."""
     start_a, start_b = row_of(a, parent_a), row_of(b, parent_b)
     u, v, gap = subtract(row_of(a, child_a), start_a), subtract(row_of(b, child_b), start_b), subtract(start_a, start_b)
-    # Balls round the two bones: far apart is told without a division.
+    # Balls round the two bones: far apart is decided without a division.
     middle = mix(1.0, gap, 0.5, subtract(u, v))
     far = reach + 0.5 * (math.sqrt(dot(u, u)) + math.sqrt(dot(v, v)))
     if dot(middle, middle) >= far * far:
@@ -189,13 +190,12 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
     bones = [child for _, child in skeleton.bones]
     radii = np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
     stand = _standing(skeleton)
-    within = []
-    for position, one in enumerate(bones):
-        for other in bones[position + 1 :]:
-            ends = [stand[joint] for joint in (skeleton.parents[one], one, skeleton.parents[other], other)]
-            is_apart = float(segment_distance(*ends)) > radii[one] + radii[other]
-            if is_apart and _bones_between(skeleton, one, other) >= 2:
-                within.append((one, other))
+    steps, within = _bones_on_paths(skeleton), []
+    for (start, one), (other_start, other) in combinations(skeleton.bones, 2):
+        ends = stand[[start, one, other_start, other]]
+        is_apart = float(segment_distance(*ends)) > radii[one] + radii[other]
+        if is_apart and steps[np.ix_([start, one], [other_start, other])].min() >= 2:
+            within.append((one, other))
     return CapsuleModel(
         skeleton=skeleton,
         bones=np.array(bones, dtype=np.int64),
@@ -206,21 +206,13 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
     )
 
 
-def _bones_between(skeleton: Skeleton, one: int, other: int) -> int:
-    """Count the bones on the path between two bones: 0 when they share a joint."""
+def _bones_on_paths(skeleton: Skeleton) -> Array:
+    """Return the number of bones on the path between any two joints (J, J)."""
+    from scipy.sparse.csgraph import shortest_path  # here: planning need not wait for it
 
-    def path(joint: int) -> list[int]:
-        found = [joint]
-        while skeleton.parents[found[-1]] >= 0:
-            found.append(skeleton.parents[found[-1]])
-        return found
-
-    def steps(a: int, b: int) -> int:
-        up_a, up_b = path(a), path(b)
-        shared = next(joint for joint in up_a if joint in up_b)
-        return up_a.index(shared) + up_b.index(shared)
-
-    return min(steps(a, b) for a in (skeleton.parents[one], one) for b in (skeleton.parents[other], other))
+    links = np.zeros((skeleton.num_joints, skeleton.num_joints))
+    links[tuple(np.transpose(skeleton.bones))] = 1.0
+    return np.asarray(shortest_path(links, directed=False, unweighted=True))
 
 
 def _standing(skeleton: Skeleton) -> Array:

@@ -117,8 +117,8 @@ class PersonCapture:
         return max(self.stature_m / USUAL_HEIGHT_M, USUAL_HEIGHT_M / max(self.stature_m, 1e-9))
 
     def complaints(self, limits: Limits) -> list[Complaint]:
-        """Return what is said of the figures that are past their limits."""
-        return [Complaint(level, said, one.name in _OF_TAKE) for one, level, said in complaints(self, JUDGED, limits)]
+        """Return the complaints about figures that are past their limits."""
+        return [Complaint(level, text, one.name in _OF_TAKE) for one, level, text in complaints(self, JUDGED, limits)]
 
 
 FIGURES = figures_of(PersonCapture)
@@ -152,7 +152,7 @@ class JudgedCapture:
 
 
 def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequence[str] = ()) -> JudgedCapture:
-    """Return the verdicts on a take; what is said of the whole take stands in the verdict of each of its people.
+    """Return the verdicts on a take; complaints about the whole take stand in the verdict of each of its people.
 
     Args:
         people: Figures of each person.
@@ -171,15 +171,15 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
 
 
 def _verdict(complaints: Sequence[Complaint]) -> Verdict:
-    """Return the worst level, and what is said of each level, failures first, nothing twice."""
-    said = dict.fromkeys(sorted(complaints, key=lambda one: one.level is not Level.FAIL))
-    return Verdict(next(iter(said)).level if said else Level.PASS, "; ".join(one.text for one in said))
+    """Return the worst level, and all complaints, failures first, none twice."""
+    found = dict.fromkeys(sorted(complaints, key=lambda one: one.level is not Level.FAIL))
+    return Verdict(next(iter(found)).level if found else Level.PASS, "; ".join(one.text for one in found))
 
 
 def _names_apart(one: str, other: str) -> str:
     """Say why files of these names may not be one take: names of partners differ in one part, `60_03` and `61_03`.
 
-    Names of a single part say nothing, nor do equal ones: their folders tell the people apart.
+    Names of a single part are not judged, nor are equal ones: their folders distinguish the people.
     """
     if one == other:
         return ""
@@ -194,7 +194,7 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
     """Return the figures of each person of a take.
 
     Args:
-        body22_m: Positions (frame, person, 22, 3) of everybody, y up, metres, at the capture's own rate; at
+        body22_m: Positions (frame, person, 22, 3) of all people, y up, metres, at the capture's own rate; at
             least one frame.
         rate_hz: Frames per second.
 

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.joint_limits_kernel import measure_poses, move_poses, move_to_nearest_valid
+from pasdedeux.plausibility.joint_limits_kernel import measure_poses, move_poses
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, ANGLES, MARGIN_DEG, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
@@ -140,13 +140,6 @@ class JointLimits:
         shape = np.shape(pair17_m)
         valid, count, squared = move_poses(as_poses(pair17_m), self.ranges_rad)
         return NearestValid(valid.reshape(shape), count.reshape(shape[:-2]), squared.reshape(shape[:-2]))
-
-    def move_pose(self, pose: Array, measured: Array, valid: Array) -> tuple[int, float]:
-        """Move one pose (17, 3) as `nearest_valid` does, into `valid`, without the price of array calls.
-
-        `measured` is scratch (2, 29).  Return the number of invalid angles and the squared distance moved, in m^2.
-        """
-        return move_to_nearest_valid(pose, self.ranges_rad, measured, valid)
 
     @cached_property
     def ranges_rad(self) -> Array:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from pasdedeux.errors import InputError
 
 Floats = npt.NDArray[Any]
 
-CAMERA_MODELS = ("orthographic", "pinhole")
+CameraModel = Literal["orthographic", "pinhole"]
 
 _STANDING_MID_HIP_M = 0.93
 """Height of the hip joints of the reference body, standing (Winter 2009, fig. 4.1: 0.530 of stature)."""
@@ -80,7 +80,7 @@ def pitch_of_height(height_m: float, distance_m: float) -> float:
 
 
 def cameras_of(
-    model: str, *, pitches_deg: Sequence[float], heights_m: Sequence[float] = (), distance_m: float = 4.0
+    model: CameraModel, *, pitches_deg: Sequence[float], heights_m: Sequence[float] = (), distance_m: float = 4.0
 ) -> tuple[DatabaseCamera, ...]:
     """Return the cameras of a study's words, by rising pitch; the same pitch twice gives one.
 
@@ -91,10 +91,8 @@ def cameras_of(
         distance_m: Distance from the mid-hip: of the pinhole, and of both for what a height means.
 
     Raises:
-        InputError: Another model, no camera, or one that cannot be.
+        InputError: No camera, or one that cannot be.
     """
-    if model not in CAMERA_MODELS:
-        raise InputError(f"camera '{model}' is not known; known cameras: {', '.join(CAMERA_MODELS)}")
     pitches = {float(np.deg2rad(pitch)) for pitch in pitches_deg}
     pitches |= {pitch_of_height(height, distance_m) for height in heights_m}
     if not pitches:

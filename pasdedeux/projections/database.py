@@ -120,22 +120,12 @@ class Database:
 
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
         """Return the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""
-        rows = np.arange(self.num_rows)[first_row:last_row]
-        return self._project(rows[:, None], np.arange(self.num_yaws))
-
-    def projections(self, numbers: Integers) -> Floats32:
-        """Return projections (*batch, 14, 2) by their numbers: the same values as `project` gives."""
-        return self._project(numbers // self.num_yaws, numbers % self.num_yaws)
-
-    def _project(self, rows: Integers, yaw_index: Integers) -> Floats32:
         yaw = np.arange(self.num_yaws) * self.yaw_step_rad
-        cosine = np.cos(yaw).astype(np.float32)[yaw_index][..., None]
-        sine = np.sin(yaw).astype(np.float32)[yaw_index][..., None]
-        poses = self.poses_m[rows]
-        x, z = poses[..., 0], poses[..., 2]
-        turned = np.empty((*np.broadcast_shapes(rows.shape, yaw_index.shape), self.num_joints, 3), dtype=np.float32)
+        cosine, sine = (one.astype(np.float32)[:, None] for one in (np.cos(yaw), np.sin(yaw)))
+        x, y, z = np.moveaxis(self.poses_m[first_row:last_row, None], -1, 0)
+        turned = np.empty((len(x), self.num_yaws, self.num_joints, 3), dtype=np.float32)
         turned[..., 0] = cosine * x + sine * z
-        turned[..., 1] = poses[..., 1]
+        turned[..., 1] = y
         turned[..., 2] = cosine * z - sine * x
         return np.asarray(self.camera.project(turned), dtype=np.float32)
 

@@ -1,6 +1,6 @@
 """Pairs looked up as one: a row is both people of a frame in their place to each other, a projection is both images.
 
-Two people in close contact hide and bend one another, and what one does says much of what the other can do.  A row
+Two people in close contact hide and bend one another, and the pose of one constrains that of the other.  A row
 keeps the place of the two to each other, so a query is both images about the middle of both mid-hips, 28 joints in all,
 by the metric, masks, weights and trees of one person's search.
 """

@@ -103,7 +103,7 @@ def place_track(
     """
     pixels_per_metre = _upper_ratio(keypoints_px, weights) / reference.typical_ratio
     if not np.isfinite(pixels_per_metre).any():
-        raise InputError("no frame of the track shows three bones of a person; its size cannot be told")
+        raise InputError("no frame of the track shows three bones of a person; its size is not determined")
     scale = 1.0 / running_median(pixels_per_metre, window)
     if metres_per_pixel is not None:
         scale = np.full(len(scale), metres_per_pixel)
@@ -157,7 +157,7 @@ def match_scale(points: Array, weight: Array, match: Array) -> Array:
 
     Returns:
         Metres per pixel, mean of the points, mean of the match (5,); NaN for the scale where fewer than three joints
-        or joints in one place do not tell it.
+        or joints in one place do not determine it.
     """
     out = np.zeros(5)
     total, count = 0.0, 0
@@ -176,8 +176,8 @@ def match_scale(points: Array, weight: Array, match: Array) -> Array:
             for axis in range(2):
                 spread_px += weight[joint] * (points[joint, axis] - out[1 + axis]) ** 2
                 spread_m += weight[joint] * (match[joint, axis] - out[3 + axis]) ** 2
-    is_told = count >= _MIN_BONES and spread_px > 0 and spread_m > 0
-    out[0] = np.sqrt(spread_m / spread_px) if is_told else np.nan
+    is_known = count >= _MIN_BONES and spread_px > 0 and spread_m > 0
+    out[0] = np.sqrt(spread_m / spread_px) if is_known else np.nan
     return out
 
 

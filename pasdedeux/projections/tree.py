@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +40,7 @@ class Tree:
 
     Args:
         number: Number of the projection in each lane of each leaf (leaf, lane); -1 for none.
-        leaves: Projections (leaf, 2 J, lane): x of the joints, then y; far away in empty lanes.
+        leaves: Projections (leaf, 2 J, lane): x of the joints, then y; any in empty lanes.
         centre: Middle of the boxes of the nodes under each node (node, 2 J, lane), all levels, root first.
         half: Their half-widths; -1 in empty lanes.
         level_start: First node of each level; child j of node i of level l is node lanes * i + j of level l + 1.
@@ -59,33 +60,45 @@ def build_tree(flat: Floats32) -> Tree:
         flat: Projections, x of the joints, then y, metres.
     """
     count, dims = flat.shape
-    order = np.arange(count, dtype=np.int32)
-    _order_by_median_splits(flat, order, _LANES)
-    num_leaves = -(-count // _LANES)
-    number = np.full(num_leaves * _LANES, -1, dtype=np.int32)
-    number[:count] = order
-    leaves = np.full((num_leaves, dims, _LANES), np.float32(1e18), dtype=np.float32)
-    low = np.empty((num_leaves, dims), dtype=np.float32)
-    high = np.empty_like(low)
-    _fill_leaves(flat, number, leaves, low, high)
-    centres, halves = [], []
-    while True:
-        num_nodes = -(-len(low) // _LANES)
-        centre = np.zeros((num_nodes, dims, _LANES), dtype=np.float32)
-        half = np.full((num_nodes, dims, _LANES), -1.0, dtype=np.float32)
-        low, high = _fill_nodes(low, high, centre, half)
-        centres.append(centre)
-        halves.append(half)
-        if num_nodes == 1:
-            break
-    sizes = [len(centre) for centre in reversed(centres)]
+    number = np.full(-(-count // _LANES) * _LANES, -1, dtype=np.int32)
+    number[:count] = np.arange(count)
+    _order_by_median_splits(flat, number[:count], _LANES)
+    leaves = np.empty((len(number) // _LANES, dims, _LANES), dtype=np.float32)
+    _fill_leaves(flat, number, leaves)
+    boxes = [_boxes_above(leaves.min(axis=2), leaves.max(axis=2))]
+    while len(boxes[-1].centre) > 1:
+        boxes.append(_boxes_above(boxes[-1].low, boxes[-1].high))
+    boxes.reverse()
     return Tree(
-        number=number.reshape(num_leaves, _LANES),
+        number=number.reshape(-1, _LANES),
         leaves=leaves,
-        centre=np.concatenate(centres[::-1]),
-        half=np.concatenate(halves[::-1]),
-        level_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        centre=np.concatenate([level.centre for level in boxes]),
+        half=np.concatenate([level.half for level in boxes]),
+        level_start=np.cumsum([0, *(len(level.centre) for level in boxes)]),
     )
+
+
+class _Level(NamedTuple):
+    """Nodes of a level: the boxes under each (node, 2 J, lane), middle and half-width, and their own (node, 2 J)."""
+
+    centre: Floats32
+    half: Floats32
+    low: Floats32
+    high: Floats32
+
+
+def _boxes_above(low: Floats32, high: Floats32) -> _Level:
+    """Return the level above boxes (n, 2 J); the lanes of its last node that are too many are those of the last box."""
+    missing = -len(low) % _LANES
+    low, high = (
+        np.concatenate([one, np.repeat(one[-1:], missing, axis=0)]).reshape(-1, _LANES, one.shape[1]).swapaxes(1, 2)
+        for one in (low, high)
+    )
+    middle = np.float32(0.5) * (low + high)
+    # One part in a million more than the rounded half-width: the box still holds both ends.
+    half = np.maximum(high - middle, middle - low) + np.float32(1e-6) * (np.abs(low) + np.abs(high))
+    half[-1, :, _LANES - missing :] = -1.0
+    return _Level(np.ascontiguousarray(middle), np.ascontiguousarray(half), low.min(axis=2), high.max(axis=2))
 
 
 def search_tree(tree: Tree, query: Floats32, weight: Floats32, *, num_neighbours: int) -> tuple[Integers, Floats32]:
@@ -107,38 +120,12 @@ def search_tree(tree: Tree, query: Floats32, weight: Floats32, *, num_neighbours
 
 
 @compiled()
-def select(values: Floats32, order: Integers32, first: int, last: int, middle: int) -> None:
-    """Reorder `order[first:last]` so that positions before `middle` hold the least values (Hoare's selection)."""
-    low, high = first, last - 1
-    while low < high:
-        a, b, c = values[order[low]], values[order[(low + high) // 2]], values[order[high]]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while values[order[i]] < pivot:
-                i += 1
-            while values[order[j]] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
-
-
-@compiled()
 def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> None:
     """Order projections so that every aligned run of lanes * 8^l of them is one cell of a median-split tree.
 
     Each range splits where its spread (variance) is greatest, at a power of two times the leaf size.
     """
     dims = flat.shape[1]
-    values = np.empty(len(order), dtype=np.float32)
     stack = np.empty((128, 2), dtype=np.int64)
     stack[0, 0], stack[0, 1] = 0, len(order)
     depth = 1
@@ -168,53 +155,24 @@ def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> No
         left = lanes
         while 2 * left < last - first:
             left *= 2
-        for at in range(first, last):
-            values[order[at]] = flat[order[at], widest]
-        select(values, order, first, last, first + left)
+        part, values = order[first:last].copy(), np.empty(last - first, dtype=np.float32)
+        for at in range(last - first):
+            values[at] = flat[part[at], widest]
+        order[first:last] = part[np.argpartition(values, left)]
         stack[depth, 0], stack[depth, 1] = first + left, last
         stack[depth + 1, 0], stack[depth + 1, 1] = first, first + left
         depth += 2
 
 
 @compiled()
-def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32, low: Floats32, high: Floats32) -> None:
-    """Copy projections into their leaves and take the leaves' boxes."""
-    lanes = leaves.shape[2]
+def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32) -> None:
+    """Copy projections into their leaves; empty lanes repeat the last projection."""
+    lanes, last = leaves.shape[2], flat.shape[0] - 1
     for leaf in range(leaves.shape[0]):
-        for dim in range(leaves.shape[1]):
-            least, greatest = np.float32(np.inf), np.float32(-np.inf)
-            for lane in range(lanes):
-                row = number[leaf * lanes + lane]
-                if row >= 0:
-                    value = flat[row, dim]
-                    leaves[leaf, dim, lane] = value
-                    least = min(least, value)
-                    greatest = max(greatest, value)
-            low[leaf, dim] = least
-            high[leaf, dim] = greatest
-
-
-@compiled()
-def _fill_nodes(low: Floats32, high: Floats32, centre: Floats32, half: Floats32) -> tuple[Floats32, Floats32]:
-    """Put the boxes of a level into the lanes of its parents, and give the parents' own boxes."""
-    nodes, dims, lanes = centre.shape
-    parent_low = np.full((nodes, dims), np.float32(np.inf), dtype=np.float32)
-    parent_high = np.full((nodes, dims), np.float32(-np.inf), dtype=np.float32)
-    for node in range(nodes):
         for lane in range(lanes):
-            child = node * lanes + lane
-            if child >= low.shape[0]:
-                continue
-            for dim in range(dims):
-                least, greatest = low[child, dim], high[child, dim]
-                middle = np.float32(0.5) * (least + greatest)
-                centre[node, dim, lane] = middle
-                # One part in a million more than the rounded half-width: the box still holds both ends.
-                reach = max(greatest - middle, middle - least)
-                half[node, dim, lane] = reach + np.float32(1e-6) * (abs(least) + abs(greatest))
-                parent_low[node, dim] = min(parent_low[node, dim], least)
-                parent_high[node, dim] = max(parent_high[node, dim], greatest)
-    return parent_low, parent_high
+            at = min(leaf * lanes + lane, last)
+            for dim in range(leaves.shape[1]):
+                leaves[leaf, dim, lane] = flat[number[at], dim]
 
 
 @compiled(error_model="numpy")

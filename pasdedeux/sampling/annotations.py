@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import angle_between_directions
 from pasdedeux.cameras.torso import MIN_TORSO_JOINTS, TORSO_INDICES
-from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
@@ -65,7 +65,7 @@ class AnnotatedPairs:
         annotation_index: Which annotation an entry is a view hypothesis of, (entry,).
 
     Raises:
-        InputError: No entry, shapes that do not fit, an entry that shows too little, or a view that is not finite.
+        InputError: An entry shows too little, or a view is not finite.
     """
 
     points_m: Array
@@ -73,17 +73,7 @@ class AnnotatedPairs:
     annotation_index: npt.NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        """Check shapes and finiteness."""
-        count = len(self.points_m)
-        if count == 0:
-            raise InputError("no annotated pair is left: the likelihood needs at least one that shows enough")
-        if self.points_m.shape != (count, 2, 17, 2) or self.directions.shape != (count, 3):
-            raise InputError(
-                f"annotations {self.points_m.shape} and views {self.directions.shape} do not fit: "
-                "expected (entry, 2, 17, 2) and (entry, 3)"
-            )
-        if len(self.annotation_index) != count:
-            raise InputError(f"{count} annotated pairs but {len(self.annotation_index)} annotation indices")
+        """Check every entry."""
         if not (shows_enough(self.points_m).all() and np.isfinite(self.directions).all()):
             raise InputError("an annotated pair shows too few joints, or its view is not finite")
 
@@ -108,7 +98,7 @@ class GatheredPairs:
     Args:
         pairs: Annotated pairs, an entry per annotation and view hypothesis.
         weights: Weight of each entry's view in the view density, (entry,).
-        num_skipped: Annotations left out because they show too little, or the scale or the view was missing.
+        num_skipped: Annotations skipped: they show too little, or have no scale or view.
         metres_per_pixel: Scale of each person in each entry, (entry, person=2).
         moment: When each annotation was, as `leave_one_out` takes it, (annotation,); all far apart where not given.
     """
@@ -121,7 +111,7 @@ class GatheredPairs:
 
     @cached_property
     def leave_one_out(self) -> LeaveOneOut:
-        """What annotations compared with the others in turn, each under its first view, say of the bandwidth."""
+        """Each annotation against the others, under its first view: what the bandwidth follows from."""
         annotation, first = np.unique(self.pairs.annotation_index, return_index=True)
         moment = self.moment[annotation] if len(self.moment) else SAME_MOMENT * annotation
         return leave_one_out(self.pairs.points_m[first], self.pairs.directions[first], moment)
@@ -134,10 +124,6 @@ class GatheredPairs:
         first = order[np.searchsorted(which[order], np.arange(len(annotation)))]
         directions = self.pairs.directions[first]
         return float(np.percentile(angle_between_directions(directions.mean(axis=0), directions), 90.0))
-
-    def view_density(self) -> ViewDensity:
-        """Return the density of views over these annotations (Yin et al. 2018, eq. 5)."""
-        return ViewDensity(self.pairs.directions, self.weights)
 
 
 def gather_pairs(
@@ -153,7 +139,7 @@ def gather_pairs(
         pair17_px: Keypoints of each entry, (entry, person=2, joint=17, 2), pixels; NaN where missing.
         metres_per_pixel: Scale of each person, (entry, person=2).
         directions: View of each entry, (entry, 3).
-        weights: Weight of the entry's view, (entry,); entries without weight are left out.
+        weights: Weight of the entry's view, (entry,); entries without weight are skipped.
         annotation_index: Which annotation the entry is a hypothesis of, (entry,).
 
     Raises:
@@ -202,18 +188,13 @@ def build_bank(
     pairs: AnnotatedPairs,
     *,
     num_candidates: int = 500,
-    view_bandwidth_rad: float = 0.5,
+    view_bandwidth_rad: float = VIEW_DEVIATION_RAD,
 ) -> ViewBank:
     """Return the bank of views (m, 3): each with the nearest `num_candidates` annotations by view.
 
     An annotation enters a view once, by its nearest hypothesis.  Annotations farther than the bandwidth are dropped as
     long as 20 stay.
-
-    Raises:
-        InputError: There is no view or `num_candidates` is not positive.
     """
-    if len(directions) == 0 or num_candidates < 1:
-        raise InputError(f"a bank needs views and candidates, found {len(directions)} and {num_candidates}")
     chosen: list[npt.NDArray[np.int64]] = []
     for direction in directions:
         angle = angle_between_directions(direction, pairs.directions)

@@ -21,13 +21,13 @@ from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import angle_between_directions, pair_frame
 from pasdedeux.cameras.torso import TORSO_INDICES, TorsoBasis, lift_torsos
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
+from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import place_bones
 from pasdedeux.sampling.parameters import gauge_fix
-from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.sampling.prior import DEFAULT_PRIOR, PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
@@ -58,6 +58,7 @@ def _usual_lengths() -> Array:
     return np.asarray(lengths)
 
 
+_MAX_ROUNDS = 30
 _DEPTHS_M = np.linspace(-0.9, 0.9, 19)
 _NUM_GROUPED = 500
 """Annotations that are grouped to choose those to lift; d_I between all of them grows with the square."""
@@ -119,7 +120,7 @@ def lift_pair(
     lengths_m: Array,
     limits: JointLimits,
     basis: TorsoBasis,
-    prior: PriorSettings | None = None,
+    prior: PriorSettings = DEFAULT_PRIOR,
 ) -> Array | None:
     """Return the likeliest pair (person=2, joint=17, 3), metres, camera axes, of one image; None without torsos.
 
@@ -134,7 +135,7 @@ def lift_pair(
     torsos = lift_torsos(image_m[:, TORSO_INDICES] * _DOWN, basis)
     if not torsos.is_lifted.all():
         return None
-    people, prior = [], prior or PriorSettings()
+    people = []
     for person in range(2):
         torso_m = torsos.torso_m[person]
         flat = (
@@ -163,7 +164,7 @@ def lift_seeds(
     basis: TorsoBasis,
     *,
     num_seeds: int,
-    prior: PriorSettings | None = None,
+    prior: PriorSettings = DEFAULT_PRIOR,
 ) -> LiftedSeeds:
     """Lift annotations that cover all of them: the medoids of `num_seeds` groups under d_I.
 
@@ -181,7 +182,7 @@ def lift_seeds(
     count = len(annotated.points_m)
     lengths = apparent_bone_lengths(annotated.points_m)
     shown = evenly_spread(count, max(_NUM_GROUPED, num_seeds))
-    matrix = dissimilarity_matrix(annotated.points_m[shown].reshape(len(shown), -1, 2))
+    matrix = _distances(annotated.points_m[shown])
     found: list[Array] = []
     used: list[int] = []
     for medoid in choose_medoids(matrix, min(num_seeds, count)):
@@ -197,6 +198,45 @@ def lift_seeds(
         raise InputError(f"no seed can be lifted from 2D alone: no pair of {count} annotations keeps the joint limits")
     pairs = np.array(found)
     return LiftedSeeds(pairs_m=pairs, entry=shown[used], log_prior=seed_quality(pairs, limits, prior).log_prior)
+
+
+def _distances(images_m: Array) -> Array:
+    """Return d_I between all images, (n, n), metres; those that share too little are as far apart as any two are."""
+    matrix = image_distances(images_m, images_m)
+    matrix = np.where(np.isfinite(matrix), matrix, np.nanmax(matrix))
+    # Symmetric to the bit: of a group of two the first stands for both.
+    return np.minimum(matrix, matrix.T)
+
+
+def choose_medoids(matrix: Array, count: int) -> Indices:
+    """Return `count` members (count,) that stand for a set with these dissimilarities (set, set).
+
+    Farthest-first from the member nearest to all others, then Voronoi iteration: everyone joins the nearest medoid, and
+    each group takes the member nearest to the rest of it, until nothing changes.  No randomness; ties go to the lower
+    index.
+
+    Raises:
+        InputError: `count` is not between 1 and the size of the set.
+    """
+    if not 1 <= count <= len(matrix):
+        raise InputError(f"between 1 and {len(matrix)} medoids can be chosen, {count} were asked for")
+    chosen = [int(np.argmin(matrix.sum(axis=1)))]
+    while len(chosen) < count:
+        distance = matrix[chosen].min(axis=0)
+        distance[chosen] = -1.0
+        chosen.append(int(np.argmax(distance)))
+    medoids = np.array(chosen, dtype=np.int64)
+    for _ in range(_MAX_ROUNDS):
+        group = np.argmin(matrix[medoids], axis=0)
+        group[medoids] = np.arange(count)
+        moved = medoids.copy()
+        for index in range(count):
+            members = np.flatnonzero(group == index)
+            moved[index] = members[np.argmin(matrix[np.ix_(members, members)].sum(axis=1))]
+        if (moved == medoids).all():
+            break
+        medoids = moved
+    return medoids
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ and a set that covers.  Our own; Yin et al. (2018) start from one seed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import LANES, fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.parameters import gauge_fix
-from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.sampling.prior import DEFAULT_PRIOR, PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
 
@@ -93,7 +93,7 @@ def grow(
     limits: JointLimits,
     *,
     num_grown: int,
-    prior: PriorSettings | None = None,
+    prior: PriorSettings = DEFAULT_PRIOR,
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
@@ -103,14 +103,13 @@ def grow(
     Raises:
         InputError: There is no seed, or one with a position that is not finite.
     """
-    prior = prior or PriorSettings()
     if not len(seeds_m) or not np.isfinite(seeds_m).all():
         raise InputError("growth needs at least one seed, all of its positions finite")
     frontier = _Frontier(annotated)
-    for seed in seeds_m:
-        frontier.add(np.asarray(seed, dtype=np.float64), entry=-1, parent=-1, image_distance_m=0.0)
+    for seed in np.asarray(seeds_m, dtype=np.float64):
+        frontier.add(_Lifted(seed, bone_lengths(PAIR17, seed)))
     num_refused = 0
-    while len(frontier.pairs) - len(seeds_m) < num_grown:
+    while len(frontier.lifted) - len(seeds_m) < num_grown:
         entry = frontier.nearest()
         if entry < 0:
             break
@@ -118,8 +117,10 @@ def grow(
         if limits.num_invalid(pair).sum() > prior.max_invalid_angles:
             num_refused += 1
             continue
-        nearest, distance_m = int(frontier.which[entry, 0]), float(frontier.distance_m[entry, 0])
-        frontier.add(pair, entry=entry, parent=nearest, image_distance_m=distance_m)
+        parent = int(frontier.which[entry, 0])
+        nearest = frontier.lifted[parent]
+        distance_m = float(frontier.distance_m[entry, 0])
+        frontier.add(_Lifted(pair, nearest.lengths, entry, parent, nearest.generation + 1, distance_m))
     for _ in range(_NUM_SWEEPS):
         frontier.agree(len(seeds_m))
     return frontier.growth(len(seeds_m), limits, num_refused, prior)
@@ -163,6 +164,18 @@ class ViewedImages:
         return residual
 
 
+@dataclass(frozen=True)
+class _Lifted:
+    """A pair (2, 17, 3) with its bone lengths (2, 17), and how it was lifted; a seed was not."""
+
+    pair_m: Array
+    lengths: Array
+    entry: int = -1
+    parent: int = -1
+    generation: int = 0
+    image_distance_m: float = 0.0
+
+
 class _Frontier:
     """Everything lifted so far, and for each entry the lifted pairs that look most like it."""
 
@@ -175,25 +188,16 @@ class _Frontier:
         self.annotation = annotated.annotation_index
         self.is_done = np.zeros(len(points), dtype=bool)
         self.distance_m, self.which = self._nobody(len(points))
-        self.pairs: list[Array] = []
-        self.entries: list[int] = []
-        self.parents: list[int] = []
-        self.image_distances: list[float] = []
-        self.lengths: list[Array] = []
+        self.lifted: list[_Lifted] = []
 
     def _nobody(self, count: int) -> tuple[Array, Indices]:
         shape = (count, _NUM_NEIGHBOURS)
         return np.full(shape, np.inf), np.full(shape, -1, dtype=np.int64)
 
-    def add(self, pair: Array, *, entry: int, parent: int, image_distance_m: float) -> None:
+    def add(self, one: _Lifted) -> None:
         """Take a pair in: it may lift what it looks like."""
-        self.pairs.append(pair)
-        self.entries.append(entry)
-        self.parents.append(parent)
-        self.image_distances.append(image_distance_m)
-        self.lengths.append(bone_lengths(PAIR17, pair) if parent < 0 else self.lengths[parent])
-        residual = self._views.residuals(pair)
-        keep_nearest(residual, len(self.pairs) - 1, self.distance_m, self.which)
+        self.lifted.append(one)
+        keep_nearest(self._views.residuals(one.pair_m), len(self.lifted) - 1, self.distance_m, self.which)
 
     def nearest(self) -> int:
         """Return the entry nearest to anything lifted, and close its annotation; -1 when none is near enough."""
@@ -207,14 +211,14 @@ class _Frontier:
     def lift(self, entry: int) -> Array:
         """Return the pair (2, 17, 3) that matches an entry, in camera axes."""
         which = self.which[entry]
-        return self._placed(entry, self.distance_m[entry], which, self.lengths[int(which[0])])
+        return self._placed(entry, self.distance_m[entry], which, self.lifted[int(which[0])].lengths)
 
     def _placed(self, entry: int, distance_m: Array, which: Indices, lengths: Array) -> Array:
         is_there = which >= 0
         squared = distance_m[is_there] ** 2
         weight = np.exp(-0.5 * (squared - squared[0]) / _NEIGHBOUR_DEVIATION_M**2)
         weight = weight / weight.sum()
-        pairs = np.stack([self.pairs[index] for index in which[is_there]])
+        pairs = np.stack([self.lifted[index].pair_m for index in which[is_there]])
         points = pairs.reshape(len(pairs), _NUM_POINTS, 3)
         towards = pair_frame(pairs).direction(self.directions[entry])
         depths = np.einsum("knx,kx->kn", points - points.mean(axis=1, keepdims=True), towards)
@@ -232,38 +236,36 @@ class _Frontier:
         return placed
 
     def agree(self, num_seeds: int) -> None:
-        """Return every grown pair the depth of the pairs, itself left out, that look like it under its view."""
-        entries = np.array(self.entries[num_seeds:], dtype=np.int64)
-        if not len(entries) or len(self.pairs) < 2:
+        """Give every grown pair the depth of the other pairs that look like it under its view."""
+        entries = np.array([one.entry for one in self.lifted[num_seeds:]], dtype=np.int64)
+        if not len(entries) or len(self.lifted) < 2:
             return
         distance_m, which = self._nobody(len(entries))
         views = ViewedImages(self.images[entries], self.is_seen[entries], self.directions[entries])
-        for index, pair in enumerate(self.pairs):
-            residual = views.residuals(pair)
+        for index, one in enumerate(self.lifted):
+            residual = views.residuals(one.pair_m)
             if index >= num_seeds:
                 residual[index - num_seeds] = np.inf
             keep_nearest(residual, index, distance_m, which)
-        self.pairs[num_seeds:] = [
-            self._placed(int(entry), distance_m[row], which[row], self.lengths[num_seeds + row])
-            for row, entry in enumerate(entries)
+        self.lifted[num_seeds:] = [
+            replace(one, pair_m=self._placed(one.entry, distance_m[row], which[row], one.lengths))
+            for row, one in enumerate(self.lifted[num_seeds:])
         ]
 
     def growth(self, num_seeds: int, limits: JointLimits, num_refused: int, prior: PriorSettings) -> Growth:
         """Turn every pair upright as its parent and give them all."""
-        fixed = [gauge_fix(pair) for pair in self.pairs[:num_seeds]]
-        generation = [0] * num_seeds
-        for index in range(num_seeds, len(self.pairs)):
-            parent = self.parents[index]
-            fixed.append(gauge_fix(self.pairs[index], fixed[parent]))
-            generation.append(generation[parent] + 1)
-        grown = np.array(fixed[num_seeds:]).reshape(-1, 2, PAIR17.num_joints, 3)
-        quality = seed_quality(grown, limits, prior)
+        fixed = [gauge_fix(one.pair_m) for one in self.lifted[:num_seeds]]
+        grown = self.lifted[num_seeds:]
+        for one in grown:
+            fixed.append(gauge_fix(one.pair_m, fixed[one.parent]))
+        pairs = np.array(fixed[num_seeds:]).reshape(-1, 2, PAIR17.num_joints, 3)
+        quality = seed_quality(pairs, limits, prior)
         return Growth(
-            pairs_m=grown,
-            entry=np.array(self.entries[num_seeds:], dtype=np.int64),
-            parent=np.array(self.parents[num_seeds:], dtype=np.int64),
-            generation=np.array(generation[num_seeds:], dtype=np.int64),
-            image_distance_m=np.array(self.image_distances[num_seeds:], dtype=np.float64),
+            pairs_m=pairs,
+            entry=np.array([one.entry for one in grown], dtype=np.int64),
+            parent=np.array([one.parent for one in grown], dtype=np.int64),
+            generation=np.array([one.generation for one in grown], dtype=np.int64),
+            image_distance_m=np.array([one.image_distance_m for one in grown], dtype=np.float64),
             log_prior=quality.log_prior,
             is_possible=quality.is_possible,
             num_refused=num_refused,

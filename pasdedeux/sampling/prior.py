@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.plausibility.capsules import capsule_model, pair_penetration
 from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES, JointLimits
+from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, PairChart
 from pasdedeux.settings import Settings
@@ -49,27 +49,7 @@ class PriorSettings(Settings):
         return -violation_m2 / (2.0 * self.sigma_p_m**2)
 
 
-@dataclass(frozen=True)
-class Violations:
-    """How far pairs are from possible ones.
-
-    Args:
-        num_invalid: Joint angles out of range, of both people, (pair,).
-        squared_distance_m2: Squared distance to the nearest poses within joint limits, (pair,).
-        penetration_m: Sums of penetration depths within A, within B and between them, (pair, 3).
-    """
-
-    num_invalid: npt.NDArray[np.int64]
-    squared_distance_m2: Array
-    penetration_m: Array
-
-
-def pair_violations(pairs_m: Array, limits: JointLimits) -> Violations:
-    """Return how pairs (pair, person=2, joint=17, 3), metres, violate the prior, each with its own bone lengths."""
-    pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
-    nearest = limits.nearest_valid(pairs)
-    squared = nearest.squared_distance_m2.sum(axis=-1)
-    return Violations(nearest.num_invalid.sum(axis=-1), squared, capsule_model(PAIR17).penetration(pairs))
+DEFAULT_PRIOR = PriorSettings()
 
 
 @dataclass(frozen=True)
@@ -98,9 +78,9 @@ class PhysicalPrior:
         settings: Weights and limits; the defaults when not given.
     """
 
-    def __init__(self, chart: PairChart, limits: JointLimits, settings: PriorSettings | None = None) -> None:
-        self.settings = settings or PriorSettings()
-        self._limits = limits
+    def __init__(self, chart: PairChart, limits: JointLimits, settings: PriorSettings = DEFAULT_PRIOR) -> None:
+        self.settings = settings
+        self._ranges_rad = limits.ranges_rad
         self._model = capsule_model(PAIR17)
         self._radii = np.ascontiguousarray(self._model.radii_of(chart.seed_m[None]))
         self._work = np.empty((2, NUM_ANGLES))
@@ -113,7 +93,7 @@ class PhysicalPrior:
         is_tied = np.abs(lengths - parameters[MIRRORED_LENGTH]).max() <= _TIE_TOLERANCE
         num_invalid, squared = 0, 0.0
         for person in range(2):
-            count, distance = self._limits.move_pose(pair_m[person], self._work, self._valid)
+            count, distance = move_to_nearest_valid(pair_m[person], self._ranges_rad, self._work, self._valid)
             num_invalid += count
             squared += distance
         depth = pair_penetration(

@@ -11,8 +11,10 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.interaction.surfaces import closest_joint_distance
+from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.prior import PriorSettings, pair_violations
+from pasdedeux.sampling.prior import DEFAULT_PRIOR, PriorSettings
+from pasdedeux.skeletons import PAIR17
 
 CLOSE_SHARE = 0.25
 """Share of a take's frames, those with the closest people, that count as close interaction."""
@@ -49,15 +51,16 @@ class SeedQuality:
         return np.asarray(self.num_invalid <= self.prior.max_invalid_angles)
 
 
-def seed_quality(pairs_m: Array, limits: JointLimits, prior: PriorSettings | None = None) -> SeedQuality:
-    """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds; by the default prior or another."""
-    settings = prior or PriorSettings()
-    found = pair_violations(pairs_m, limits)
+def seed_quality(pairs_m: Array, limits: JointLimits, prior: PriorSettings = DEFAULT_PRIOR) -> SeedQuality:
+    """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds, each with its own bone lengths."""
+    pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
+    nearest = limits.nearest_valid(pairs)
+    squared, depth_m = nearest.squared_distance_m2.sum(axis=-1), capsule_model(PAIR17).penetration(pairs).sum(axis=1)
     return SeedQuality(
-        num_invalid=found.num_invalid,
-        violation_m2=settings.violation_m2(found.squared_distance_m2, found.penetration_m.sum(axis=1)),
-        closest_m=closest_joint_distance(np.asarray(pairs_m, dtype=np.float64)),
-        prior=settings,
+        num_invalid=nearest.num_invalid.sum(axis=-1),
+        violation_m2=prior.violation_m2(squared, depth_m),
+        closest_m=closest_joint_distance(pairs),
+        prior=prior,
     )
 
 

@@ -1,4 +1,4 @@
-"""How fast annotated pairs move: what biases proposals towards the way people really go (Yin et al. 2018, eq. 12).
+"""How fast annotated pairs move: what widens the steps of the velocity-biased proposal (Yin et al. 2018, eq. 12).
 
 Every annotation has neighbours in its own sequence, seen by the same camera.  Their slope in time gives, per frame, how
 fast each bone turns in the image plane against the bone above it (the parameter is a rotation about the parent joint,
@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS
 from pasdedeux.skeletons import PAIR17
 
@@ -25,7 +24,7 @@ NEIGHBOUR_FRAMES = 2
 """Frames on each side of an annotation that its speed is taken from."""
 
 MIN_BONE_M = 0.05
-"""Length below which a foreshortened bone counts as so long: its direction in the image says little, metres."""
+"""Length below which a foreshortened bone counts as so long: its direction in the image is uncertain, metres."""
 
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 _PARENTS = np.array([max(parent, 0) for parent in PAIR17.parents])
@@ -44,16 +43,8 @@ class Speeds:
     turn: Array
     shift: Array
 
-    def __post_init__(self) -> None:
-        """Check shapes and values."""
-        count = len(self.turn)
-        if self.turn.shape != (count, NUM_BLOCKS) or self.shift.shape != (count, 2):
-            raise InputError(f"speeds have shapes {self.turn.shape} and {self.shift.shape}: expected (n, 34), (n, 2)")
-        if np.isinf(self.turn).any() or np.isinf(self.shift).any():
-            raise InputError("a squared speed is not finite")
-
     def mean(self, entries: Indices) -> tuple[Array, Array]:
-        """Return the mean squared speeds, (34,) and (2,), over a set of entries; negative ones are nobody.
+        """Return the mean squared speeds, (34,) and (2,), over a set of entries; negative ones count for nothing.
 
         This is the second term of eq. 12: an annotation that is nearest under several views counts once.  Each speed is
         the mean over the entries that show it; 0 where none does.

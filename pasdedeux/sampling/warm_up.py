@@ -37,7 +37,7 @@ def warm_up(
 ) -> ChainState:
     """Run a chain for some steps; return where it arrived, with the scales it learned.
 
-    A step teaches each of its blocks; one that does not say which they are teaches nothing.
+    The scale of each block that a step moved is updated; a step without blocks updates none.
 
     Args:
         rng: Source of randomness; it moves on.
@@ -63,7 +63,7 @@ def warm_up(
 def disperse(
     rng: np.random.Generator, parameters: Array, target: PairDensity, proposal: Proposal, *, num_steps: int
 ) -> ChainState:
-    """Return a start of its own for a chain, drawn from a wider density than its target, and the scales on the way.
+    """Return a dispersed start for a chain, drawn from a wider density than its target, with the scales learned there.
 
     R-hat compares chains within and between: chains that all start at one point agree before they have seen anything
     (Gelman and Rubin 1992, section 2.1).

@@ -17,7 +17,8 @@ from pasdedeux.evaluation.pictures import CLOUD, CurvePanel, Picture, curve_figu
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
+from pasdedeux.interaction.coverage import CoverageCurve, coverage_curve
+from pasdedeux.interaction.nearest import Coverage
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets

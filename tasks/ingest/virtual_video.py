@@ -10,7 +10,6 @@ import numpy as np
 from pasdedeux.cameras.virtual_video import (
     Annotated,
     ViewAngles,
-    ViewDistribution,
     VirtualView,
     add_junk,
     annotate,
@@ -70,7 +69,13 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)
     faults = stream(shard.seed, "ingest", take_id, "detector")
     detected: list[DetectedSequence] = []
-    angles = sample_views(rng, count, _distribution(parameters))
+    deviation = parameters.pitch_deviation_deg
+    angles = sample_views(
+        rng,
+        count,
+        pitch_mean_rad=float(np.deg2rad(parameters.pitch_mean_deg)),
+        pitch_deviation_rad=float("inf") if deviation >= UNIFORM_PITCH_DEG else float(np.deg2rad(deviation)),
+    )
     is_video = parameters.purpose == "video"
     keys = np.zeros(count, dtype=int) if is_video else _key_frames(rng, num_frames, count)
     rows: Columns = {}
@@ -133,14 +138,6 @@ def _add(columns: Columns, **added: Any) -> None:
     """Add rows; every column is a sequence of the same length."""
     for name, values in added.items():
         columns.setdefault(name, []).extend(values)
-
-
-def _distribution(parameters: VideoParameters) -> ViewDistribution:
-    deviation = parameters.pitch_deviation_deg
-    return ViewDistribution(
-        pitch_mean_rad=float(np.deg2rad(parameters.pitch_mean_deg)),
-        pitch_deviation_rad=float("inf") if deviation >= UNIFORM_PITCH_DEG else float(np.deg2rad(deviation)),
-    )
 
 
 def _key_frames(rng: np.random.Generator, num_frames: int, count: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.sampling.coverage import CoverageCurve
+from pasdedeux.interaction.coverage import CoverageCurve
 from storage_schema import Store
 from tasks import chains
 from tasks.chains import ChainsParameters

@@ -306,7 +306,7 @@ FAULTS = (
     Fault("z up is turned down", "pasdedeux/formats/source_motion.py",
           '"z": [-quarter', '"z": [quarter', "contract/test_ingest_stage.py::test_z_up_files_come_out_standing"),
     Fault("the boxes of the search are too small", "pasdedeux/projections/tree.py",
-          "reach = max(greatest - middle", "reach = np.float32(0.7) * max(greatest - middle",
+          "half = np.maximum(high - middle", "half = np.float32(0.7) * np.maximum(high - middle",
           "property/test_projection_search.py::test_the_tree_equals_brute_force_with_masks_and_weights"),
     # Keys, random numbers, runs
     Fault("the seed is not in the key", "storage_schema/keys.py", '        "seed": seed,\n', "",

@@ -10,18 +10,20 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.chains import plain_coverage
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.coverage import coverage_curve
 from pasdedeux.interaction.dissimilarity import (
+    BETA_M,
     align_plane,
     cartesian_dissimilarity,
+    edge_weights,
     interaction_dissimilarity,
     plane_residual,
 )
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import best_turn
-from pasdedeux.interaction.nearest import image_distances, interaction_distances, lower_minima, pair_table
+from pasdedeux.interaction.nearest import Coverage, image_distances, interaction_distances
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.sampling.coverage import Coverage, coverage_curve
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -145,8 +147,8 @@ def test_equation_8_on_a_case_worked_by_hand() -> None:
 
 def test_short_edges_stop_gaining_weight_at_beta() -> None:
     first = np.array([[0.0, 0.0], [0.001, 0.0], [1.0, 0.0], [0.5, 1.0]])
-    second = first + np.array([[0.0, 0.0], [0.0, 0.001], [0.0, 0.0], [0.0, 0.0]])
-    assert interaction_dissimilarity(first, second, beta_m=0.05) < interaction_dissimilarity(first, second, beta_m=1e-6)
+    short, long = edge_weights(first, np.array([[0, 1], [0, 2]]))
+    assert short / long == pytest.approx(1.0 / BETA_M)
 
 
 @settings(max_examples=25, deadline=None)
@@ -241,9 +243,9 @@ def test_coverage_refuses_nothing_and_nan() -> None:
 
 def test_an_empty_table_gives_infinite_minima() -> None:
     pairs = random_pairs(np.random.default_rng(0), 2)
-    best = np.full((2, 2), np.inf)
-    lower_minima(pair_table(pairs), pair_table(pairs[:0]), best)
-    assert np.isinf(best).all()
+    coverage = Coverage(pairs)
+    coverage.add(pairs[:0])
+    assert np.isinf([coverage.interaction_m, coverage.cartesian_m]).all()
 
 
 @given(seed=st.integers(0, 2**32 - 1), num_joints=st.integers(3, 12))
@@ -253,9 +255,8 @@ def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints:
     rng = np.random.default_rng(seed)
     truth, others = rng.normal(size=(4, 2, num_joints, 3)), rng.normal(size=(9, 2, num_joints, 3))
     others[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))
-    best = np.full((2, 4), np.inf)
-    table = pair_table(truth)
-    lower_minima(table, pair_table(others[:5]), best)
-    lower_minima(table, pair_table(others[5:]), best)
+    coverage = Coverage(truth)
+    coverage.add(others[:5])
+    coverage.add(others[5:])
     distances = interaction_distances(truth, others)
-    np.testing.assert_allclose(best[0], distances.min(axis=1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(coverage.interaction_m, distances.min(axis=1), rtol=0, atol=1e-12)

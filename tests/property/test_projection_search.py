@@ -57,13 +57,6 @@ def test_the_tree_equals_brute_force_with_masks_and_weights(
     np.testing.assert_array_equal(found.distance_m, expected.distance_m)
 
 
-def test_projections_by_number_are_the_same_bits_as_all_of_them() -> None:
-    for camera in CAMERAS:
-        database = make_database(4, camera, 7, 10)
-        number = np.random.default_rng(0).integers(0, database.num_projections, (5, 4))
-        np.testing.assert_array_equal(database.projections(number), database.project().reshape(-1, 14, 2)[number])
-
-
 @pytest.fixture(scope="module")
 def database() -> Database:
     return make_database(3, DatabaseCamera(), 30, 200)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.cameras.virtual_video import ViewDistribution, annotate, frame_take, look_at_camera, sample_views
+from pasdedeux.cameras.virtual_video import annotate, frame_take, look_at_camera, sample_views
 from pasdedeux.errors import InputError
 
 
@@ -72,24 +72,20 @@ def test_framing_gives_a_person_the_wanted_height_and_keeps_every_joint_inside()
 
 
 def test_views_stay_in_their_intervals_and_cover_all_yaws() -> None:
-    distribution = ViewDistribution(pitch_min_rad=-0.1, pitch_max_rad=0.3, pitch_deviation_rad=1.0)
-    views = sample_views(np.random.default_rng(3), 4000, distribution)
-    assert views.pitch_rad.min() >= -0.1
-    assert views.pitch_rad.max() <= 0.3
+    views = sample_views(np.random.default_rng(3), 4000, pitch_deviation_rad=1.0)
+    assert views.pitch_rad.min() >= np.deg2rad(-15.0) - 1e-12
+    assert views.pitch_rad.max() <= np.deg2rad(60.0) + 1e-12
     counts, _ = np.histogram(views.yaw_rad, bins=8, range=(-np.pi, np.pi))
     # 500 expected in each bin, standard deviation 21: six of them is a chance below 1e-7.
     assert np.abs(counts - 500).max() < 126
-    np.testing.assert_allclose(np.linalg.norm(views.directions(), axis=-1), 1.0)
 
 
 def test_annotation_noise_and_occlusion_have_the_stated_size() -> None:
     exact = np.zeros((500, 17, 2))
-    marked = annotate(np.random.default_rng(4), exact, noise_px=3.0, occlusion=0.2, person_height_px=300.0)
+    marked = annotate(np.random.default_rng(4), exact, noise_px=3.0, occlusion=0.2)
     is_seen = marked.confidence > 0
     assert np.array_equal(is_seen, np.isfinite(marked.px).all(axis=-1))
     assert 1 - is_seen.mean() == pytest.approx(0.2, abs=0.025)
-    assert np.nanstd(marked.px) == pytest.approx(1.5, rel=0.05)
+    assert np.nanstd(marked.px) == pytest.approx(3.0, rel=0.05)
     clean = annotate(np.random.default_rng(4), exact)
     assert np.array_equal(clean.px, exact)
-    with pytest.raises(InputError, match="share from 0 to 1"):
-        annotate(np.random.default_rng(4), exact, occlusion=1.5)

@@ -8,13 +8,12 @@ import pytest
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
-from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, shows_enough
-from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair, lift_seeds
+from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, choose_medoids, lift_pair, lift_seeds
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 
@@ -26,29 +25,6 @@ def annotated(count: int) -> tuple[np.ndarray, AnnotatedPairs]:
     rng = np.random.default_rng(1)
     directions = normalise(rng.normal(size=(count, 3)) * [1.0, 0.2, 1.0])
     return pairs, AnnotatedPairs(project_pair(pairs, directions), directions, np.arange(count))
-
-
-def test_the_matrix_is_the_dissimilarity_by_definition() -> None:
-    _, entries = annotated(6)
-    points = entries.points_m.reshape(6, 34, 2)
-    matrix = dissimilarity_matrix(points)
-    for a in range(6):
-        for b in range(6):
-            assert matrix[a, b] == pytest.approx(interaction_dissimilarity(points[a], points[b]), abs=1e-9)
-
-
-def test_the_matrix_masks_what_is_hidden() -> None:
-    _, entries = annotated(6)
-    points = entries.points_m.reshape(6, 34, 2).copy()
-    points[np.random.default_rng(3).random((6, 34)) < 0.3] = np.nan
-    matrix = dissimilarity_matrix(points)
-    for a in range(6):
-        for b in range(a):
-            assert (
-                matrix[a, b] == matrix[b, a] == pytest.approx(interaction_dissimilarity(points[a], points[b]), abs=1e-9)
-            )
-    points[4, :17], points[5, 17:] = np.nan, np.nan
-    assert dissimilarity_matrix(points)[4, 5] == np.sort(dissimilarity_matrix(points).ravel())[-3]
 
 
 def test_medoids_of_separate_groups_are_one_of_each_and_local_optima() -> None:

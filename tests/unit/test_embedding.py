@@ -8,9 +8,9 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
+from pasdedeux.interaction.coverage import coverage_curve
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.interaction.nearest import interaction_distances
-from pasdedeux.sampling.coverage import coverage_curve
 from tasks.evaluation.coverage import (
     coverage_figure,
     coverage_scores,

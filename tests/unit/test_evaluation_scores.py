@@ -10,8 +10,8 @@ from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion
+from pasdedeux.interaction.coverage import CoverageCurve
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.coverage import CoverageCurve
 from tasks.evaluation import reconstruction
 from tasks.evaluation.augmentation import (
     QUALITY_COLUMNS,

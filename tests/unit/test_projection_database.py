@@ -130,7 +130,6 @@ def test_cameras_of_a_study_are_its_pitches_and_heights_without_repeats() -> Non
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"model": "fisheye", "pitches_deg": (0.0,)}, "known cameras"),
         ({"model": "pinhole", "pitches_deg": ()}, "needs a camera"),
         ({"model": "pinhole", "pitches_deg": (), "heights_m": (9.0,)}, "no camera stands 9.0 m"),
         ({"model": "pinhole", "pitches_deg": (0.0,), "distance_m": 1.0}, "must be more than 1.5 m"),

@@ -95,25 +95,23 @@ def test_a_torso_seen_edge_on_gives_finite_numbers() -> None:
 def test_a_basis_learned_from_moving_people_spans_their_torsos() -> None:
     poses = wild(5, 400)
     poses = poses * np.linspace(0.8, 1.2, 400)[:, None, None]
-    small, large = (learn_torso_basis(poses, num_components=count) for count in (2, 12))
-    assert small.explained_variance.sum() < large.explained_variance.sum() <= 1 + 1e-12
-    assert (np.diff(large.standard_deviation_m) <= 1e-12).all()
-    flat = large.components_m.reshape(12, -1)
-    np.testing.assert_allclose(flat @ flat.T, np.eye(12), atol=1e-9)
-    up = large.mean_m[1]
+    learned = learn_torso_basis(poses)
+    assert 0.6 < learned.explained_variance.sum() <= 1 + 1e-12
+    assert (np.diff(learned.standard_deviation_m) <= 1e-12).all()
+    flat = learned.components_m.reshape(4, -1)
+    np.testing.assert_allclose(flat @ flat.T, np.eye(4), atol=1e-9)
+    up = learned.mean_m[1]
     assert up[1] > 0
     np.testing.assert_allclose(up[[0, 2]], 0.0, atol=1e-9)
-    assert large.mean_m[TORSO_JOINTS.index("left_shoulder"), 0] > 0
+    assert learned.mean_m[TORSO_JOINTS.index("left_shoulder"), 0] > 0
     moved = learn_torso_basis(poses @ rotmat_from_unitquat(normalise(np.array([1.0, 2, 3, 4]))).T + 5.0)
-    aligned = align_rigid(moved.mean_m, large.mean_m).apply(moved.mean_m)
-    np.testing.assert_allclose(aligned, large.mean_m, atol=1e-6)
+    aligned = align_rigid(moved.mean_m, learned.mean_m).apply(moved.mean_m)
+    np.testing.assert_allclose(aligned, learned.mean_m, atol=1e-6)
 
 
 def test_unusable_bases_are_refused() -> None:
     with pytest.raises(InputError, match="at least 10 poses"):
         learn_torso_basis(wild(0, 5))
-    with pytest.raises(InputError, match="allowed are 0 to 12"):
-        learn_torso_basis(wild(0, 20), num_components=13)
     with pytest.raises(InputError, match="per component"):
         TorsoBasis(BASIS.mean_m, BASIS.components_m, np.ones(1), np.ones(1))
 

@@ -48,7 +48,6 @@ def test_the_local_frame_solves_the_published_system() -> None:
     abc = frame.coordinates(directions)
     np.testing.assert_allclose(frame.direction(abc), directions, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(abc, axis=-1), 1.0)
-    assert not frame.is_degenerate.any()
 
 
 @pytest.mark.parametrize(
@@ -62,14 +61,12 @@ def test_the_local_frame_solves_the_published_system() -> None:
         ([[0, 0, 0], [0, -1, 0]], [[0.1, 1, 0], [-0.1, 1, 0]]),
     ],
 )
-def test_degenerate_pairs_have_a_finite_invertible_frame_and_are_marked(
+def test_degenerate_pairs_have_a_finite_invertible_frame(
     roots: list[list[float]], backbones: list[list[float]]
 ) -> None:
     frame = local_frame(np.array(roots, dtype=float), np.array(backbones, dtype=float))
     assert np.linalg.svd(frame.axes)[1].min() > 0.1
     assert np.linalg.det(frame.axes) > 0
-    if backbones != [[0, 0, 0], [0, 0, 0]]:
-        assert frame.is_degenerate
 
 
 @given(st.integers(0, 2**31), st.integers(0, 2**31))

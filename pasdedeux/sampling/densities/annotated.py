@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD
+from pasdedeux.cameras.view_density import draw_views
 from pasdedeux.sampling.annotations import GatheredPairs, ViewBank, build_bank
 from pasdedeux.settings import Settings
 
@@ -55,7 +55,5 @@ class AnnotationSettings(Settings):
 
     def bank(self, rng: np.random.Generator, annotated: GatheredPairs) -> ViewBank:
         """Return a bank of views that are drawn once from the view density (eq. 5)."""
-        views = annotated.view_density().sample(rng, self.num_views)
-        return build_bank(
-            views, annotated.pairs, num_candidates=self.num_candidates, view_bandwidth_rad=VIEW_DEVIATION_RAD
-        )
+        views = draw_views(rng, annotated.pairs.directions, annotated.weights, self.num_views)
+        return build_bank(views, annotated.pairs, num_candidates=self.num_candidates)

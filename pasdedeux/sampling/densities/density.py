@@ -42,7 +42,7 @@ class Nearest:
 
 
 class Likelihood(ABC):
-    """What a density says of a pair beside the prior: one fixed function that never exceeds 1.
+    """The factor of a density beside the prior: one fixed function of the pair that never exceeds 1.
 
     It does not change when the pair moves rigidly, is finite on real pairs, and equals its plain form.  One that
     compares a pair with annotations also states its bandwidth, its views and the nearest annotations, which draws are
@@ -80,6 +80,9 @@ class TargetSettings(PriorSettings):
         description="c of eq. 11: the density is cut below f0 / c and above c f0, f0 the seed's (published: 100); "
         "none: it is sampled as it is",
     )
+
+
+_DEFAULT_TARGET = TargetSettings()
 
 
 @dataclass(frozen=True)
@@ -128,9 +131,8 @@ class PairDensity:
         chart: PairChart,
         prior: PhysicalPrior,
         likelihood: Likelihood,
-        settings: TargetSettings | None = None,
+        settings: TargetSettings = _DEFAULT_TARGET,
     ) -> None:
-        settings = settings or TargetSettings()
         self.chart = chart
         self._prior = prior
         self._likelihood = likelihood

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import project_pair
-from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, plane_residual
+from pasdedeux.interaction.dissimilarity import align_plane, plane_residual
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.interaction.triangulation import jitter
@@ -25,7 +25,7 @@ from pasdedeux.sampling.densities.density import Density, Likelihood, Nearest
 from pasdedeux.sampling.densities.interaction_kernels import BankTables, best_per_view
 
 _NUM_SPRUNG = 160
-"""Annotations, evenly spread, whose nearest neighbours say how far the ends of each edge mostly move apart."""
+"""Annotations, evenly spread, whose nearest neighbours give the typical change of each edge."""
 
 
 class InteractionLikelihood(Likelihood):
@@ -33,7 +33,7 @@ class InteractionLikelihood(Likelihood):
 
     For each view every candidate's d_I is estimated from springs (`_springs`); only those that the estimate leaves a
     chance are compared over the annotation's edges, then over the pair's own, while that can still matter.  Views far
-    behind the best one contribute less than rounding and are left out, mostly before anything is triangulated.
+    behind the best one contribute less than rounding and are skipped, mostly before anything is triangulated.
 
     Args:
         pairs: Annotated pairs.
@@ -91,7 +91,6 @@ class InteractionLikelihood(Likelihood):
             is_whole=np.asarray(is_seen.all(axis=1)),
             has_partial=not bool(is_seen.all()),
             offsets=jitter(points.shape[1]),
-            beta_m=BETA_M,
             scale=2.0 * sigma_l**2,
             is_every=pooling is Pooling.EVERY_VIEW,
         )

@@ -6,13 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pasdedeux.cameras.frames import frame_columns, square_to
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.kernels import fill_edge_weights, keep_seen_edges, side_sum
-from pasdedeux.interaction.triangulation import triangulate
-from pasdedeux.sampling.image_kernels import pair_axes, project
+from pasdedeux.interaction.triangulation import triangulate, workspace
+from pasdedeux.kinematics.rotation_kernels import cross, dot, mix, normalise, row_of, subtract
 from pasdedeux.skeletons import PAIR17
 
 _NUM_JOINTS = PAIR17.num_joints
+_PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 
 ESTIMATE_TOLERANCE_M = 1e-3
 """What rounding may do to an estimate of d_I, metres: it is the root of a small difference of large numbers."""
@@ -54,7 +56,6 @@ class BankTables(NamedTuple):
         is_whole: Whether all of them are, (annotation,).
         has_partial: Whether there is an annotation that is not whole.
         offsets: Jitter of the triangulation, (n, 2), metres.
-        beta_m: Edge length below which weights stop growing, metres.
         scale: 2 sigma_l^2, metres.
         is_every: Whether the logs of all views are averaged, not their likelihoods.
     """
@@ -80,9 +81,30 @@ class BankTables(NamedTuple):
     is_whole: np.ndarray
     has_partial: bool
     offsets: np.ndarray
-    beta_m: float
     scale: float
     is_every: bool
+
+
+class _Side(NamedTuple):
+    """Room for one side of eq. 8: edges (n, 2) and weights (n,), and both narrowed for the rough comparison."""
+
+    edges: np.ndarray
+    weights: np.ndarray
+    starts: np.ndarray
+    ends: np.ndarray
+    rough_weights: np.ndarray
+
+
+@compiled()
+def _empty_side(count):  # type: ignore[no-untyped-def]
+    starts, ends = np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.uint8)
+    return _Side(np.empty((count, 2), dtype=np.int32), np.empty(count), starts, ends, np.empty(count, dtype=np.float32))
+
+
+@compiled()
+def _narrow(side, count):  # type: ignore[no-untyped-def]
+    for e in range(count):
+        side.starts[e], side.ends[e], side.rough_weights[e] = side.edges[e, 0], side.edges[e, 1], side.weights[e]
 
 
 @compiled(fastmath={"contract"})
@@ -157,34 +179,52 @@ def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: 
         first: Result (m,): which candidate has it.
     """
     num_points = points.shape[0]
-    axes = np.empty((3, 3))
     image = np.empty((2, num_points), dtype=np.float32)
     pulls = np.empty((3, 2, num_points), dtype=np.float32)
     constants = np.empty(3, dtype=np.float32)
     work = np.empty((8, bank.rank_x.shape[2]), dtype=np.float32)
     unit, rank_x, rank_y = bank.unit, bank.rank_x, bank.rank_y
     rank_squares, factors = bank.rank_squares, bank.factors
-    pair_axes(points, axes)
+    roots = row_of(points, _PELVIS), row_of(points, _PELVIS + _NUM_JOINTS)
+    necks = row_of(points, _NECK), row_of(points, _NECK + _NUM_JOINTS)
+    i, j, k = frame_columns(subtract(roots[1], roots[0]), subtract(necks[0], roots[0]), subtract(necks[1], roots[1]))
     for view in range(bank.directions.shape[0]):
         count = bank.counts[view]
         least[view], first[view] = np.inf, -1
         if count == 0:
             continue
-        project(points, axes, bank.directions[view], x[view], y[view])
-        for k in range(num_points):
-            image[0, k], image[1, k] = x[view, k], y[view, k]
+        a, b, c = row_of(bank.directions, view)
+        _project(points, mix(1.0, mix(a, i, b, j), c, k), x[view], y[view])
+        for joint in range(num_points):
+            image[0, joint], image[1, joint] = x[view, joint], y[view, joint]
         _pull(bank.springs[view], image, pulls, constants)
-        for k in range(num_points):
-            for axis in range(2):
-                image[axis, k] *= unit
-                for kind in range(3):
-                    pulls[kind, axis, k] *= unit
+        image *= unit
+        pulls *= unit
         x16, y16, squares, own = rank_x[view], rank_y[view], rank_squares[view], estimate[view]
         _estimate(image, pulls, constants, x16, y16, squares, factors[view], count, work, turn[view], own)
         if bank.has_partial:
             _leave_unseen(x[view], y[view], bank, view, work, turn[view], own)
         at = np.argmin(own[:count])
         least[view], first[view] = own[at], at
+
+
+@compiled()
+def _project(points, towards, x, y):  # type: ignore[no-untyped-def]
+    """Write the centred orthographic image of points (n, 3) from a direction of any length, in any turn."""
+    back = normalise(towards)
+    up = normalise(square_to(back))
+    right = cross(up, back)
+    mean_x = mean_y = 0.0
+    for k in range(points.shape[0]):
+        point = row_of(points, k)
+        x[k], y[k] = dot(point, right), dot(point, up)
+        mean_x += x[k]
+        mean_y += y[k]
+    mean_x /= points.shape[0]
+    mean_y /= points.shape[0]
+    for k in range(points.shape[0]):
+        x[k] -= mean_x
+        y[k] -= mean_y
 
 
 @compiled(fastmath={"contract"})
@@ -325,7 +365,7 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
     """Write the least d_I of each view, as far as it can matter, and give the log of eq. 6.
 
     Every candidate's d_I is estimated from springs between the joints; views are taken in the order of their least
-    estimate, so the best view mostly comes first and says what the others must reach.  A candidate whose estimate
+    estimate, so the best view mostly comes first and bounds the others.  A candidate whose estimate
     leaves a chance is compared over the annotation's edges, then over the pair's own, both in float32; only one that
     may be the best by that is compared in float64.  A view is triangulated when the first of its candidates needs it.
 
@@ -356,16 +396,8 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
     least, first = np.empty(num_views), np.empty(num_views, dtype=np.int64)
     dx32, dy32 = np.empty(num_points, dtype=np.float32), np.empty(num_points, dtype=np.float32)
     squares32 = np.empty(3 * num_points, dtype=np.float32)
-    triangles = np.empty((2 * num_points + 8, 3), dtype=np.int32)
-    neighbours = np.empty((2 * num_points + 8, 3), dtype=np.int32)
-    scratch = np.empty((5, 2 * num_points + 8), dtype=np.int32)
-    edges = np.empty((3 * num_points, 2), dtype=np.int32)
-    weights = np.empty(3 * num_points)
-    starts32, ends32 = np.empty(3 * num_points, dtype=np.uint8), np.empty(3 * num_points, dtype=np.uint8)
-    weights32 = np.empty(3 * num_points, dtype=np.float32)
-    own, own_weights = np.empty((3 * num_points, 2), dtype=np.int32), np.empty(3 * num_points)
-    own_starts, own_ends = np.empty(3 * num_points, dtype=np.uint8), np.empty(3 * num_points, dtype=np.uint8)
-    own_weights32 = np.empty(3 * num_points, dtype=np.float32)
+    triangles, neighbours, scratch = workspace(num_points)
+    whole, part = _empty_side(3 * num_points), _empty_side(3 * num_points)
     chosen = np.empty(most, dtype=np.int32)
     touched = np.float32(0.0)
     for view in range(num_views):
@@ -417,25 +449,19 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
                     for k in range(num_points):
                         jx[k] = x[k] + offsets[k, 0]
                         jy[k] = y[k] + offsets[k, 1]
-                    num_edges = triangulate(jx, jy, triangles, neighbours, scratch, edges)
-                    fill_edge_weights(x, y, edges, num_edges, bank.beta_m, weights)
-                    for e in range(num_edges):
-                        starts32[e], ends32[e], weights32[e] = edges[e, 0], edges[e, 1], weights[e]
-                fixed, others, shares = annotations[slot], edges_of[slot], weights_of[slot]
-                count = num_edges_of[slot]
-                if bank.is_whole[slot]:
-                    rough += _rough_side(dx32, dy32, starts32, ends32, num_edges, weights32, squares32)
-                    if rough > bound + _ROUGH_TOLERANCE_M:
-                        continue
-                    total = _exact(x, y, fixed, others, count, shares, edges, num_edges, weights, dx, dy)
-                else:
-                    num_own = keep_seen_edges(edges, num_edges, weights, bank.is_seen[slot], own, own_weights)
-                    for e in range(num_own):
-                        own_starts[e], own_ends[e], own_weights32[e] = own[e, 0], own[e, 1], own_weights[e]
-                    rough += _rough_side(dx32, dy32, own_starts, own_ends, num_own, own_weights32, squares32)
-                    if rough > bound + _ROUGH_TOLERANCE_M:
-                        continue
-                    total = _exact(x, y, fixed, others, count, shares, own, num_own, own_weights, dx, dy)
+                    num_edges = triangulate(jx, jy, triangles, neighbours, scratch, whole.edges)
+                    fill_edge_weights(x, y, whole.edges, num_edges, whole.weights)
+                    _narrow(whole, num_edges)
+                own, num_own = whole, num_edges
+                if not bank.is_whole[slot]:
+                    own, is_seen = part, bank.is_seen[slot]
+                    num_own = keep_seen_edges(whole.edges, num_edges, whole.weights, is_seen, own.edges, own.weights)
+                    _narrow(own, num_own)
+                rough += _rough_side(dx32, dy32, own.starts, own.ends, num_own, own.rough_weights, squares32)
+                if rough > bound + _ROUGH_TOLERANCE_M:
+                    continue
+                fixed, others, shares, count = annotations[slot], edges_of[slot], weights_of[slot], num_edges_of[slot]
+                total = _exact(x, y, fixed, others, count, shares, own.edges, num_own, own.weights, dx, dy)
                 if total < best[view] and total <= matters:
                     best[view], best_slot[view] = total, slot
                     bound = total

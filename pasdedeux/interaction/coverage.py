@@ -15,11 +15,8 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.nearest import lower_minima, pair_table
+from pasdedeux.interaction.nearest import Coverage
 from pasdedeux.interaction.shape_context import ShapeCoverage
-
-_CHUNK = 512
-"""Draws taken at a time: bounds the memory for their edges."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +28,7 @@ class CoverageCurve:
         interaction_m: C(G, S) in D_I, (point,), metres.
         cartesian_m: C(G, S) in D_C, (point,), metres.
         shape: C(G, S) in D_S, (point,), from 0 to 1.
-        min_cartesian_m: Smallest D_C of each real pair to any of the draws, (truth,), metres; empty where not kept.
+        min_cartesian_m: Smallest D_C of each real pair to any of the draws, (real,), metres; empty where not kept.
     """
 
     num_draws: npt.NDArray[np.int64]
@@ -41,50 +38,11 @@ class CoverageCurve:
     min_cartesian_m: Array = field(default_factory=lambda: np.empty(0))
 
 
-class Coverage:
-    """Running minima over draws that arrive in batches: memory does not grow with their number.
+def coverage_curve(real_m: Array, draws_m: Array, num_draws: Sequence[int]) -> CoverageCurve:
+    """Return coverage of real pairs (real, 2, joint, 3) after the first n draws (draw, 2, joint, 3), for several n.
 
     Args:
-        truth_m: Real pairs (truth, person=2, joint, 3), metres; at least one.
-
-    Raises:
-        InputError: There is no real pair, or a coordinate is not finite.
-    """
-
-    def __init__(self, truth_m: Array) -> None:
-        if len(truth_m) == 0:
-            raise InputError("coverage needs at least one real pair")
-        self._truth = pair_table(truth_m)
-        self._best = np.full((2, len(self._truth)), np.inf)
-        self.num_draws = 0
-
-    def add(self, draws_m: Array) -> None:
-        """Take more draws (draw, person=2, joint, 3), metres, into account.
-
-        Raises:
-            InputError: A coordinate is not finite.
-        """
-        for start in range(0, len(draws_m), _CHUNK):
-            part = pair_table(draws_m[start : start + _CHUNK])
-            lower_minima(self._truth, part, self._best)
-            self.num_draws += len(part)
-
-    @property
-    def interaction_m(self) -> Array:
-        """Smallest D_I of each real pair to any draw so far, (truth,), metres; inf before the first."""
-        return self._best[0].copy()
-
-    @property
-    def cartesian_m(self) -> Array:
-        """Smallest D_C of each real pair to any draw so far, (truth,), metres; inf before the first."""
-        return self._best[1].copy()
-
-
-def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> CoverageCurve:
-    """Return coverage of real pairs (truth, 2, joint, 3) after the first n draws (draw, 2, joint, 3), for several n.
-
-    Args:
-        truth_m: Real pairs, metres.
+        real_m: Real pairs, metres.
         draws_m: Draws in the order in which they are to count, metres.
         num_draws: Points of the curve; sorted, repeated ones and those beyond the draws there are dropped.
 
@@ -94,7 +52,7 @@ def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> 
     points = sorted({int(point) for point in num_draws if 1 <= point <= len(draws_m)})
     if not points:
         raise InputError(f"no point of the curve lies between 1 and the {len(draws_m)} draws")
-    coverage, by_shape = Coverage(truth_m), ShapeCoverage(truth_m)
+    coverage, by_shape = Coverage(real_m), ShapeCoverage(real_m)
     interaction, cartesian, shape = [], [], []
     for point in points:
         by_shape.add(draws_m[coverage.num_draws : point])

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.kinematics.rotations import identity_unitquat
@@ -87,7 +86,7 @@ def guess_up_axis(source: SourceMotion) -> AxisGuess:
         extent = np.abs(spread).max(axis=1).mean(axis=0)
         axis = int(np.argmax(extent))
         clearness = 1.0 - np.partition(extent, 1)[1] / max(extent[axis], 1e-12)
-        return AxisGuess(UP_AXES[axis], float(np.clip(clearness, 0.0, 1.0)))
+        return AxisGuess(list(UP_AXES)[axis], float(np.clip(clearness, 0.0, 1.0)))
     body22 = layout.joint_map("body22")
     top, *low = source.skeleton.indices(map(body22.carrier, ("neck", "left_ankle", "right_ankle")))
     body = positions[:, top] - positions[:, low].mean(axis=1)
@@ -95,7 +94,7 @@ def guess_up_axis(source: SourceMotion) -> AxisGuess:
     mean = (body / np.where(length > 0, length, 1.0)).mean(axis=0)
     axis = int(np.argmax(np.abs(mean)))
     confidence = float(np.abs(mean[axis]))
-    return AxisGuess(UP_AXES[axis], confidence) if confidence > 0.7 else AxisGuess("y", min(confidence, 0.3))
+    return AxisGuess(list(UP_AXES)[axis], confidence) if confidence > 0.7 else AxisGuess("y", min(confidence, 0.3))
 
 
 def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
@@ -103,12 +102,7 @@ def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
 
     One of two may lie on the floor all the time, as wrestlers do; alone that body would be taken to stand along it.
     A confidence that differs by less than a tenth decides nothing: most files are y-up.
-
-    Raises:
-        InputError: There is no guess.
     """
-    if not guesses:
-        raise InputError("at least one motion is required to tell the up axis")
     ranked = sorted(guesses, key=lambda guess: -guess.confidence)
     clear = [guess for guess in ranked if guess.confidence > ranked[0].confidence - 0.1]
     return next((guess for guess in clear if guess.axis == "y"), clear[0])

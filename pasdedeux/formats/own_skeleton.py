@@ -291,17 +291,21 @@ class OwnSkeleton:
     @cached_property
     def _aims(self) -> list[list[int]]:
         """For each joint of the source the joints of body22 that it turns to their places: the next ones below it."""
-        ends = self._ends
-        aims: list[list[int]] = []
-        for below, at in zip(self._below, range(len(self._below)), strict=True):
-            found = []
-            for joint, (end, is_carried) in ends.items():
-                reached = end in below or (end == at and is_carried)
-                stops = {other for other, carries in ends.values() if not carries and other in below}
-                before = any(end in self._below[stop] or (end == stop and is_carried) for stop in stops)
-                if reached and not before:
-                    found.append(joint)
-            aims.append(found)
+
+        def moves(joint: int, end: int, *, is_carried: bool) -> bool:
+            return end in self._below[joint] or (end == joint and is_carried)
+
+        aims = []
+        for source, below in enumerate(self._below):
+            stops = {other for other, carries in self._ends.values() if not carries and other in below}
+            aims.append(
+                [
+                    joint
+                    for joint, (end, is_carried) in self._ends.items()
+                    if moves(source, end, is_carried=is_carried)
+                    and not any(moves(stop, end, is_carried=is_carried) for stop in stops)
+                ]
+            )
         return aims
 
 

@@ -12,8 +12,8 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
 
-UP_AXES = ("x", "y", "z")
-"""Axes that may point up in a file; inside the project it is always y."""
+UP_AXES = {"x": (0.0, 0.0, np.pi / 2), "y": (0.0, 0.0, 0.0), "z": (-np.pi / 2, 0.0, 0.0)}
+"""Axes that may point up in a file, each with the rotation vector that turns it to y, as it is inside the project."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,4 @@ def upright_from_file(up_axis: str) -> Array:
     """
     if up_axis not in UP_AXES:
         raise InputError(f"the up axis is '{up_axis}'; allowed: {', '.join(UP_AXES)}")
-    quarter = np.pi / 2
-    turn = {"x": [0.0, 0.0, quarter], "y": [0.0, 0.0, 0.0], "z": [-quarter, 0.0, 0.0]}[up_axis]
-    return unitquat_from_rotvec(np.array(turn))
+    return unitquat_from_rotvec(np.array(UP_AXES[up_axis]))

@@ -65,10 +65,9 @@ class Lines:
 
     def __iter__(self) -> Iterator[str]:
         """Yield the lines that are left."""
-        left = range(self.number, len(self._texts))
-        for index in left:
-            self.number = index + 1
-            yield self._texts[index]
+        while self.number < len(self._texts):
+            self.number += 1
+            yield self._texts[self.number - 1]
 
     def words(self, comment: str | None = None) -> Iterator[list[str]]:
         """Yield the words of the lines that are left and have any, up to where a comment begins."""

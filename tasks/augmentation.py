@@ -22,6 +22,7 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.figure import LEVELS
+from pasdedeux.settings import first_problem
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
@@ -148,11 +149,9 @@ def batch_of(manifest: Manifest) -> BatchParameters:
     try:
         return BatchParameters.model_validate(VariantFacts.of(manifest).told, extra="ignore")
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(map(str, first["loc"]))
         raise InputError(
             f"variants of take '{manifest.partition}' were made by an earlier version and cannot be read: "
-            f"augmentation.{name}: {first['msg']}; run the study again"
+            f"augmentation.{first_problem(error)}; run the study again"
         ) from None
 
 

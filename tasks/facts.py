@@ -12,7 +12,7 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from pasdedeux.augmentation import UserContact
 from pasdedeux.errors import InputError
-from pasdedeux.settings import Settings
+from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store
 
@@ -38,11 +38,9 @@ class Facts(Settings):
         try:
             return cls.model_validate(manifest.facts, extra="ignore")
         except ValidationError as error:
-            first = error.errors()[0]
-            name = ".".join(map(str, first["loc"]))
             raise InputError(
                 f"artifact {manifest.ref.stage}@{manifest.ref.key[:12]} was written by another version: its fact "
-                f"'{name}': {first['msg']}; run its study again"
+                f"{first_problem(error)}; run its study again"
             ) from None
 
     @classmethod

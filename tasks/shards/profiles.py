@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field, ValidationError
 
 from pasdedeux.errors import InputError
-from pasdedeux.settings import Settings
+from pasdedeux.settings import Settings, first_problem
 from tasks.shards.errors import ClusterError, in_one_line
 
 if TYPE_CHECKING:
@@ -51,11 +51,8 @@ def read_profile(path: Path) -> ClusterProfile:
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"cluster profile {path} is not valid TOML: {error}") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise InputError(
-            f"cluster profile {path}: {key}: {first['msg']}; keys: {', '.join(ClusterProfile.model_fields)}"
-        ) from None
+        known = ", ".join(ClusterProfile.model_fields)
+        raise InputError(f"cluster profile {path}: {first_problem(error)}; keys: {known}") from None
 
 
 @contextmanager

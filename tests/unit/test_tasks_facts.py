@@ -40,9 +40,9 @@ def test_facts_that_no_stage_has_are_refused_when_they_are_written() -> None:
 def test_what_another_version_wrote_is_read_as_far_as_it_goes_and_else_named(tmp_path: Path) -> None:
     later = stored(tmp_path / "later", {**TAKE, "weather": "fine"})
     assert TakeFacts.of(later).num_persons == 2
-    with pytest.raises(InputError, match=r"was written by another version: its fact 'take_id': Field required"):
+    with pytest.raises(InputError, match=r"was written by another version: its fact take_id: Field required"):
         TakeFacts.of(stored(tmp_path / "earlier", {"kind": "take"}))
-    with pytest.raises(InputError, match="its fact 'kind'"):
+    with pytest.raises(InputError, match="its fact kind"):
         SequenceFacts.of(later)
 
 

@@ -61,18 +61,10 @@ class BodyMap:
     Args:
         weight: Weights (22, J); those of a joint sum to 1.
         offset_m: Places in the frames of the joints (22, J, 3), metres; zero but for points between joints.
-
-    Raises:
-        InputError: The shapes do not fit.
     """
 
     weight: Array
     offset_m: Array
-
-    def __post_init__(self) -> None:
-        """Check the shapes."""
-        if self.weight.shape[:1] != (BODY22.num_joints,) or self.offset_m.shape != (*self.weight.shape, 3):
-            raise InputError(f"a body map has weights {self.weight.shape} and offsets {self.offset_m.shape}")
 
     def positions(self, positions_m: Array, world_unitquat: Array) -> Array:
         """Return body22 (*batch, 22, 3) of positions (*batch, J, 3) and world rotations (*batch, J, 4), metres."""
@@ -291,22 +283,17 @@ class OwnSkeleton:
     @cached_property
     def _aims(self) -> list[list[int]]:
         """For each joint of the source the joints of body22 that it turns to their places: the next ones below it."""
-
-        def moves(joint: int, end: int, *, is_carried: bool) -> bool:
-            return end in self._below[joint] or (end == joint and is_carried)
-
         aims = []
         for source, below in enumerate(self._below):
-            stops = {other for other, carries in self._ends.values() if not carries and other in below}
-            aims.append(
-                [
-                    joint
-                    for joint, (end, is_carried) in self._ends.items()
-                    if moves(source, end, is_carried=is_carried)
-                    and not any(moves(stop, end, is_carried=is_carried) for stop in stops)
-                ]
-            )
+            stops = [end for end, is_carried in self._ends.values() if not is_carried and end in below]
+            moved = [joint for joint in self._ends if self._moves(source, joint)]
+            aims.append([joint for joint in moved if not any(self._moves(stop, joint) for stop in stops)])
         return aims
+
+    def _moves(self, source: int, joint: int) -> bool:
+        """Tell whether a joint of body22 moves when a joint of the source turns."""
+        end, is_carried = self._ends[joint]
+        return end in self._below[source] or (end == source and is_carried)
 
 
 def standing(own: OwnSkeleton) -> OwnSkeleton:

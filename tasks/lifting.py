@@ -199,8 +199,7 @@ def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int]) -
     ]
     if not one.is_seen.all():
         incomplete = np.where(one.is_seen[..., None], fitted, np.nan)
-        count = min(_NUM_COMPLETING, len(draws.pairs_m))
-        fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
+        fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=_NUM_COMPLETING).fitted_m
         rows.append(_row(one, "completed", fitted, **known))
     has_own_draw = bool(np.isin(own, found.nearest.draw).any())
     mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m

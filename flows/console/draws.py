@@ -142,8 +142,7 @@ def complete(
         if is_known.all():
             raise InputError("no joint is missing; one that is not known is absent, or null")
         known = read_all_draws(opened, refs)
-        count = min(num_nearest, len(known.pairs_m))
-        found = complete_pair(pair.pair_m, known.pairs_m, num_nearest=count, num_ranked=2 * count)
+        found = complete_pair(pair.pair_m, known.pairs_m, num_nearest=num_nearest)
     except InputError as error:
         raise type(error)(f"{file.name}: {error}") from None
     manifests = [opened.manifest(ref) for ref in refs]
@@ -161,5 +160,6 @@ def complete(
         if not own.all():
             far_cm = 100.0 * float(np.median(apart[:, ~own]))
             typer.echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
-    typer.echo(f"{count} of {len(known.pairs_m)} draws within {100 * found.neighbours.distance_m.max():.1f} cm (D_I)")
+    near_m = found.neighbours.distance_m
+    typer.echo(f"{len(near_m)} of {len(known.pairs_m)} draws within {100 * near_m.max():.1f} cm (D_I)")
     typer.echo(f"written: {target}")

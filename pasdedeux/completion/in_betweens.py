@@ -7,11 +7,9 @@ line say where such pairs lie; the path is the compromise of both that is smooth
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.completion.neighbours import nearest_rigid
-from pasdedeux.errors import InputError
+from pasdedeux.completion.neighbours import Draws, nearest_rigid
 from pasdedeux.fitting import AccelerationTerm, BoneForest, FitSettings, PointTerm, fit_bones
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
@@ -33,22 +31,12 @@ def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:
 
     Returns:
         Pairs (num_between, 2, 17, 3), metres, evenly spaced in time.
-
-    Raises:
-        InputError: `num_between` is below 1.
     """
-    if num_between < 1:
-        raise InputError(f"{num_between} pairs between two were asked for, at least 1 is needed")
     share = (np.arange(1, num_between + 1) / (num_between + 1))[:, None, None, None]
     return np.asarray((1.0 - share) * first_m + share * last_m)
 
 
-def fill_between(
-    first_m: Array,
-    last_m: Array,
-    num_between: int,
-    draws_m: npt.NDArray[np.floating],
-) -> Array:
+def fill_between(first_m: Array, last_m: Array, num_between: int, draws_m: Draws) -> Array:
     """Return the pairs between two pairs (person=2, joint=17, 3) of one scene, ends not among them.
 
     Args:
@@ -61,10 +49,8 @@ def fill_between(
         Pairs (num_between, 2, 17, 3), metres; bone lengths are those of the two ends, from one to the other.
 
     Raises:
-        InputError: There is no draw, a position is not finite, or `num_between` is below 1.
+        InputError: There is no draw, or too few joints are known.
     """
-    if not (np.isfinite(first_m).all() and np.isfinite(last_m).all()):
-        raise InputError("in-betweens need two pairs with all joints")
     line = straight_between(first_m, last_m, num_between)
     share = np.arange(1, num_between + 1) / (num_between + 1)
     # As a bridge pinned at both ends: the line is surest near them.
@@ -73,14 +59,14 @@ def fill_between(
     lengths = bone_lengths(PAIR17, ends).mean(axis=0)
     path = line
     for _ in range(_NUM_ROUNDS):
-        shown = np.stack([_local_mean(draws_m, pair, _NUM_NEAREST) for pair in path])
+        shown = np.stack([_local_mean(draws_m, pair) for pair in path])
         path = np.stack([_lead(ends[:, p], line[:, p], shown[:, p], line_weight, lengths[p]) for p in (0, 1)], 1)
     return path
 
 
-def _local_mean(draws_m: npt.NDArray[np.floating], pair_m: Array, count: int) -> Array:
+def _local_mean(draws_m: Draws, pair_m: Array) -> Array:
     """Return the mean of the draws nearest to a pair, moved onto it, weighted by how much farther than the nearest."""
-    near = nearest_rigid(draws_m, pair_m, count=count)
+    near = nearest_rigid(draws_m, pair_m, count=_NUM_NEAREST)
     squared = near.distance_m**2
     scale = max(float(squared[0]), 1e-8)
     weight = np.exp(-0.5 * (squared - squared[0]) / scale)

@@ -9,15 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.completion.fit import fit_people
-from pasdedeux.completion.neighbours import Neighbours, nearest_by_interaction
-from pasdedeux.errors import InputError
+from pasdedeux.completion.neighbours import Draws, Neighbours, nearest_by_interaction
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
+NUM_NEAREST = 100
+"""Draws a median is taken over (Yin et al. 2018: 100)."""
 BLEND_DEVIATION_M = 0.2
 """Width of the Gaussian weights of visible joints, metres; the paper names none."""
 _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M = 0.005, 0.05
@@ -41,29 +41,24 @@ class Completion:
 
 
 def complete_pair(
-    pair_m: Array,
-    draws_m: npt.NDArray[np.floating],
-    *,
-    num_nearest: int,
-    num_ranked: int,
+    pair_m: Array, draws_m: Draws, *, num_nearest: int = NUM_NEAREST, num_ranked: int | None = None
 ) -> Completion:
     """Complete the joints of a pair that are NaN.
 
     Args:
         pair_m: Pair (person=2, joint=17, 3), metres; NaN where a joint is hidden.
         draws_m: Draws (draw, 2, 17, 3), metres.
-        num_nearest: Draws the median is taken over (Yin et al. 2018: 100).
-        num_ranked: Draws that D_I is measured for.
+        num_nearest: Draws the median is taken over; all where there are fewer.
+        num_ranked: Draws that D_I is measured for; twice as many where it is not given.
 
     Raises:
         InputError: There is no draw, or fewer than 5 joints are visible.
     """
-    found = nearest_by_interaction(draws_m, pair_m, count=num_nearest, num_ranked=num_ranked)
+    found = nearest_by_interaction(draws_m, pair_m, count=num_nearest, num_ranked=num_ranked or 2 * num_nearest)
     median = np.median(found.pairs_m, axis=0)
     blended = blend_onto(median, pair_m)
-    is_visible = np.isfinite(pair_m).all(axis=-1)
-    lengths = known_lengths(pair_m, found.pairs_m)
-    deviation = np.where(is_visible, _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M)[..., None]
+    lengths = _known_lengths(pair_m, found.pairs_m)
+    deviation = np.where(np.isfinite(pair_m).all(axis=-1, keepdims=True), _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M)
     fitted = fit_people(blended, deviation, blended, lengths)
     return Completion(pair_m=blended, fitted_m=fitted, median_m=median, neighbours=found)
 
@@ -73,13 +68,9 @@ def blend_onto(median_m: Array, pair_m: Array) -> Array:
 
     A visible joint goes where it is seen.  A hidden one moves by the mean of the visible ones' moves, weighted by
     exp(-d^2 / (2 s^2)), s = 0.2 m, of their distances d in the median; far from all of them the nearest decides.
-
-    Raises:
-        InputError: No joint is visible.
+    At least one joint must be visible.
     """
     is_visible = np.isfinite(pair_m).all(axis=-1).ravel()
-    if not is_visible.any():
-        raise InputError("blending needs at least one visible joint")
     points, target = median_m.reshape(-1, 3), np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)
     moves = target[is_visible] - points[is_visible]
     squared = np.sum((points[:, None] - points[None, is_visible]) ** 2, axis=-1)
@@ -88,13 +79,8 @@ def blend_onto(median_m: Array, pair_m: Array) -> Array:
     return np.where(is_visible[:, None], target, moved).reshape(median_m.shape)
 
 
-def known_lengths(pair_m: Array, pairs_m: Array) -> Array:
-    """Return bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others.
-
-    Args:
-        pair_m: Pair (2, 17, 3), metres; NaN where not known.
-        pairs_m: Other pairs (k, 2, 17, 3), metres.
-    """
+def _known_lengths(pair_m: Array, pairs_m: Array) -> Array:
+    """Return bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others."""
     own = bone_lengths(PAIR17, np.asarray(pair_m, dtype=np.float64))
     other = own[:, list(PAIR17.mirror)]
     usual = np.median(bone_lengths(PAIR17, pairs_m), axis=0)

@@ -22,8 +22,10 @@ _NUM_NEIGHBOURS = 8
 """Near draws that a pair's depth is averaged over."""
 _NEIGHBOUR_DEVIATION_M = 0.03
 """Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws."""
-_DRAWS_TRIED, _IMAGES_TRIED = 12, 20
-"""Draws and images nearest by place that d_I is computed of."""
+_NUM_RANKED_DRAWS, _NUM_RANKED_IMAGES = 12, 20
+"""Draws and images nearest by place that are ranked anew in d_I."""
+
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,7 @@ class Retrieval:
 
 
 def retrieve(
-    index: DrawIndex,
-    image_m: Array,
-    directions: Array,
-    *,
-    without: Sequence[int] | npt.NDArray[np.int64] = (),
+    index: DrawIndex, image_m: Array, directions: Array, *, without: Sequence[int] | Indices = ()
 ) -> Retrieval:
     """Return the draws nearest to an image, moved to where it saw them.
 
@@ -87,16 +85,14 @@ def nearest_by_image(index: DrawIndex, image_m: Array, directions: Array, *, cou
     Returns:
         The draws (k, 2, 17, 3) as the image's camera saw them, nearest first, and d_I, (k,), metres.
     """
-    near = index.nearest(image_m, directions, count=max(_DRAWS_TRIED, count))
+    near = index.nearest(image_m, directions, count=_NUM_RANKED_DRAWS)
     placed = index.placed(near.draw, np.asarray(directions)[near.view], image_m)
     distance = image_distances(image_m[None], placed[..., :2])[0]
     order = np.argsort(distance, kind="stable")[:count]
     return placed[order], distance[order]
 
 
-def nearest_images(
-    pair_m: Array, images_m: Array, directions: Array, *, count: int = 1
-) -> tuple[npt.NDArray[np.int64], Array]:
+def nearest_images(pair_m: Array, images_m: Array, directions: Array, *, count: int) -> tuple[Indices, Array]:
     """Return the images that look most like a pair, each seen from where it was taken, by d_I.
 
     Args:
@@ -111,10 +107,10 @@ def nearest_images(
     seen = project_pair(pair_m, directions)
     flat, images = (one.reshape(len(images_m), -1, 2) for one in (seen, images_m))
     residual = plane_residual(flat, images) / np.isfinite(images).all(axis=-1).sum(axis=1)
-    tried = np.argsort(residual, kind="stable")[: max(_IMAGES_TRIED, count)]
-    distance = np.array([image_distances(seen[at][None], images_m[at][None])[0, 0] for at in tried])
+    ranked = np.argsort(residual, kind="stable")[:_NUM_RANKED_IMAGES]
+    distance = np.array([image_distances(seen[at][None], images_m[at][None])[0, 0] for at in ranked])
     order = np.argsort(distance, kind="stable")[:count]
-    return tried[order], distance[order]
+    return ranked[order], distance[order]
 
 
 def image_residual(pair_m: Array, image_m: Array) -> float:

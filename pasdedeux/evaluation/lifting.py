@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_rigid
-from pasdedeux.completion.occlusion import blend_onto, complete_pair
+from pasdedeux.completion.occlusion import NUM_NEAREST, blend_onto, complete_pair
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.skeletons import PAIR17
@@ -66,8 +66,7 @@ def completion_errors(
             person = int(generator.integers(2))
             seen = truth.copy()
             seen[person, joints] = np.nan
-            count = min(100, len(draws_m))
-            done = complete_pair(seen, draws_m, num_nearest=count, num_ranked=count + 20)
+            done = complete_pair(seen, draws_m, num_ranked=NUM_NEAREST + 20)
             near = done.neighbours.pairs_m[:10]
             is_seen = np.isfinite(seen).all(axis=-1).ravel()
             flat = mean.reshape(-1, 3)

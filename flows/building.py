@@ -327,7 +327,7 @@ class Build:
                 task.inbox.put(None)
         if work.left:
             return
-        if failed := self._errors_of(work.plan.todo):
+        if failed := self._errors_of(work.plan.stage.name):
             work.error = joined(failed)
             return
         run, stage = self._run, work.plan.stage
@@ -337,17 +337,17 @@ class Build:
         work.made, work.outcome = found, StageOutcome.of(work.plan, found, seconds)
         run.listener.stage_finished(work.plan, seconds, work.outcome.verdict)
 
-    def _errors_of(self, shards: Iterable[Shard]) -> list[ShardError]:
-        """Return the errors of those that failed, in this order."""
-        ends = (self._ended.get(shard.key) for shard in shards)
-        return [end.error for end in ends if isinstance(end, ShardFailed) and not end.is_behind]
+    def _errors_of(self, name: str) -> list[ShardError]:
+        """Return the errors of a stage's shards that failed, by partition and name."""
+        ends = [end for end in self._ended.values() if isinstance(end, ShardFailed) and end.shard.stage == name]
+        ends.sort(key=lambda end: (end.shard.partition, end.shard.name))
+        return [end.error for end in ends if not end.is_behind]
 
     def _raise_failures(self) -> None:
         """Raise one error for all failures, stage by stage, and note what was skipped because of them."""
-        early = sorted((one.shard for one in self._ended.values()), key=lambda shard: (shard.partition, shard.name))
         errors: dict[str, ShardError | InputError] = {}
         for name, work in self._work.items():
-            if work.is_skipped and (failed := self._errors_of(shard for shard in early if shard.stage == name)):
+            if work.is_skipped and (failed := self._errors_of(name)):
                 work.error = joined(failed)
             errors |= {name: work.error} if work.error is not None else {}
         if not errors:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 
@@ -12,7 +12,7 @@ from flows.machine import remembered_ctrl_c
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
 from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
-from storage_schema import ArtifactRef, RunFolder, StorageError, new_run
+from storage_schema import RunFolder, StorageError, new_run
 from tasks.shards import ClusterPool, ClusterSettings, HerePool, Pool, connect, worker_environment
 
 
@@ -50,7 +50,8 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         with nullcontext() if status == "finished" else suppress(StorageError):
             run.store.clear_leftovers()
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in build.outcomes], peak)
-    report = copy_report(run.store, folder, _reporting(run, build.outcomes))
+    reporting = [one for one in build.outcomes if "scores" in run.graph.stage(one.name).writes]
+    report = copy_report(run.store, folder, [ref for one in reporting for ref in one.artifacts])
     return Outcome(folder.run_id, build.outcomes, report, peak)
 
 
@@ -92,8 +93,3 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
         return execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
     return Outcome(last.run_id, outcomes, report)
-
-
-def _reporting(run: Run, outcomes: Sequence[StageOutcome]) -> list[ArtifactRef]:
-    """Return the artifacts of the stage that writes `scores`: the report is attached to them."""
-    return [ref for o in outcomes if "scores" in run.graph.stage(o.name).writes for ref in o.artifacts]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class PasdedeuxError(Exception):
     """Root of every error that the science raises on purpose; the message is one clear sentence."""
@@ -13,3 +16,12 @@ class InputError(PasdedeuxError):
 
 class FormatError(InputError):
     """A file's content is not what it claims to be: says which line or frame, what is wrong, what is allowed."""
+
+
+@contextmanager
+def named(where: str) -> Iterator[None]:
+    """Put in front of an InputError what it is about, such as the file or the take."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{where}: {error}") from None

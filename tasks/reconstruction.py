@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -29,7 +28,18 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import MotionFacts, ProjectionFacts, SequenceFacts
 from tasks.projections import read_pairs, read_views
-from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
+from tasks.stage import (
+    Parameters,
+    Shard,
+    Stage,
+    StageInputs,
+    StageName,
+    commit,
+    join_columns,
+    merge_takes,
+    shares_takes,
+    stream,
+)
 
 RECONSTRUCTION = StageName("reconstruction", 18)
 
@@ -70,7 +80,7 @@ class ReconstructionParameters(SequenceSettings):
 
 
 class SequenceShard(SequenceSettings):
-    """The parameters of a shard: its sequence, and how."""
+    """Parameters of a shard: its sequence, and how."""
 
     sequence_id: str
 
@@ -84,9 +94,9 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
             continue
         allowed = [database for database in databases if not shares_takes(manifest, database)]
         for sequence_id in SequenceFacts.of(manifest).sequence_ids:
-            told = parameters.part(SequenceShard, sequence_id=sequence_id)
+            own = parameters.part(SequenceShard, sequence_id=sequence_id)
             read = {"annotations": [manifest], "projections": allowed}
-            shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, told, read))
+            shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, own, read))
     return shards
 
 
@@ -122,7 +132,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     return commit(
         shard,
         store,
-        tables={"motions": _columns(rows)},
+        tables={"motions": join_columns(rows)},
         facts=MotionFacts(**facts),
         attachments=attachments,
         verdict=(merge_verdicts(judged.values()) if rows else None)
@@ -280,16 +290,6 @@ def _rows_of(
         "match_frame": np.where(is_known, frames[row], -1),
         "num_joints_seen": found.num_joints_seen,
         "is_bridged": found.is_bridged,
-    }
-
-
-def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Join rows by column; without any row there is no column."""
-    return {
-        name: list(chain.from_iterable(row[name] for row in rows))
-        if isinstance(rows[0][name], list)
-        else np.concatenate([row[name] for row in rows])
-        for name in (rows[0] if rows else ())
     }
 
 

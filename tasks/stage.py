@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -266,6 +267,16 @@ def commit(
         },
         sources=sources,
     )
+
+
+def join_columns(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the rows of several parts of a table as one, lists as lists and arrays as arrays; no column of no part."""
+    return {
+        name: list(chain.from_iterable(part[name] for part in parts))
+        if isinstance(parts[0][name], list)
+        else np.concatenate([part[name] for part in parts])
+        for name in (parts[0] if parts else ())
+    }
 
 
 def verdict_of(manifest: Manifest) -> Verdict | None:

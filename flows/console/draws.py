@@ -125,7 +125,7 @@ def complete(
     import numpy as np
 
     from pasdedeux.completion.occlusion import complete_pair
-    from pasdedeux.errors import InputError
+    from pasdedeux.errors import InputError, named
     from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
     from storage_schema import parse_reference, resolve, source_credits
     from tasks.draw_sets import read_all_draws
@@ -136,15 +136,13 @@ def complete(
     if reference.table not in ("draws", "seeds"):
         raise InputError(f"--draws: '{draws}' names no draws; draws:study, draws@key or seeds:study do")
     refs = resolve(reference, opened)
-    try:
+    with named(file.name):
         pair = read_pair_json(file.read_bytes(), is_partial=True)
         is_known = np.asarray(np.isfinite(pair.pair_m).all(axis=-1))
         if is_known.all():
             raise InputError("no joint is missing; one that is not known is absent, or null")
         known = read_all_draws(opened, refs)
         found = complete_pair(pair.pair_m, known.pairs_m, num_nearest=num_nearest)
-    except InputError as error:
-        raise type(error)(f"{file.name}: {error}") from None
     manifests = [opened.manifest(ref) for ref in refs]
     inherited = [PairSource(one.name, one.licence, one.credit) for one in source_credits(opened, *refs)]
     whole = PairFile(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.guess import USUAL_HEIGHT_M, MotionGuess, common_up_axis, guess_motion
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, is_companion, recognise_format
@@ -243,7 +243,7 @@ def _spread(files: Sequence[Path]) -> list[Path]:
 
 def _inspect(path: Path) -> _Motion | _Annotations | None:
     """Inspect a file; None for one that only serves those beside it."""
-    try:
+    with named(path.name):
         if path.is_dir():
             return _read_annotations(path)
         refuse_film([path], path)
@@ -262,8 +262,6 @@ def _inspect(path: Path) -> _Motion | _Annotations | None:
             path.name, guess.layout or "", stated_hz=guess.rate_hz, is_fetched=was_fetched(path, sha256)
         )
         return _Motion(path, motion.num_frames, sha256, guess, known)
-    except InputError as error:
-        raise type(error)(f"{path.name}: {error}") from None
 
 
 def _read_annotations(path: Path) -> _Annotations:

@@ -11,12 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from pasdedeux.errors import FormatError
+from pasdedeux.errors import FormatError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import Detection, join_detections, places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import at
 
 _LOOKED_AT_BYTES = 200_000
 
@@ -173,7 +172,7 @@ class AnnotationFormat(FileFormat):
         if self.read_people is None:
             assert self.read_file is not None
             ((name, data),) = files.items()
-            with at(name):
+            with named(name):
                 return self.read_file(data, sequence_id, layout)
         found: list[Detection] = []
         skipped: list[str] = []

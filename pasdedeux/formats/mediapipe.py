@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import FormatError, InputError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import UNKNOWN, Detection, join_detections, known_footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.text import MAX_COUNT, Lines, at, decode, parse_json, parse_number, parse_triples, shorten
+from pasdedeux.formats.text import MAX_COUNT, Lines, decode, parse_json, parse_number, parse_triples, shorten
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
@@ -103,7 +103,7 @@ def _of_frames(content: Any) -> Iterator[Detection]:
         raise FormatError("this is no file of landmarks: it has no list of frames")
     for index, frame in enumerate([frames] if _is_pose(frames) else frames):
         where = f"frame {index}"
-        with at(where):
+        with named(where):
             low = {str(key).lower(): value for key, value in frame.items()} if isinstance(frame, dict) else {}
             stated, person = _first(low, _FRAME_KEYS), _first(low, _PERSON_KEYS)
             number = index if stated is None else stated

@@ -14,11 +14,11 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import FormatError
+from pasdedeux.errors import FormatError, named
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.positions_as_motion import exact_motion
-from pasdedeux.formats.text import MAX_MAGNITUDE, at, check_range, parse_json
+from pasdedeux.formats.text import MAX_MAGNITUDE, check_range, parse_json
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.settings import Settings, first_problem
@@ -120,7 +120,7 @@ def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
         raise FormatError(f"this is no pair: {first_problem(error)}") from None
     pair = np.full((len(_PERSONS), PAIR17.num_joints, 3), np.nan)
     for name, positions, joints in zip(_PERSONS, pair, (tree.persons.A, tree.persons.B), strict=True):
-        with at(f"person {name}"):
+        with named(f"person {name}"):
             for joint in (*PAIR17.joint_names, *joints):
                 if joint not in PAIR17.joint_names:
                     raise FormatError(f"joint '{joint}' is not in {PAIR17.name}")

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import FormatError, InputError, named
 from pasdedeux.formats.npz import get_array, is_npz, read_npz
 from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
-from pasdedeux.formats.text import Lines, at, check_range, decode, parse_json, parse_number
+from pasdedeux.formats.text import Lines, check_range, decode, parse_json, parse_number
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
@@ -88,7 +88,7 @@ def body_of_skeleton(name: str, own: OwnSkeleton, layout: str) -> TargetBody:
     Layouts put pelvis and spine at places of their own, so between people of different ones a trunk is measured by how
     broad and long it is, limbs bone by bone.
     """
-    with at(name):
+    with named(name):
         body = _of_positions(name, standing(own).rest_body22_m[None], BODY22.joint_names, layout)
     lengths = bone_lengths(BODY22, own.rest_body22_m)
     return replace(body, bones_m={bone: float(lengths[bone[1]]) for bone in BODY22.bones})
@@ -105,7 +105,7 @@ def read_body(name: str, data: bytes) -> TargetBody:
         FormatError: The file is mangled, a joint that is needed is missing or not known, its tree is another one, or a
             distance is no person's.
     """
-    with at(name):
+    with named(name):
         if is_npz(data):
             return _of_arrays(name, read_npz(data, "archive of joint positions"))
         if decode(data, "body").lstrip()[:1] in ("{", "["):

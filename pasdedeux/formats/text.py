@@ -6,13 +6,12 @@ import csv
 import json
 import math
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import FormatError
 
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
@@ -22,15 +21,6 @@ MAX_COUNT = 1_000_000_000
 _MAX_TOKEN_SHOWN = 40
 
 N = TypeVar("N", int, float)
-
-
-@contextmanager
-def at(where: str) -> Iterator[None]:
-    """Put a place in front of every InputError that is raised inside: `line 3: 'x' is not a number`."""
-    try:
-        yield
-    except InputError as error:
-        raise type(error)(f"{where}: {error}") from None
 
 
 class Lines:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
-from pasdedeux.formats.text import at
+from pasdedeux.errors import InputError, named
 from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts import Layout
@@ -81,7 +80,7 @@ def check_layout(motion: Motion, layout: Layout) -> None:
 def _with_points(motion: Motion, layout: Layout) -> Motion:
     """Return the motion with the layout's added points as further joints."""
     skeleton, offsets_m = motion.skeleton, motion.rest_offsets_m
-    with at(f"layout '{layout.name}'"):
+    with named(f"layout '{layout.name}'"):
         carriers = skeleton.indices(point.joint for point in layout.points)
         units_m = [float(np.linalg.norm(offsets_m[skeleton.index(point.unit_bone)])) for point in layout.points]
     added = [np.array(point.offset) * unit_m for point, unit_m in zip(layout.points, units_m, strict=True)]

@@ -26,6 +26,24 @@ def row_of(points: Any, row: int) -> Vector:
 
 
 @inner_kernel
+def put_row(points: Any, row: int, vector: Vector) -> None:
+    """Set row `row` of an array (n, 3)."""
+    points[row, 0], points[row, 1], points[row, 2] = vector
+
+
+@inner_kernel
+def unitquat_of(rotations: Any, row: int) -> Quaternion:
+    """Return row `row` of an array (n, 4) as a rotation."""
+    return (rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3])
+
+
+@inner_kernel
+def put_unitquat(rotations: Any, row: int, q: Quaternion) -> None:
+    """Set row `row` of an array (n, 4)."""
+    rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q
+
+
+@inner_kernel
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

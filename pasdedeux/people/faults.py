@@ -1,6 +1,6 @@
 """Faults of 2D detectors in close contact: sides swapped, limbs given to the wrong person, wild keypoints.
 
-All are told by continuity: a label that is wrong makes joints jump, and back again when it is right again.
+All are detected by continuity: a label that is wrong makes joints jump, and back again when it is right again.
 
 - *Swapped sides* (arms, legs, or all of the body) and *exchanged limbs* (a limb of one person given to the other and
   the reverse) keep all keypoints and only their labels are wrong.  For every frame the labelling is chosen by Viterbi

@@ -33,7 +33,7 @@ def choose_pairs(frame: Integers, person_id: Integers, keypoints_px: Array, conf
     """Return the pairs of a sequence, those near each other for longest first; a person is in one at most.
 
     In a frame two people count the more the nearer their middles (median over the joints seen) are: 1 / (1 + d^2), d in
-    mean sizes of the two.  Nobody is near whose size cannot be told.
+    mean sizes of the two.  Nobody is near whose size is unknown.
 
     Args:
         frame: Frame of each row (row,).

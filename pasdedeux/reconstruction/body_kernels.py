@@ -15,12 +15,15 @@ from pasdedeux.kinematics.rotation_kernels import (
     mix,
     multiply,
     normalise,
+    put_row,
+    put_unitquat,
     rotate,
     row_of,
     scale,
     subtract,
     swing_between,
     unitquat_from_rotvec,
+    unitquat_of,
 )
 from pasdedeux.reconstruction.bones import REST_DIRECTIONS
 from pasdedeux.reconstruction.cleanup import bend_one_leg
@@ -98,20 +101,21 @@ def pose_bodies(
     world, points = np.empty((offsets.shape[0], 4)), np.empty((offsets.shape[0], 3))
     for at in range(count):
         pose = poses[at]
-        _put(world, _PELVIS, multiply(_of(trunk, at), _of(bent[at], _PELVIS)))
+        put_unitquat(world, _PELVIS, multiply(unitquat_of(trunk, at), unitquat_of(bent[at], _PELVIS)))
         _hang_on_hips(pose, world, points, rest)
         _bend(bent[at], world, points, offsets, _SPINE1)
         _close_spine(pose, bent[at], world, points, offsets, rest)
-        _face(pose, bent[at], _of(trunk, at), rotate(_of(nose, at), _REST_NOSE), world, points, offsets)
+        _face(pose, bent[at], unitquat_of(trunk, at), rotate(unitquat_of(nose, at), _REST_NOSE), world, points, offsets)
         for side in range(2):
             _reach(pose, _OP14_ARMS[side], bent[at], _ARMS[side], world, points, offsets, _COLLARS[side])
             _reach(pose, _OP14_LEGS[side], bent[at], _LEGS[side], world, points, offsets, _PELVIS)
             _put_down(_LEGS[side, 2], _TOES[side], bent[at], world, points, offsets, least_toe)
-        for axis in range(3):
-            pelvis[at, axis] = points[_PELVIS, axis]
-        _put(local[at], _PELVIS, _of(world, _PELVIS))
+        pelvis[at] = points[_PELVIS]
+        put_unitquat(local[at], _PELVIS, unitquat_of(world, _PELVIS))
         for joint in _ORDER:
-            _put(local[at], joint, multiply(conjugate(_of(world, _PARENTS[joint])), _of(world, joint)))
+            put_unitquat(
+                local[at], joint, multiply(conjugate(unitquat_of(world, _PARENTS[joint])), unitquat_of(world, joint))
+            )
     return pelvis, local
 
 
@@ -119,18 +123,17 @@ def pose_bodies(
 def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None:
     """Turn the pelvis so that the line of its hips is that of the pose, and put it there."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
-    turn = _of(world, _PELVIS)
+    turn = unitquat_of(world, _PELVIS)
     across = rotate(turn, subtract(row_of(rest, _LEGS[0, 0]), row_of(rest, _LEGS[1, 0])))
-    _put(world, _PELVIS, _unit(multiply(swing_between(across, subtract(left, right)), turn)))
+    put_unitquat(world, _PELVIS, _unit(multiply(swing_between(across, subtract(left, right)), turn)))
     _place_pelvis(mix(0.5, left, 0.5, right), world, points, rest)
 
 
 @compiled(error_model="numpy")
 def _place_pelvis(middle: tuple[float, float, float], world: Array, points: Array, rest: Array) -> None:
     """Put the pelvis where its hips have this middle."""
-    up = rotate(_of(world, _PELVIS), row_of(rest, _PELVIS))
-    for axis in range(3):
-        points[_PELVIS, axis] = middle[axis] + up[axis]
+    up = rotate(unitquat_of(world, _PELVIS), row_of(rest, _PELVIS))
+    put_row(points, _PELVIS, mix(1.0, middle, 1.0, up))
 
 
 @compiled(error_model="numpy")
@@ -138,7 +141,7 @@ def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) 
     """Turn and place the trunk from a joint on as the match has it: spine, and collars with the shoulders."""
     if first == _SPINE1:
         for joint in (_SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1]):
-            _put(world, joint, multiply(_of(world, _PARENTS[joint]), _of(bent, joint)))
+            put_unitquat(world, joint, multiply(unitquat_of(world, _PARENTS[joint]), unitquat_of(bent, joint)))
     for joint in (_SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1], _ARMS[0, 0], _ARMS[1, 0]):
         _place(joint, world, points, offsets)
 
@@ -146,9 +149,8 @@ def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) 
 @compiled(error_model="numpy")
 def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
     parent = _PARENTS[joint]
-    bone = rotate(_of(world, parent), row_of(offsets, joint))
-    for axis in range(3):
-        points[joint, axis] = points[parent, axis] + bone[axis]
+    bone = rotate(unitquat_of(world, parent), row_of(offsets, joint))
+    put_row(points, joint, mix(1.0, row_of(points, parent), 1.0, bone))
 
 
 @compiled(error_model="numpy")
@@ -199,8 +201,8 @@ def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets:
                 turn = (give * turns[3 * number], give * turns[3 * number + 1], give * turns[3 * number + 2])
             # What a joint turns by carries all that hangs on it.
             for carried in range(number, 6 if number < 4 else number + 1):
-                turned = multiply(unitquat_from_rotvec(turn), _of(world, turning[carried]))
-                _put(world, turning[carried], _unit(turned))
+                turned = multiply(unitquat_from_rotvec(turn), unitquat_of(world, turning[carried]))
+                put_unitquat(world, turning[carried], _unit(turned))
         _place_pelvis(middle, world, points, rest)
         _bend(bent, world, points, offsets, _PELVIS)
 
@@ -219,9 +221,9 @@ def _face(
     turn = swing_between(rotate(trunk, nose), subtract(row_of(pose, _NOSE), row_of(pose, _NECK)))
     held = multiply(turn, trunk)
     for joint in (_PELVIS, _SPINE1, _SPINE2, _SPINE3, _NECK22, _HEAD22):
-        held = multiply(held, _of(bent, joint))
+        held = multiply(held, unitquat_of(bent, joint))
         if joint in (_NECK22, _HEAD22):
-            _put(world, joint, _unit(held))
+            put_unitquat(world, joint, _unit(held))
             _place(joint, world, points, offsets)
 
 
@@ -245,17 +247,17 @@ def _reach(
         away = max(away, abs(points[start, axis] - pose[wanted[0], axis]))
     if away > _CLOSED_M:
         shift = points[start] - pose[wanted[0]]
-        aside = rotate(_of(world, above), (0.0, 0.0, 1.0))
+        aside = rotate(unitquat_of(world, above), (0.0, 0.0, 1.0))
         first, second = bend_one_leg(
             points[start].copy(), first + shift, second + shift, second, np.array([aside[0], aside[1], aside[2]])
         )
     for joint, child, target in ((start, hinge, first), (hinge, end, second)):
-        turn = multiply(_of(world, _PARENTS[joint]), _of(bent, joint))
+        turn = multiply(unitquat_of(world, _PARENTS[joint]), unitquat_of(bent, joint))
         bone = rotate(turn, row_of(offsets, child))
-        aim = (target[0] - points[joint, 0], target[1] - points[joint, 1], target[2] - points[joint, 2])
-        _put(world, joint, _unit(multiply(swing_between(bone, aim), turn)))
+        aim = subtract((target[0], target[1], target[2]), row_of(points, joint))
+        put_unitquat(world, joint, _unit(multiply(swing_between(bone, aim), turn)))
         _place(child, world, points, offsets)
-    _put(world, end, multiply(_of(world, hinge), _of(bent, end)))
+    put_unitquat(world, end, multiply(unitquat_of(world, hinge), unitquat_of(bent, end)))
 
 
 @compiled(error_model="numpy")
@@ -269,19 +271,9 @@ def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, of
         level = np.sqrt(max(size * size - rise * rise, 0.0))
         ahead = normalise((foot[0], 0.0, foot[2]))
         aim = (level * ahead[0], rise, level * ahead[2])
-        _put(world, ankle, _unit(multiply(swing_between(foot, aim), _of(world, ankle))))
+        put_unitquat(world, ankle, _unit(multiply(swing_between(foot, aim), unitquat_of(world, ankle))))
         _place(toe, world, points, offsets)
-    _put(world, toe, multiply(_of(world, ankle), _of(bent, toe)))
-
-
-@compiled(error_model="numpy")
-def _of(rotations: Array, row: int) -> tuple[float, float, float, float]:
-    return rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3]
-
-
-@compiled(error_model="numpy")
-def _put(rotations: Array, row: int, q: tuple[float, float, float, float]) -> None:
-    rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q
+    put_unitquat(world, toe, multiply(unitquat_of(world, ankle), unitquat_of(bent, toe)))
 
 
 @compiled(error_model="numpy")

@@ -19,12 +19,14 @@ from pasdedeux.kinematics.rotation_kernels import (
     mix,
     multiply,
     normalise,
+    put_unitquat,
     rotate,
     row_of,
     scale,
     subtract,
     swing_between,
     unitquat_from_axes,
+    unitquat_of,
 )
 from pasdedeux.skeletons import OP14
 
@@ -96,10 +98,8 @@ def _bone_rotations(positions: Array) -> Array:
     for at in range(positions.shape[0]):
         pose = positions[at]
         left_hip, right_hip = row_of(pose, _LEFT_HIP), row_of(pose, _RIGHT_HIP)
-        hips, shoulders = (
-            subtract(left_hip, right_hip),
-            subtract(row_of(pose, _LEFT_SHOULDER), row_of(pose, _RIGHT_SHOULDER)),
-        )
+        hips = subtract(left_hip, right_hip)
+        shoulders = subtract(row_of(pose, _LEFT_SHOULDER), row_of(pose, _RIGHT_SHOULDER))
         up = normalise(subtract(row_of(pose, _NECK), mix(0.5, left_hip, 0.5, right_hip)))
         if dot(up, up) == 0.0:
             up = (0.0, 1.0, 0.0)
@@ -110,14 +110,14 @@ def _bone_rotations(positions: Array) -> Array:
             across = subtract(across, scale(dot(across, up), up))
         left = normalise(across)
         world = np.empty((pose.shape[0], 4))
-        _put(local[at], _NECK, unitquat_from_axes(left, up, cross(left, up)))
+        put_unitquat(local[at], _NECK, unitquat_from_axes(left, up, cross(left, up)))
         world[_NECK] = local[at, _NECK]
         for joint in _ORDER:
-            before = _of(world, _PARENTS[joint])
+            before = unitquat_of(world, _PARENTS[joint])
             bone = rotate(conjugate(before), subtract(row_of(pose, joint), row_of(pose, _PARENTS[joint])))
             swing = swing_between(row_of(_REST, joint), bone)
-            _put(local[at], joint, swing)
-            _put(world, joint, multiply(before, swing))
+            put_unitquat(local[at], joint, swing)
+            put_unitquat(world, joint, multiply(before, swing))
     return local
 
 
@@ -129,21 +129,11 @@ def _place_bones(unitquat: Array, lengths: Array) -> Array:
         pose, world = positions[at], unitquat[at].copy()
         for joint in _ORDER:
             parent = _PARENTS[joint]
-            turn = multiply(_of(world, parent), _of(unitquat[at], joint))
-            _put(world, joint, turn)
+            turn = multiply(unitquat_of(world, parent), unitquat_of(unitquat[at], joint))
+            put_unitquat(world, joint, turn)
             bone = rotate(turn, row_of(_REST, joint))
             for axis in range(3):
                 pose[joint, axis] = pose[parent, axis] + lengths[at, joint] * bone[axis]
         for axis in range(3):
             pose[:, axis] -= 0.5 * (pose[_LEFT_HIP, axis] + pose[_RIGHT_HIP, axis])
     return positions
-
-
-@compiled(error_model="numpy")
-def _of(rotations: Array, row: int) -> tuple[float, float, float, float]:
-    return rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3]
-
-
-@compiled(error_model="numpy")
-def _put(rotations: Array, row: int, q: tuple[float, float, float, float]) -> None:
-    rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q

@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
-from pasdedeux.kinematics.rotation_kernels import normalise, rotate, swing_between
+from pasdedeux.kinematics.rotation_kernels import normalise, put_row, put_unitquat, rotate, row_of, swing_between
 
 _MIN_DEPTH = 0.1
 """Rays that leave the turned camera flatter than this, depth over length of its axis, cannot be seen."""
@@ -32,7 +32,7 @@ def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tu
         if not (np.isfinite(x) and np.isfinite(y)):
             x, y = 0.0, 0.0
         back_to = normalise((x, y, focal_px))
-        towards[at, 0], towards[at, 1], towards[at, 2] = back_to
+        put_row(towards, at, back_to)
         back = swing_between(back_to, (0.0, 0.0, 1.0))
         for joint in range(centred_px.shape[1]):
             if np.isfinite(centred_px[at, joint, 0]) and np.isfinite(centred_px[at, joint, 1]):
@@ -48,6 +48,5 @@ def camera_turns(directions: Array) -> Array:
     """Return the shortest rotations (n, 4) of the camera's axis, +Z, into directions (n, 3)."""
     turns = np.empty((directions.shape[0], 4))
     for at in range(directions.shape[0]):
-        turn = swing_between((0.0, 0.0, 1.0), (directions[at, 0], directions[at, 1], directions[at, 2]))
-        turns[at, 0], turns[at, 1], turns[at, 2], turns[at, 3] = turn
+        put_unitquat(turns, at, swing_between((0.0, 0.0, 1.0), row_of(directions, at)))
     return turns

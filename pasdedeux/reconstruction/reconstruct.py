@@ -188,7 +188,7 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
     database's camera looks straight at the body.
 
     Raises:
-        InputError: No frame shows `MIN_JOINTS` joints, or the size cannot be told.
+        InputError: No frame shows `MIN_JOINTS` joints, or its size cannot be estimated.
     """
     options = options or ReconstructionOptions()
     centred = (track.keypoints_px - np.array(track.lens.principal_point_px)) * np.array([1.0, -1.0])

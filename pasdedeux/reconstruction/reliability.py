@@ -1,4 +1,4 @@
-"""How good a reconstruction is, told without the truth: for each person a figure, and pass, warn or fail in words.
+"""How good a reconstruction is, without ground truth: for each person a figure, and pass, warn or fail in words.
 
 The figure is the error to expect.  It comes from how far the fit moved the retrieved poses: where the database holds
 the motion, the image only touches them up; where it does not, or the camera is not where it was taken to be, they have
@@ -26,7 +26,7 @@ ERROR_PER_CORRECTION = 0.6
 """Mean error of a joint over how far the fit moved it: least squares of the relative error on 124 virtual clips of nine
 takes (salsa, duets, single people, contact) under four databases, noise 1 to 8 px and up to a quarter of the joints
 hidden.  Measured anew with camera, sizes and places as one estimate, on 218 people of 109 such clips: 120 of them, of
-eleven other takes, are told over or under 10 cm with an AUC of 0.81, median 10.2 cm expected and 10.1 found; least
+eleven other takes, are over or under 10 cm, with an AUC of 0.81, median 10.2 cm expected and 10.1 found; least
 squares on the other 98 would say 0.032 m and 0.64."""
 
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.10, 0.20
@@ -46,11 +46,11 @@ _NUM_LEFT_OUT, _NUM_NEIGHBOURS = 128, 1000
 
 @dataclass(frozen=True)
 class Reliability:
-    """What can be told of a person's reconstruction without the truth.
+    """Quality of a person's reconstruction, estimated without ground truth.
 
     Args:
-        expected_error_m: Mean distance of a joint from the truth to expect, mid-hips together; NaN where nothing was
-            fitted.
+        expected_error_m: Expected mean distance of a joint from the ground truth, mid-hips together; NaN where
+            nothing was fitted.
         misfit_m: Median distance of the matches, the image's noise taken off.
         left_out_m: What the database's own motions have at most, 95 % of them; NaN where that is not known.
         share_seen: Share of the joints that were seen.

@@ -16,7 +16,7 @@ Integers = npt.NDArray[np.int64]
 _STEP = 1e-6
 _NUM_STEPS, _NUM_DAMPINGS = 25, 8
 _WIDE, _NUM_WIDE = 4.0, 8
-"""How much wider the robust terms are in the first step than in the last, and the steps until they are as told."""
+"""How much wider the robust terms are in the first step than in the last, and the steps until they are as stated."""
 _DAMPING, _MIN_DAMPING = 1e-3, 1e-6
 _TOLERANCE = 1e-5
 """Steps that lower the cost by less than this part of it are the last."""

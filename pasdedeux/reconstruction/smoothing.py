@@ -12,12 +12,16 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
     length,
+    mix,
     multiply,
+    put_row,
+    put_unitquat,
     rotvec_from_unitquat,
     row_of,
     scale,
     subtract,
     unitquat_from_rotvec,
+    unitquat_of,
 )
 from pasdedeux.kinematics.rotations import normalise, slerp
 from pasdedeux.settings import Settings
@@ -100,9 +104,8 @@ def _filter(
     derivative_share = 1.0 / (1.0 + rate / (2.0 * np.pi * derivative_cutoff))
     for at in range(value.shape[0]):
         if value.shape[1] == 4:
-            old = (value[at, 0], value[at, 1], value[at, 2], value[at, 3])
-            aim = (new[at, 0], new[at, 1], new[at, 2], new[at, 3])
-            moved = rotvec_from_unitquat(multiply(aim, conjugate(old)))
+            old = unitquat_of(value, at)
+            moved = rotvec_from_unitquat(multiply(unitquat_of(new, at), conjugate(old)))
         else:
             moved = subtract(row_of(new, at), row_of(value, at))
         for part in range(3):
@@ -110,11 +113,9 @@ def _filter(
         cutoff = min_cutoff + beta * length(row_of(pace, at))
         moved = scale(1.0 / (1.0 + rate / (2.0 * np.pi * cutoff)), moved)
         if value.shape[1] == 4:
-            turned = multiply(unitquat_from_rotvec(moved), old)
-            smooth[at, 0], smooth[at, 1], smooth[at, 2], smooth[at, 3] = turned
+            put_unitquat(smooth, at, multiply(unitquat_from_rotvec(moved), old))
         else:
-            for part in range(3):
-                smooth[at, part] = value[at, part] + moved[part]
+            put_row(smooth, at, mix(1.0, row_of(value, at), 1.0, moved))
     return smooth, pace
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -150,7 +149,20 @@ def choose_window(
     starts = np.flatnonzero(database.is_sequence_start)
     start_of = starts[np.searchsorted(starts, np.arange(database.num_rows), side="right") - 1]
     yaws = neighbours.yaw_index if yaw_steps is None else yaw_steps
-    rotations = _Rotations.of(database, neighbours, window=window)
+    candidates = neighbours.row[neighbours.projection >= 0]
+    used = np.unique(np.maximum(candidates[:, None] - np.arange(window + 1), 0))
+    # Facing +Z; computed once, because yaw turns the neck alone.
+    unitquat = bone_rotations(database.poses_m[used].astype(np.float64))
+
+    def turned(rows: Integers, yaw: npt.ArrayLike) -> Array:
+        """Return the bone rotations (*batch, 14, 4) of rows at yaws in steps, which broadcast to them."""
+        found = np.array(unitquat[np.searchsorted(used, rows)])
+        half = np.broadcast_to(0.5 * database.yaw_step_rad * np.asarray(yaw, dtype=np.float64), np.shape(rows))
+        zero = np.zeros(half.shape)
+        turn = np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
+        found[..., OP14.root, :] = multiply(turn, found[..., OP14.root, :])
+        return found
+
     chosen: list[Array] = []
     for frame in range(len(ranks)):
         is_real = neighbours.projection[frame] >= 0
@@ -165,51 +177,15 @@ def choose_window(
             rows = row[:, None] - back
             has_past = rows >= start_of[row][:, None]
             rows = np.where(has_past, rows, start_of[row][:, None])
-            candidates = rotations.turned(rows, yaw[:, None])
+            own = turned(rows, yaw[:, None])
             reconstructed = np.stack(chosen[: -past - 1 : -1])
-            distance = np.sum((0.5 * angle_between(candidates, reconstructed[None])) ** 2, axis=-1)
+            distance = np.sum((0.5 * angle_between(own, reconstructed[None])) ** 2, axis=-1)
             weight = np.where(has_past, 1.0, 0.0) / back
             weight[~has_past.any(axis=1), 0] = 1.0
             rank = int(np.argmin(np.sum(weight * np.sqrt(distance), axis=1) / weight.sum(axis=1)))
         ranks[frame] = rank
-        chosen.append(rotations.turned(row[rank], yaw[rank]))
+        chosen.append(turned(row[rank], yaw[rank]))
     return ranks
-
-
-@dataclass(frozen=True)
-class _Rotations:
-    """Bone rotations of the rows that a choice looks at, facing +Z: computed once, because yaw turns the neck alone.
-
-    Args:
-        place: Where a row of the database lies (row,).
-        unitquat: (place, 14, 4).
-        step_rad: A step of yaw.
-    """
-
-    place: Integers
-    unitquat: Array
-    step_rad: float
-
-    @classmethod
-    def of(cls, database: Database, neighbours: Neighbours, *, window: int) -> _Rotations:
-        """Compute those of all candidates and of `window` rows before each."""
-        is_used = np.zeros(database.num_rows, dtype=bool)
-        rows = neighbours.row[neighbours.projection >= 0]
-        for back in range(window + 1):
-            is_used[np.maximum(rows - back, 0)] = True
-        used = np.flatnonzero(is_used)
-        place = np.full(database.num_rows, -1)
-        place[used] = np.arange(len(used))
-        return cls(place, bone_rotations(database.poses_m[used].astype(np.float64)), database.yaw_step_rad)
-
-    def turned(self, rows: Integers, yaw: npt.ArrayLike) -> Array:
-        """Return the rotations (*batch, 14, 4) of rows at yaws in steps, which broadcast to them."""
-        found = np.array(self.unitquat[self.place[rows]])
-        half = np.broadcast_to(0.5 * self.step_rad * np.asarray(yaw, dtype=np.float64), np.shape(rows))
-        zero = np.zeros(half.shape)
-        turn = np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
-        found[..., OP14.root, :] = multiply(turn, found[..., OP14.root, :])
-        return found
 
 
 @compiled(error_model="numpy")

@@ -39,7 +39,7 @@ class Lens:
     ) -> Lens:
         """Return the lens with this focal length, else of a common camera, for this image size.
 
-        An unknown size is told from where keypoints lie.
+        An unknown size is estimated from where keypoints lie.
         """
         if width_px is not None and height_px is not None:
             longer, middle = float(max(width_px, height_px)), (width_px / 2.0, height_px / 2.0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import SkippedFacts
@@ -17,28 +20,31 @@ from tasks.ingest.shard_parameters import (
 )
 from tasks.ingest.takes import run_duet, run_take
 from tasks.ingest.virtual_video import run_virtual_video
-from tasks.stage import Shard, Stage, commit
+from tasks.stage import Parameters, Shard, Stage, commit
 
 __all__ = ["STAGE", "IngestParameters", "plan", "run_shard"]
 
 
+def _say_skipped(shard: Shard, store: Store, parameters: SkippedParameters) -> ArtifactRef:
+    """Commit nothing but which files could not be read, and why."""
+    skipped = parameters.skipped
+    words = f"{', '.join(skipped)} skipped: {next(iter(skipped.values()))}"
+    facts = SkippedFacts(takes=(), skipped=tuple(skipped.values()))
+    return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, words))
+
+
+_RUNS: Mapping[type[Parameters], Callable[[Shard, Store, Any], ArtifactRef]] = {
+    DuetParameters: run_duet,
+    TakeParameters: run_take,
+    VideoParameters: run_virtual_video,
+    AnnotationParameters: run_annotations,
+    SkippedParameters: _say_skipped,
+}
+
+
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Compute and commit one shard: a take, virtual video over a take, or a source of 2D poses."""
-    match shard.parameters:
-        case DuetParameters() as parameters:
-            return run_duet(shard, store, parameters)
-        case TakeParameters() as parameters:
-            return run_take(shard, store, parameters)
-        case VideoParameters() as parameters:
-            return run_virtual_video(shard, store, parameters)
-        case AnnotationParameters() as parameters:
-            return run_annotations(shard, store, parameters)
-        case SkippedParameters(skipped=skipped):
-            words = f"{', '.join(skipped)} skipped: {next(iter(skipped.values()))}"
-            facts = SkippedFacts(takes=(), skipped=tuple(skipped.values()))
-            return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, words))
-        case other:
-            raise AssertionError(f"ingest has no shards of {type(other).__name__}")
+    return _RUNS[type(shard.parameters)](shard, store, shard.parameters)
 
 
 STAGE = Stage(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
@@ -41,7 +41,7 @@ class FoundAnnotations:
     """A source of 2D poses that was found and read once, or one camera of it.
 
     Args:
-        parameters: What its shard is told: every choice is made.
+        parameters: Those of its shard: every choice is made.
         files: Its files.
         video: The video beside them whose header was read, None without.
     """
@@ -65,34 +65,32 @@ class FoundAnnotations:
         Raises:
             InputError: As `read`, nobody is in it, or the table of who is who is about others.
         """
-        try:
+        with named(f"annotations {self.parameters.id}"):
             decisions = [Decision.from_words(row) for row in self.parameters.people]
-            is_start = self.parameters.take_seconds is not None  # who is who is told of the whole sequence
+            is_start = self.parameters.take_seconds is not None  # decisions are about the whole sequence
             return resolve_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
-        except InputError as error:
-            raise type(error)(f"annotations {self.parameters.id}: {error}") from None
 
     def in_words(self) -> str:
         """Say what the files are, and where what is known of the video comes from."""
-        told, frames = self.parameters, _read(self.parameters, self.files)
+        stated, frames = self.parameters, _read(self.parameters, self.files)
         number = len(self.files)
-        words = [f"{number} files of the format '{told.format}'" if number > 1 else f"format '{told.format}'"]
+        words = [f"{number} files of the format '{stated.format}'" if number > 1 else f"format '{stated.format}'"]
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
         beside = "" if self.video is None else f" ({self.video.name})"
-        if told.rate_hz is None and frames.rate_hz is None:
+        if stated.rate_hz is None and frames.rate_hz is None:
             words[-1] += " assumed (--rate, rate_hz)"
-        elif told.rate_hz is None:
-            words[-1] += beside if frames.rate_hz == told.video_rate_hz else " (the file)"
+        elif stated.rate_hz is None:
+            words[-1] += beside if frames.rate_hz == stated.video_rate_hz else " (the file)"
         sizes = sorted(set(frames.image_size_px.values()))
         words.append(" and ".join(f"{width} x {height}" for width, height in sizes) or "image size unknown (--size)")
-        if sizes and told.image_size_px is None:
-            words[-1] += beside if sizes == [told.video_size_px] else " (the file)"
+        if sizes and stated.image_size_px is None:
+            words[-1] += beside if sizes == [stated.video_size_px] else " (the file)"
         focals = sorted(set(frames.focal_px.values()))
         lens = " and ".join(f"{focal:.0f} px" for focal in focals)
         words.append(f"focal length {lens}" if lens else "lens of a phone assumed (--focal, --fov)")
         if frames.skipped:
             words.append(f"{len(frames.skipped)} damaged files skipped ({', '.join(frames.skipped[:3])})")
-        return f"{told.id}: {', '.join(words)}"
+        return f"{stated.id}: {', '.join(words)}"
 
 
 def find_annotations(
@@ -116,32 +114,33 @@ def find_annotations(
     found: list[FoundAnnotations] = []
     known: set[str] = set()
     ids: set[str] = set()
-    try:
-        decisions = [] if options.people_file is None else _read_people(options.people_file)
+    with named(f"annotations {options.id}"):
+        decisions: list[Decision] = []
+        if options.people_file is not None:
+            with named(options.people_file.name):
+                decisions = read_decisions(load_file(options.people_file).data)
         for camera in find_cameras(options.path, options.format, skipped=skipped):
             try:
                 one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
                 sequences = set(one.read().sequence_id)
-                told = one.parameters
-                if told.id in ids:
-                    raise InputError(f"{camera.paths[0].name}: another file is '{told.id}' already; rename one of them")
+                planned, name = one.parameters, camera.paths[0].name
+                if planned.id in ids:
+                    raise InputError(f"{name}: another file is '{planned.id}' already; rename one of them")
             except InputError as error:
                 if skipped is None:
                     raise
                 skipped[camera.name] = str(error)
                 continue
-            ids.add(told.id)
+            ids.add(planned.id)
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
-            found.append(replace(one, parameters=told.model_copy(update={"people": rows})))
+            found.append(replace(one, parameters=planned.model_copy(update={"people": rows})))
         for row in decisions:
             if row.sequence_id not in known:
                 raise InputError(
                     f"people, row '{row.in_words()}': there is no such sequence; sequences: "
                     f"{', '.join(sorted(known)[:MAX_NAMED_FILES])}"
                 )
-    except InputError as error:
-        raise type(error)(f"annotations {options.id}: {error}") from None
     return found
 
 
@@ -164,14 +163,6 @@ def _find_camera(
     )
     files = tuple(load_file(path).file for path in camera.paths)
     return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
-
-
-def _read_people(path: Path) -> list[Decision]:
-    """Read a table of who is who."""
-    try:
-        return read_decisions(load_file(path).data)
-    except InputError as error:
-        raise type(error)(f"{path.name}: {error}") from None
 
 
 @lru_cache(maxsize=16)

@@ -51,60 +51,48 @@ UpAxis = Literal["auto", "x", "y", "z"]
 class PersonOptions(Parameters):
     """What is known of one person's file; each value wins over the take's."""
 
-    rate_hz: float | None = Field(default=None, gt=0, le=10_000, description="True frame rate of the file")
-    metres_per_unit: float | None = Field(default=None, gt=0, description="Length of the file's unit in metres")
-    up_axis: UpAxis | None = Field(default=None, description="Axis of the file that points up")
-    layout: str | None = Field(default=None, description="Joint mapping: a known layout or one of `ingest.mappings`")
-    skeleton: Path | None = Field(default=None, description="ASF of an AMC file, or BVH template of rotation rows")
-    first_frame: int = Field(default=0, ge=0, description="Source frame at which the take starts for this person")
-    translation_m: tuple[float, float, float] = Field(
-        default=(0.0, 0.0, 0.0), description="Shift in the world, after scaling"
-    )
-    yaw_deg: float = Field(default=0.0, ge=-360, le=360, description="Turn about the world's Y axis, before the shift")
+    rate_hz: float | None = Field(None, gt=0, le=10_000, description="True frame rate of the file")
+    metres_per_unit: float | None = Field(None, gt=0, description="Length of the file's unit in metres")
+    up_axis: UpAxis | None = Field(None, description="Axis of the file that points up")
+    layout: str | None = Field(None, description="Joint mapping: a known layout or one of `ingest.mappings`")
+    skeleton: Path | None = Field(None, description="ASF of an AMC file, or BVH template of rotation rows")
+    first_frame: int = Field(0, ge=0, description="Source frame at which the take starts for this person")
+    translation_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="Shift in the world, after scaling")
+    yaw_deg: float = Field(0.0, ge=-360, le=360, description="Turn about the world's Y axis, before the shift")
 
 
 class CommonOptions(Parameters):
     """What single takes and families of takes have in common."""
 
     format: MotionFormatName = Field(
-        default="auto",
-        description=f"Format of the files: {', '.join(MOTION_FORMATS)}; told from their content by default",
+        "auto", description=f"Format of the files: {', '.join(MOTION_FORMATS)}; told from their content by default"
     )
     rate_hz: float | None = Field(
-        default=None,
+        None,
         gt=0,
         le=10_000,
         description="True frame rate; by default what the file states, and what is known of CMU's files: 120 Hz for "
         "AMC, 60 Hz for subjects 60 and 61, whose BVH headers say 120",
     )
     metres_per_unit: float | None = Field(
-        default=None,
+        None,
         gt=0,
         description="Length of the files' unit; by default what the file states, what is known of CMU's salsa BVH, "
         "or the unit that makes adults",
     )
-    up_axis: UpAxis = Field(
-        default="auto", description="Axis that points up; by default the one along which the bodies stand"
-    )
-    layout: str = Field(default="auto", description="Joint mapping: a known layout or one of `ingest.mappings`")
-    frames: tuple[int, int] | None = Field(
-        default=None, description="Source frames taken: first, and one past the last"
-    )
-    on_unequal: Literal["refuse", "trim"] = Field(
-        default="refuse", description="What to do with files of unequal length"
-    )
+    up_axis: UpAxis = Field("auto", description="Axis that points up; by default the one along which the bodies stand")
+    layout: str = Field("auto", description="Joint mapping: a known layout or one of `ingest.mappings`")
+    frames: tuple[int, int] | None = Field(None, description="Source frames taken: first, and one past the last")
+    on_unequal: Literal["refuse", "trim"] = Field("refuse", description="What to do with files of unequal length")
     floor: Literal["auto", "keep"] = Field(
-        default="auto",
-        description="auto: shift a take whose feet do not stand near y = 0; keep: leave the world as it is",
+        "auto", description="auto: shift a take whose feet do not stand near y = 0; keep: leave the world as it is"
     )
-    persons: tuple[PersonOptions, ...] = Field(
-        default=(), max_length=26, description="Options of each file, in their order"
-    )
+    persons: tuple[PersonOptions, ...] = Field((), max_length=26, description="Options of each file, in their order")
     licence: str | None = Field(
-        default=None, description="Licence of the source; that of CMU for what `fetch` brought, else 'not stated'"
+        None, description="Licence of the source; that of CMU for what `fetch` brought, else 'not stated'"
     )
     credit: str | None = Field(
-        default=None, description="Credit line of the source; that of CMU for what `fetch` brought, else 'not stated'"
+        None, description="Credit line of the source; that of CMU for what `fetch` brought, else 'not stated'"
     )
 
     @field_validator("frames")
@@ -121,11 +109,10 @@ class TakeOptions(CommonOptions):
     id: str = Field(pattern=_ID, max_length=100, description="Name of the take, unique in the study")
     files: tuple[Path, ...] = Field(min_length=1, max_length=26, description="A motion file for each person")
     objects: Path | None = Field(
-        default=None,
-        description="What the people handle: capsules that move, in the axes and frames of A's file (CSV, npz)",
+        None, description="What the people handle: capsules that move, in the axes and frames of A's file (CSV, npz)"
     )
     contacts: Path | None = Field(
-        default=None,
+        None,
         description="Contacts that are known, a row each with the columns of `augmentation.contacts`, frames those of "
         "A's file (CSV)",
     )
@@ -136,20 +123,19 @@ class PairOptions(CommonOptions):
 
     folder: Path = Field(description="Folder of the files; what `fetch` filled, for instance")
     pattern: str = Field(
-        default="auto",
+        "auto",
         description="File name with {subject} and {take}; auto takes {subject}_{take}.bvh, else {subject}_{take}.amc",
     )
     subjects: tuple[str, ...] = Field(min_length=1, max_length=26, description="Subjects: person A, then B, ...")
     takes: tuple[str, ...] | None = Field(
-        default=None,
+        None,
         min_length=1,
         description="Takes, as they stand in the file names; by default every take of the folder, also those that come "
         "later, and one that cannot be read, or not yet, is skipped with a warning",
     )
-    id: str = Field(default="{subject}_{take}", description="Name of each take; {subject} is the first subject")
+    id: str = Field("{subject}_{take}", description="Name of each take; {subject} is the first subject")
     is_watched: bool = Field(
-        default=False,
-        description="Takes that are held out or for priors may come later: until then a warning names them",
+        False, description="Takes that are held out or for priors may come later: until then a warning names them"
     )
 
     @field_validator("pattern", "id")
@@ -205,8 +191,8 @@ class DuetOptions(DuetStyle, Parameters):
         return self.id or self.name
 
     @property
-    def told(self) -> dict[str, Any]:
-        """Everything that is told of the dance."""
+    def settings(self) -> dict[str, Any]:
+        """Style, speed, length and bodies of the dance, as `make_duet` takes them."""
         return self.model_dump(exclude={"id", "name"})
 
 
@@ -215,11 +201,11 @@ class DuetEntry(Parameters):
 
     name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
     id: str | None = Field(
-        default=None, pattern=_ID, max_length=100, description="Name of the take; the duet's name by default"
+        None, pattern=_ID, max_length=100, description="Name of the take; the duet's name by default"
     )
-    duration_s: float = Field(default=10.0, ge=0.5, le=600.0, description="Length, seconds")
+    duration_s: float = Field(10.0, ge=0.5, le=600.0, description="Length, seconds")
     count: int | None = Field(
-        default=None,
+        None,
         ge=1,
         le=1000,
         description="Draw so many takes: style, speed and everybody's height, no two of the same bodies in one entry; "
@@ -248,11 +234,11 @@ class CaptureOptions(Parameters):
     """What is asked of the capture of takes."""
 
     limits: Annotated[dict[str, tuple[float, float]], AfterValidator(partial(complete_limits, JUDGED))] = Field(
-        default=limits_of(JUDGED),
+        limits_of(JUDGED),
         description="By figure (a column of `take_quality`): past the first a warning, past the second a failure",
     )
     skip_failing: bool = Field(
-        default=False, description="Takes whose capture fails have no poses, and no stage uses them; the report says so"
+        False, description="Takes whose capture fails have no poses, and no stage uses them; the report says so"
     )
 
 
@@ -260,55 +246,53 @@ class VirtualCameras(Parameters):
     """Where virtual cameras stand, and what they see."""
 
     distance_m: float = Field(
-        default=4.0,
+        4.0,
         gt=0.5,
         le=100,
         description="Distance from the camera to the middle of the pair; tell views.distance_m when it is changed",
     )
     pitch_mean_deg: float = Field(
-        default=10.0, ge=-89, le=89, description="Mean elevation of the cameras, which stays in [-15, 60]"
+        10.0, ge=-89, le=89, description="Mean elevation of the cameras, which stays in [-15, 60]"
     )
-    pitch_deviation_deg: float = Field(
-        default=10.0, ge=0, description="Standard deviation of the elevation; inf for uniform"
-    )
-    noise_px: float = Field(default=1.0, ge=0, le=200, description="Noise of each coordinate for a person 600 px tall")
-    occlusion: float = Field(default=0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
+    pitch_deviation_deg: float = Field(10.0, ge=0, description="Standard deviation of the elevation; inf for uniform")
+    noise_px: float = Field(1.0, ge=0, le=200, description="Noise of each coordinate for a person 600 px tall")
+    occlusion: float = Field(0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
 
 
 class DetectorOptions(Parameters):
     """A simulated detector, which sees worse than the cameras do and does not know who is who."""
 
-    occlusion: float = Field(default=0.1, ge=0, lt=1, description="Share of the joints missing, each on its own")
+    occlusion: float = Field(0.1, ge=0, lt=1, description="Share of the joints missing, each on its own")
     num_junk_joints: int = Field(
-        default=3,
+        3,
         ge=0,
         le=19,
         description="Joints of everybody in every frame that are anywhere in the image, with a confidence below 0.2",
     )
     passer_by_share: float = Field(
-        default=0.25, ge=0, le=1, description="Share of the time in which a third person walks through; 0 for nobody"
+        0.25, ge=0, le=1, description="Share of the time in which a third person walks through; 0 for nobody"
     )
 
 
 class VirtualVideoOptions(VirtualCameras):
     """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
 
-    takes: tuple[str, ...] | None = Field(default=None, description="Takes that are seen; all by default")
-    num_videos: int = Field(default=1, ge=0, le=100, description="Cameras that see each whole take")
+    takes: tuple[str, ...] | None = Field(None, description="Takes that are seen; all by default")
+    num_videos: int = Field(1, ge=0, le=100, description="Cameras that see each whole take")
     num_random_views: int = Field(
-        default=100,
+        100,
         ge=0,
         le=100_000,
         description="Annotated pairs from random views, for each take of two people that is not held out",
     )
     leave_one_out_every: int = Field(
-        default=0,
+        0,
         ge=0,
         description="Every so many-th of the random views is left out of what draws are made from, and how near draws "
         "come to it is scored; 0: none",
     )
     detector: DetectorOptions | None = Field(
-        default=None,
+        None,
         description="Each whole video once more as this detector sees it, with people in any order in every frame: "
         "sequences `<take>.video00.detector`",
     )
@@ -321,59 +305,59 @@ class AnnotationCommon(PeopleSettings, Parameters):
         pattern=_ID, max_length=100, description="Name of the source, and of its sequence if it has one only"
     )
     format: AnnotationFormatName = Field(
-        default="auto", description=f"Format: {', '.join(ANNOTATION_FORMATS)}; told from the content by default"
+        "auto", description=f"Format: {', '.join(ANNOTATION_FORMATS)}; told from the content by default"
     )
     layout: KeypointLayoutName = Field(
-        default="auto",
+        "auto",
         description=f"Keypoint layout: {', '.join(KEYPOINT_LAYOUTS)}; told from the file, and refused if it is another",
     )
     image_size_px: tuple[int, int] | None = Field(
-        default=None, description="Width and height of the images; by default the file's, else the video's beside it"
+        None, description="Width and height of the images; by default the file's, else the video's beside it"
     )
     rate_hz: float | None = Field(
-        default=None,
+        None,
         gt=0,
         le=10_000,
         description="Frame rate; by default the file's, else the video's that lies beside it, else 30 Hz",
     )
     focal_px: float | None = Field(
-        default=None, gt=0, le=1_000_000, description="Focal length of the camera; by default the file's"
+        None, gt=0, le=1_000_000, description="Focal length of the camera; by default the file's"
     )
     fov_deg: float | None = Field(
-        default=None, gt=1, lt=179, description="Horizontal field of view, where the focal length is not known"
+        None, gt=1, lt=179, description="Horizontal field of view, where the focal length is not known"
     )
     min_confidence: float | None = Field(
-        default=None,
+        None,
         ge=0,
         le=10,
         description="Keypoints of less are missing, in the detector's own values; by default 0.2, and of a detector "
         "whose values are far from 0 to 1 as much of what it gives to joints that are plain to see",
     )
     on_unreadable: Literal["refuse", "skip"] = Field(
-        default="refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
+        "refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
     )
     leave_one_out_every: int = Field(
-        default=10,
+        10,
         ge=0,
         description="Every so many-th moment (30 frames of a video, or a still) is left out of what draws are made "
         "from, and how near draws come to it is scored: evidence without truth; 0: none",
     )
-    take_id: str | None = Field(default=None, description="Take of this study that the video shows, if it is one")
-    licence: str = Field(default="not stated", description="Licence of the source")
-    credit: str = Field(default="not stated", description="Credit line of the source")
+    take_id: str | None = Field(None, description="Take of this study that the video shows, if it is one")
+    licence: str = Field("not stated", description="Licence of the source")
+    credit: str = Field("not stated", description="Credit line of the source")
 
 
 class AnnotationOptions(AnnotationCommon):
     """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
 
     people_file: Path | None = Field(
-        default=None,
+        None,
         description="Table of who is who that overrules what ingest decides (sequence, first_frame, last_frame, "
         "person, is): the attachment people.csv of an earlier run, changed",
     )
     path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
     is_watched: bool = Field(
-        default=False,
+        False,
         description="More will come into the folder: each file or folder in it is a source `<id>.<its name>`, also the "
         "only one, and one that cannot be read, or not yet, is skipped with a warning",
     )
@@ -382,36 +366,34 @@ class AnnotationOptions(AnnotationCommon):
 class IngestParameters(Parameters):
     """What comes in.  A study that names no source at all gets the four built-in duets."""
 
-    rate_hz: float = Field(default=30.0, gt=0, le=1000, description="Frame rate of all poses of the study")
-    duets: tuple[DuetEntry, ...] | None = Field(default=None, description="Built-in duets")
-    takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one person or more, file by file")
-    pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
-    obtain: str = Field(default="", description="How files of `pairs` are had, said where some are not there")
+    rate_hz: float = Field(30.0, gt=0, le=1000, description="Frame rate of all poses of the study")
+    duets: tuple[DuetEntry, ...] | None = Field(None, description="Built-in duets")
+    takes: tuple[TakeOptions, ...] = Field((), description="Takes of one person or more, file by file")
+    pairs: dict[str, PairOptions] = Field({}, description="Families of takes in a folder")
+    obtain: str = Field("", description="How files of `pairs` are had, said where some are not there")
     take_seconds: float | None = Field(
-        default=None,
+        None,
         gt=0,
         description="Only so much from the start of each take and of each sequence of 2D poses, all of it by default; "
         "`run --preview`",
     )
-    annotations: tuple[AnnotationOptions, ...] = Field(default=(), description="2D poses of your own")
+    annotations: tuple[AnnotationOptions, ...] = Field((), description="2D poses of your own")
     mappings: Mappings = Field(
-        default={},
+        {},
         description="Joint mappings by layout: changes to a known layout, or a layout of your own; each working joint "
         "is a source joint or weights of source joints",
     )
-    capture: CaptureOptions = Field(default=CaptureOptions(), description="What is asked of the capture of takes")
+    capture: CaptureOptions = Field(CaptureOptions(), description="What is asked of the capture of takes")
     held_out: tuple[str, ...] = Field(
-        default=(), description="Takes kept for evaluation: never learned from or matched against"
+        (), description="Takes kept for evaluation: never learned from or matched against"
     )
     prior: tuple[str, ...] = Field(
-        default=(),
+        (),
         description="Takes that priors learn torsos and joint limits from; by default none, so that nothing that is "
         "evaluated is learned from: published ranges of motion serve. A take that is held out cannot be one, and "
         "coverage is not measured on those named",
     )
-    virtual_video: VirtualVideoOptions = Field(
-        default=VirtualVideoOptions(), description="Virtual cameras over the takes"
-    )
+    virtual_video: VirtualVideoOptions = Field(VirtualVideoOptions(), description="Virtual cameras over the takes")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

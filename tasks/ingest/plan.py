@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pasdedeux.choreography.duets import DUETS, style_of
-from pasdedeux.errors import InputError
+from pasdedeux.choreography.duets import style_of
+from pasdedeux.errors import InputError, named
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
 from tasks.ingest.annotations import find_annotations
@@ -21,6 +21,7 @@ from tasks.ingest.parameters import (
     PersonOptions,
     TakeOptions,
     VirtualCameras,
+    num_people_of,
 )
 from tasks.ingest.shard_parameters import (
     DuetParameters,
@@ -30,7 +31,7 @@ from tasks.ingest.shard_parameters import (
     TakeParameters,
     VideoParameters,
 )
-from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_person, load_file, read_named
+from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_person, load_file
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
 from tasks.stage import Shard, StageInputs, StageName
 
@@ -143,16 +144,16 @@ def _family_shards(
 
 def _refuse_missing(parameters: IngestParameters) -> None:
     """Refuse a study whose takes are named and not there; InputError with how many, and how they are had."""
-    named = [
+    wanted = [
         (family, subject, take)
         for family in parameters.pairs.values()
         for take in family.takes or ()
         for subject in family.subjects
     ]
-    missing = [one for one in named if not any(path.is_file() for path in _family_paths(*one))]
+    missing = [one for one in wanted if not any(path.is_file() for path in _family_paths(*one))]
     if missing:
         first = _family_paths(*missing[0])
-        others = f", nor do {len(missing) - 1} others of the {len(named)} that ingest.pairs names"
+        others = f", nor do {len(missing) - 1} others of the {len(wanted)} that ingest.pairs names"
         raise InputError(
             f"file {' or '.join(path.name for path in first)} does not exist in {first[0].parent}"
             + (others if len(missing) > 1 else "")
@@ -174,11 +175,11 @@ def _family_file(family: PairOptions, subject: str, take: str) -> Path:
 
 
 def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOptions) -> Shard:
-    style_of(duet.name, **duet.told)
+    style_of(duet.name, **duet.settings)
     take_id = duet.take_id
     if parameters.take_seconds is not None:
         duet = duet.model_copy(update={"duration_s": min(duet.duration_s, parameters.take_seconds)})
-    told = DuetParameters(
+    parameters_of_shard = DuetParameters(
         take_id=take_id,
         rate_hz=parameters.rate_hz,
         is_held_out=take_id in parameters.held_out,
@@ -187,99 +188,94 @@ def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOpt
         capture=parameters.capture,
         duet=duet.model_copy(update={"id": None}),
     )
-    return INGEST.shard(inputs, take_id, "take", told)
+    return INGEST.shard(inputs, take_id, "take", parameters_of_shard)
 
 
 def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOptions) -> Shard:
-    options = [*take.persons, *(PersonOptions() for _ in take.files)][: len(take.files)]
-    if len(take.persons) > len(take.files):
-        raise InputError(
-            f"take {take.id}: options for {len(take.persons)} persons, but it has {len(take.files)} file(s)"
-        )
-    people = []
-    for path, person in zip(take.files, options, strict=True):
-        try:
-            people.append(find_person(path, take, person, parameters.mappings))
-        except InputError as error:
-            raise type(error)(f"take {take.id}: {error}") from None
-    num_frames = _common_length(take, people)
+    with named(f"take {take.id}"):
+        if len(take.persons) > len(take.files):
+            raise InputError(f"options for {len(take.persons)} persons, but it has {len(take.files)} file(s)")
+        options = [*take.persons, *(PersonOptions() for _ in take.files)]
+        people = [
+            find_person(path, take, person, parameters.mappings)
+            for path, person in zip(take.files, options, strict=False)
+        ]
+        num_frames = _common_length(take, people)
+        objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
+        _check_things(people, objects, contacts)
     if parameters.take_seconds is not None:
-        num_frames = min(num_frames, max(2, round(parameters.take_seconds * people[0].told.rate_hz)))
-    source = credit_of(people, take.licence, take.credit)
-    objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
-    _check_things(take.id, people, objects, contacts)
-    layouts = {person.told.layout for person in people}
-    told = TakeParameters(
+        num_frames = min(num_frames, max(2, round(parameters.take_seconds * people[0].parameters.rate_hz)))
+    layouts = {person.parameters.layout for person in people}
+    parameters_of_shard = TakeParameters(
         take_id=take.id,
         rate_hz=parameters.rate_hz,
         is_held_out=take.id in parameters.held_out,
         is_prior=take.id in parameters.prior,
-        source=source,
+        source=credit_of(people, take.licence, take.credit),
         capture=parameters.capture,
         num_frames=num_frames,
         floor=take.floor,
-        persons=tuple(person.told for person in people),
+        persons=tuple(person.parameters for person in people),
         mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
         objects_sha256=objects.file.sha256 if objects else "",
         contacts_sha256=contacts.file.sha256 if contacts else "",
     )
     files = [file for person in people for file in person.files]
     files += [loaded.file for loaded in (objects, contacts) if loaded is not None]
-    return INGEST.shard(inputs, take.id, "take", told, files=files)
+    return INGEST.shard(inputs, take.id, "take", parameters_of_shard, files=files)
 
 
-def _check_things(
-    take_id: str, people: Sequence[PersonSource], objects: LoadedFile | None, contacts: LoadedFile | None
-) -> None:
+def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, contacts: LoadedFile | None) -> None:
     """Refuse objects of other frames than person A's file, and contacts of what is not there."""
-    name, num_frames = people[0].told.source_name, people[0].num_frames
-    things = read_named(objects, read_objects) if objects else None
-    if objects is not None and things is not None and things.num_frames != num_frames:
-        raise InputError(
-            f"take {take_id}: {Path(objects.file.path).name} has {things.num_frames} frames, but {name} has "
-            f"{num_frames}; objects need all frames of person A's file"
-        )
+    name, num_frames, things = people[0].parameters.source_name, people[0].num_frames, None
+    if objects is not None:
+        file_name = Path(objects.file.path).name
+        with named(file_name):
+            things = read_objects(objects.data)
+        if things.num_frames != num_frames:
+            raise InputError(
+                f"{file_name} has {things.num_frames} frames, but {name} has {num_frames}; objects need all frames of "
+                "person A's file"
+            )
     if contacts is not None:
-        stated = read_named(contacts, read_contacts)
-        said = f"take {take_id}: {Path(contacts.file.path).name}"
-        check_contacts(stated, name=said, num_frames=num_frames, num_people=len(people), objects=things)
+        file_name = Path(contacts.file.path).name
+        with named(file_name):
+            stated = read_contacts(contacts.data)
+        check_contacts(stated, name=file_name, num_frames=num_frames, num_people=len(people), objects=things)
 
 
 def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:
     """Return the number of source frames that all people of a take have, or refuse a pair that does not fit."""
-    if len({person.told.rate_hz for person in people}) > 1:
-        found = " and ".join(f"{person.told.rate_hz:g}" for person in people)
-        raise InputError(f"take {take.id}: its files have different frame rates, {found} Hz; set rate_hz")
+    if len({person.parameters.rate_hz for person in people}) > 1:
+        found = " and ".join(f"{person.parameters.rate_hz:g}" for person in people)
+        raise InputError(f"its files have different frame rates, {found} Hz; set rate_hz")
     lengths = []
     for person in people:
-        name, start = person.told.source_name, person.told.first_frame
+        name, start = person.parameters.source_name, person.parameters.first_frame
         wanted = take.frames[1] - take.frames[0] if take.frames else person.num_frames - start
         if start >= person.num_frames or (take.frames and start + wanted > person.num_frames):
             stop = f" to {start + wanted}" if take.frames else ""
-            raise InputError(
-                f"take {take.id}: frames from {start}{stop} are wanted, but {name} has {person.num_frames} frames"
-            )
+            raise InputError(f"frames from {start}{stop} are wanted, but {name} has {person.num_frames} frames")
         lengths.append(wanted)
     if len(set(lengths)) > 1 and take.on_unequal == "refuse":
-        names = " and ".join(f"{p.told.source_name} {n}" for p, n in zip(people, lengths, strict=True))
+        names = " and ".join(f"{p.parameters.source_name} {n}" for p, n in zip(people, lengths, strict=True))
         raise InputError(
-            f"take {take.id}: its files have unequal lengths ({names} frames); "
-            'set on_unequal = "trim" to keep what both have'
+            f'its files have unequal lengths ({names} frames); set on_unequal = "trim" to keep what both have'
         )
     return min(lengths)
 
 
 def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
     """Return the shards of virtual video over a take: whole takes, and random views unless it is held out."""
-    options, told = parameters.virtual_video, take.parameters
-    assert isinstance(told, DuetParameters | TakeParameters)
-    if options.takes is not None and told.take_id not in options.takes:
+    options, planned = parameters.virtual_video, take.parameters
+    assert isinstance(planned, DuetParameters | TakeParameters)
+    if options.takes is not None and planned.take_id not in options.takes:
         return
     cameras = options.model_dump(include=set(VirtualCameras.model_fields))
     cameras["pitch_deviation_deg"] = min(options.pitch_deviation_deg, UNIFORM_PITCH_DEG)
-    num_people = DUETS[told.duet.name].num_people if isinstance(told, DuetParameters) else len(told.persons)
+    num_people = num_people_of(planned.duet.name) if isinstance(planned, DuetParameters) else len(planned.persons)
     is_pair = num_people == 2
-    num_random_views = options.num_random_views if is_pair and not told.is_held_out else 0
+    num_random_views = options.num_random_views if is_pair and not planned.is_held_out else 0
     wanted: list[tuple[Purpose, int, DetectorOptions | None]] = [
         ("video", options.num_videos, None),
         ("random_views", num_random_views, None),
@@ -291,12 +287,12 @@ def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, tak
             video = VideoParameters(
                 purpose=purpose,
                 count=count,
-                take_id=told.take_id,
-                is_held_out=told.is_held_out,
+                take_id=planned.take_id,
+                is_held_out=planned.is_held_out,
                 rate_hz=parameters.rate_hz,
                 leave_one_out_every=options.leave_one_out_every if purpose == "random_views" else 0,
                 detector=detector,
                 **cameras,
             )
             name = "detector" if detector else purpose
-            yield INGEST.shard(inputs, told.take_id, name, video, after=(take.key,))
+            yield INGEST.shard(inputs, planned.take_id, name, video, after=(take.key,))

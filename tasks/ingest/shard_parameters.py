@@ -1,4 +1,4 @@
-"""What the shards of `ingest` are told: all choices are made, and files are told by their digests."""
+"""Parameters of the shards of `ingest`: all choices are made, and files are named by their digests."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Purpose = Literal["video", "random_views"]
 
 
 class _OfTake(Parameters):
-    """What the shards of every take are told, whatever it is made from."""
+    """Parameters of the shard of every take, whatever it is made from."""
 
     take_id: str
     rate_hz: float
@@ -53,16 +53,16 @@ class PersonParameters(Parameters):
 
     source_name: str
     motion_sha256: str
-    companion_sha256: str
+    companion_sha256: str = ""
     format: str
     layout: str
     rate_hz: float
-    metres_per_unit: float
-    unit_confidence: float
-    up_axis: UpAxis
-    first_frame: int
-    translation_m: tuple[float, float, float]
-    yaw_deg: float
+    metres_per_unit: float = 1.0
+    unit_confidence: float = 1.0
+    up_axis: UpAxis = "y"
+    first_frame: int = 0
+    translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_deg: float = 0.0
 
 
 class TakeParameters(_OfTake):

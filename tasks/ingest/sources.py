@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
 from pasdedeux.formats.guess import UnitGuess, guess_unit
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
@@ -24,12 +24,10 @@ from tasks.stage import SourceFile
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
 
-T = TypeVar("T")
-
 NOT_STATED = "not stated"
 OWN_FILES = "files given in the study"
 MIN_UNIT_CONFIDENCE = 0.3
-"""A length unit that is told with less is asked for."""
+"""A length unit that is guessed with less must be stated."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +43,12 @@ class PersonSource:
     """One person's file after the checks.
 
     Args:
-        told: What the shard will be told of it: every choice is made.
+        parameters: Those of the shard: every choice is made.
         files: The motion file, then the file beside it that its format needs.
         num_frames: Frames in the motion file.
     """
 
-    told: PersonParameters
+    parameters: PersonParameters
     files: tuple[SourceFile, ...]
     num_frames: int
 
@@ -80,14 +78,6 @@ def read_again(file: SourceFile) -> bytes:
     if loaded.file.sha256 != file.sha256:
         raise InputError(f"file {file.path} changed since the run was planned; run again")
     return loaded.data
-
-
-def read_named(loaded: LoadedFile, read: Callable[[bytes], T]) -> T:
-    """Return what a reader makes of a file; what it refuses is said with the file's name."""
-    try:
-        return read(loaded.data)
-    except InputError as error:
-        raise type(error)(f"{Path(loaded.file.path).name}: {error}") from None
 
 
 def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str, Tables]) -> Layout:
@@ -123,7 +113,7 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
             something that must be said in the study and is not.
     """
     loaded = load_file(path)
-    try:
+    with named(path.name):
         kind = find_format(MOTION_FORMATS, take.format, loaded.data)
         companion = find_companion(path, kind, person.skeleton)
         head = _head(kind.name, loaded.file, companion)
@@ -141,9 +131,7 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
         if unit.confidence < MIN_UNIT_CONFIDENCE:
             raise InputError(f"its length unit cannot be told ({unit.reason}); set metres_per_unit for this take")
         check_layout(head.rest.to_motion(metres_per_unit=unit.metres_per_unit, rate_hz=rate), layout)
-    except InputError as error:
-        raise type(error)(f"{path.name}: {error}") from None
-    told = PersonParameters(
+    parameters = PersonParameters(
         source_name=path.name,
         motion_sha256=loaded.file.sha256,
         companion_sha256=companion.sha256 if companion else "",
@@ -157,7 +145,7 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
         translation_m=person.translation_m,
         yaw_deg=person.yaw_deg,
     )
-    return PersonSource(told, (loaded.file, companion) if companion else (loaded.file,), head.num_frames)
+    return PersonSource(parameters, (loaded.file, companion) if companion else (loaded.file,), head.num_frames)
 
 
 def find_companion(path: Path, kind: MotionFormat, named: Path | None = None) -> SourceFile | None:

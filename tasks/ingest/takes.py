@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.errors import InputError
+from pasdedeux.errors import named
 from pasdedeux.formats.guess import AxisGuess, common_up_axis, guess_up_axis
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion, place_points
@@ -39,42 +39,32 @@ AWAY_M = 1.0
 """Who touches an object comes nearer than this to it with some joint."""
 
 
+_HAS_POSITIONS_ONLY = {name for name, kind in MOTION_FORMATS.items() if not kind.has_rotations}
+
+
 @dataclass(frozen=True)
 class _Person:
-    """One person of a take, as captured and at the study's rate, with what its row of `takes` says about the source."""
+    """One person of a take, as captured and at the study's rate, and where the motion is from."""
 
     captured: Motion
     motion: Motion
     layout: Layout
-    source_name: str
-    source_sha256: str
-    source_format: str
-    source_rate_hz: float
-    metres_per_unit: float
-    up_axis: str
-    has_rotations: bool
+    source: PersonParameters
 
 
 def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> ArtifactRef:
     """Make a built-in duet and commit its poses."""
-    duet = parameters.duet
-    made = make_duet(duet.name, **duet.told)
-    options = duet.model_dump(mode="json", exclude={"id"})
-    people = [
-        _Person(
-            captured=motion,
-            motion=motion.resample(parameters.rate_hz),
-            layout=LAYOUTS["body22"],
-            source_name=duet.name,
-            source_sha256=hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest(),
-            source_format="duet",
-            source_rate_hz=motion.rate_hz,
-            metres_per_unit=1.0,
-            up_axis="y",
-            has_rotations=True,
-        )
-        for motion in made.motions
-    ]
+    duet, layout = parameters.duet, LAYOUTS["body22"]
+    made = make_duet(duet.name, **duet.settings)
+    options = json.dumps(duet.model_dump(mode="json", exclude={"id"}), sort_keys=True)
+    source = PersonParameters(
+        source_name=duet.name,
+        motion_sha256=hashlib.sha256(options.encode()).hexdigest(),
+        format="duet",
+        layout=layout.name,
+        rate_hz=made.motions[0].rate_hz,
+    )
+    people = [_Person(motion, motion.resample(parameters.rate_hz), layout, source) for motion in made.motions]
     frames = people[0].motion.num_frames
     known = (contact.within(0, frames) for contact in made.known_contacts(parameters.rate_hz))
     contacts = [contact.model_dump() for contact in known if contact is not None]
@@ -84,41 +74,25 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
 def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
     """Read the people of a take from their files and commit their poses."""
     files = {file.sha256: file for file in shard.files}
-    read = [_read(parameters, person, files) for person in parameters.persons]
-    guesses = [
-        guess_up_axis(source)
-        for source, person in zip(read, parameters.persons, strict=True)
-        if person.up_axis == "auto"
-    ]
+    read = [(person, _read(parameters, person, files)) for person in parameters.persons]
+    guesses = [guess_up_axis(motion) for person, motion in read if person.up_axis == "auto"]
     common = common_up_axis(guesses) if guesses else None
     people = []
-    up_axes = [common.axis if common and person.up_axis == "auto" else person.up_axis for person in parameters.persons]
-    for person, source, up_axis in zip(parameters.persons, read, up_axes, strict=True):
+    for person, motion in read:
+        source = person.model_copy(update={"up_axis": common.axis}) if common and person.up_axis == "auto" else person
         captured = place_motion(
-            source.to_motion(metres_per_unit=person.metres_per_unit, rate_hz=person.rate_hz, up_axis=up_axis),
-            translation_m=person.translation_m,
-            yaw_rad=float(np.deg2rad(person.yaw_deg)),
+            motion.to_motion(metres_per_unit=source.metres_per_unit, rate_hz=source.rate_hz, up_axis=source.up_axis),
+            translation_m=source.translation_m,
+            yaw_rad=float(np.deg2rad(source.yaw_deg)),
         )
-        people.append(
-            _Person(
-                captured=captured,
-                motion=captured.resample(parameters.rate_hz),
-                layout=layout_named(person.layout, source.skeleton.joint_names, parameters.mappings),
-                source_name=person.source_name,
-                source_sha256=person.motion_sha256,
-                source_format=person.format,
-                source_rate_hz=person.rate_hz,
-                metres_per_unit=person.metres_per_unit,
-                up_axis=up_axis,
-                has_rotations=MOTION_FORMATS[person.format].has_rotations,
-            )
-        )
+        layout = layout_named(source.layout, motion.skeleton.joint_names, parameters.mappings)
+        people.append(_Person(captured, captured.resample(parameters.rate_hz), layout, source))
     verdict, contacts, objects = _verdict(parameters.persons, common), None, None
     if parameters.contacts_sha256:
         data = read_again(files[parameters.contacts_sha256])
         contacts = _known_contacts(parameters, people[0].motion.num_frames, data)
     if parameters.objects_sha256:
-        objects = _objects(parameters, read_again(files[parameters.objects_sha256]), up_axes[0])
+        objects = _objects(parameters, read_again(files[parameters.objects_sha256]), people[0].source.up_axis)
     return _commit(shard, store, parameters, people, parameters.floor, verdict, contacts, objects)
 
 
@@ -151,10 +125,8 @@ def _read(take: TakeParameters, person: PersonParameters, files: dict[str, Sourc
     """Return the wanted frames of one person's file."""
     data = read_again(files[person.motion_sha256])
     companion = read_again(files[person.companion_sha256]) if person.companion_sha256 else b""
-    try:
+    with named(f"take {take.take_id}: {person.source_name}"):
         source = MOTION_FORMATS[person.format].read(data, companion)
-    except InputError as error:
-        raise type(error)(f"take {take.take_id}: {person.source_name}: {error}") from None
     return source.frames(person.first_frame, person.first_frame + take.num_frames)
 
 
@@ -190,7 +162,7 @@ def _commit(
     """
     captured = [derive_working_poses(person.captured, person.layout).body22_m for person in people]
     found = check_capture(np.stack(captured, axis=1), rate_hz=people[0].captured.rate_hz)
-    names = [person.source_name for person in people] if isinstance(parameters, TakeParameters) else []
+    names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
     judged = judge_capture(found, parameters.capture.limits, names)
     take_id = parameters.take_id
     facts = TakeFacts(
@@ -289,17 +261,17 @@ def _takes(
     return {
         "take_id": [parameters.take_id] * count,
         "person": list(range(count)),
-        "source_name": [person.source_name for person in people],
-        "source_sha256": [person.source_sha256 for person in people],
-        "source_format": [person.source_format for person in people],
+        "source_name": [person.source.source_name for person in people],
+        "source_sha256": [person.source.motion_sha256 for person in people],
+        "source_format": [person.source.format for person in people],
         "num_persons": [count] * count,
         "num_frames": [person.motion.num_frames for person in people],
         "rate_hz": [parameters.rate_hz] * count,
-        "source_rate_hz": [person.source_rate_hz for person in people],
-        "metres_per_unit": [person.metres_per_unit for person in people],
-        "up_axis": [person.up_axis for person in people],
+        "source_rate_hz": [person.source.rate_hz for person in people],
+        "metres_per_unit": [person.source.metres_per_unit for person in people],
+        "up_axis": [person.source.up_axis for person in people],
         "layout": [person.layout.name for person in people],
-        "is_position_only": [not person.has_rotations for person in people],
+        "is_position_only": [person.source.format in _HAS_POSITIONS_ONLY for person in people],
         "is_held_out": [parameters.is_held_out] * count,
         "joint_names": [list(person.motion.skeleton.joint_names) for person in people],
         "joint_parents": [np.array(person.motion.skeleton.parents, dtype=np.int32) for person in people],

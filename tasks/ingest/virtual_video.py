@@ -9,7 +9,6 @@ import numpy as np
 
 from pasdedeux.cameras.virtual_video import (
     Annotated,
-    ViewAngles,
     VirtualView,
     add_junk,
     annotate,
@@ -22,11 +21,13 @@ from pasdedeux.people.resolution import ResolvedSequence, SequenceRows, resolve_
 from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.skeletons.layouts import KeypointLayout
+from pasdedeux.skeletons.layouts.keypoints import Keypoints
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
+from tasks.ingest.parameters import DetectorOptions
 from tasks.ingest.shard_parameters import VideoParameters
-from tasks.stage import Shard, commit, followed, stream
+from tasks.stage import Shard, commit, followed, join_columns, stream
 from tasks.takes import read_motion
 
 NEIGHBOURS = 2
@@ -51,12 +52,12 @@ _LAYOUT = KeypointLayout(
 )
 """What virtual cameras see: pair17, then the two of op14's own."""
 
-Columns = dict[str, list[Any]]
+Columns = dict[str, Any]
 
 
 def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -> ArtifactRef:
     """See a take through virtual cameras: whole, or pairs from random views with two frames on either side."""
-    take_id, count = parameters.take_id, parameters.count
+    take_id, count, detector = parameters.take_id, parameters.count, parameters.detector
     (manifest,) = followed(shard, store)
     take = TakeFacts.of(manifest)
     if "poses" not in manifest.tables:
@@ -68,7 +69,6 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     # A detector looks through the same cameras with the same noise; what it adds is drawn apart.
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)
     faults = stream(shard.seed, "ingest", take_id, "detector")
-    detected: list[DetectedSequence] = []
     deviation = parameters.pitch_deviation_deg
     angles = sample_views(
         rng,
@@ -77,39 +77,45 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         pitch_deviation_rad=float("inf") if deviation >= UNIFORM_PITCH_DEG else float(np.deg2rad(deviation)),
     )
     is_video = parameters.purpose == "video"
-    keys = np.zeros(count, dtype=int) if is_video else _key_frames(rng, num_frames, count)
-    rows: Columns = {}
-    cameras: Columns = {}
+    keys = [None] * count if is_video else _key_frames(rng, num_frames, count).tolist()
+    rows: list[Columns] = []
+    cameras: list[Columns] = []
+    detected: list[DetectedSequence] = []
     shares_inside = []
-    for index in range(count):
-        if is_video:
-            frames, key = np.arange(num_frames), None
-            sequence_id = f"{take_id}.video{index:02d}"
-        else:
-            key = int(keys[index])
-            frames = np.arange(max(key - NEIGHBOURS, 0), min(key + NEIGHBOURS + 1, num_frames))
-            sequence_id = f"{take_id}.view{index:05d}"
-        view = _view(parameters, pair17[frames], angles, index)
+    for index, key in enumerate(keys):
+        first, last = (0, num_frames) if key is None else (max(key - NEIGHBOURS, 0), key + NEIGHBOURS + 1)
+        frames = np.arange(first, min(last, num_frames))
+        sequence_id = f"{take_id}.video{index:02d}" if is_video else f"{take_id}.view{index:05d}"
+        view = frame_take(
+            pair17[frames],
+            pair17[frames][..., PAIR17.root, :],
+            distance_m=parameters.distance_m,
+            yaw_rad=float(angles.yaw_rad[index]),
+            pitch_rad=float(angles.pitch_rad[index]),
+        )
         exact = _see(view, pair17[frames], op14[frames])
         shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))
-        occlusion = parameters.detector.occlusion if parameters.detector else parameters.occlusion
+        occlusion = detector.occlusion if detector else parameters.occlusion
         seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
-        if parameters.detector:
+        if detector:
             sequence_id += ".detector"
-            resolved = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
-            detected.append(_add_detected(rows, parameters, sequence_id, view, resolved))
+            found = _detect(sequence_id, parameters, detector, view, seen, pair17[frames], op14[frames], faults)
+            sequence, facts = _detected(sequence_id, *found)
+            detected.append(facts)
         else:
-            _add_known(rows, parameters, sequence_id, view, frames, key, seen)
-        _add_camera(cameras, parameters, sequence_id, view)
-    left_out = is_left_out(rows["sequence_id"], np.array(rows["frame"]), parameters.leave_one_out_every)
-    rows["is_held_out"] = (left_out | parameters.is_held_out).tolist()
+            sequence = _known(frames, key, seen)
+        rows.append(_rows(parameters, sequence_id, view, **sequence))
+        cameras.append(_camera(parameters, sequence_id, view, occlusion))
+    table, cameras_table = join_columns(rows), join_columns(cameras)
+    left_out = is_left_out(table["sequence_id"], table["frame"], parameters.leave_one_out_every)
+    table["is_held_out"] = left_out | parameters.is_held_out
     return commit(
         shard,
         store,
-        tables={"annotations": rows, "cameras": cameras},
+        tables={"annotations": table, "cameras": cameras_table},
         facts=SequenceFacts(
             takes=(take_id,),
-            sequence_ids=cameras["sequence_id"],
+            sequence_ids=cameras_table["sequence_id"],
             is_held_out=parameters.is_held_out,
             is_virtual=True,
             is_built_in=take.is_built_in,
@@ -134,27 +140,11 @@ def _verdict(shares_inside: Sequence[float]) -> Verdict:
     return Verdict(level, reason, *figure, count=len(shares_inside), thing="sequences")
 
 
-def _add(columns: Columns, **added: Any) -> None:
-    """Add rows; every column is a sequence of the same length."""
-    for name, values in added.items():
-        columns.setdefault(name, []).extend(values)
-
-
 def _key_frames(rng: np.random.Generator, num_frames: int, count: int) -> np.ndarray:
     """Draw the frames that are annotated, each at most once more than any other, neighbours inside the take."""
     low, high = (NEIGHBOURS, num_frames - NEIGHBOURS) if num_frames > 2 * NEIGHBOURS else (0, num_frames)
     rounds = [rng.permutation(np.arange(low, high)) for _ in range(-(-count // (high - low)))]
     return np.concatenate(rounds)[:count]
-
-
-def _view(parameters: VideoParameters, pair17: np.ndarray, angles: ViewAngles, index: int) -> VirtualView:
-    return frame_take(
-        pair17,
-        pair17[..., PAIR17.root, :],
-        distance_m=parameters.distance_m,
-        yaw_rad=float(angles.yaw_rad[index]),
-        pitch_rad=float(angles.pitch_rad[index]),
-    )
 
 
 def _see(view: VirtualView, pair17: np.ndarray, op14: np.ndarray) -> np.ndarray:
@@ -170,6 +160,7 @@ def _see(view: VirtualView, pair17: np.ndarray, op14: np.ndarray) -> np.ndarray:
 def _detect(
     sequence_id: str,
     parameters: VideoParameters,
+    detector: DetectorOptions,
     view: VirtualView,
     seen: Annotated,
     pair17: np.ndarray,
@@ -180,8 +171,6 @@ def _detect(
 
     A passer-by is one more person than the take has.  People are listed in random order in every frame.
     """
-    detector = parameters.detector
-    assert detector is not None
     px, confidence = seen.px, seen.confidence
     count = round(detector.passer_by_share * len(pair17))
     if count:
@@ -210,18 +199,11 @@ def _detect(
     return resolved, person[resolved.rows.source_row]
 
 
-def _add_detected(
-    rows: Columns,
-    parameters: VideoParameters,
-    sequence_id: str,
-    view: VirtualView,
-    found: tuple[ResolvedSequence, np.ndarray],
-) -> DetectedSequence:
-    """Add the rows of a detector's sequence, and return how well people were told apart.
+def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray) -> tuple[Columns, DetectedSequence]:
+    """Return the columns of a detector's sequence, and how well people were told apart.
 
     People are numbered as the take numbers who they are for most of the time; all others come after those.
     """
-    resolved, true_id = found
     people, person = np.unique(resolved.rows.person_id, return_inverse=True)
     counts = np.zeros((len(people), int(true_id.max()) + 1), dtype=np.int64)
     np.add.at(counts, (person, true_id), 1)
@@ -232,27 +214,20 @@ def _add_detected(
             names[one] = name
     for one in range(len(people)):
         names.setdefault(one, max([*names.values(), counts.shape[1] - 1]) + 1)
-    renamed = np.array([names[one] for one in range(len(people))])
     number = resolved.rows.frame
-    _add_rows(
-        rows,
-        parameters,
-        view,
-        sequence_id,
-        number=number,
-        take_frame=number,
-        person_id=renamed[person],
-        partner_id=[None if one < 0 else int(renamed[np.searchsorted(people, one)]) for one in resolved.partner_id],
-        source_person_id=[None] * len(number),
-        is_key=np.ones(len(number), dtype=bool),
-        seen=Annotated(resolved.rows.keypoints_px, resolved.rows.confidence),
-        op14=Annotated(resolved.op14.positions, resolved.op14.confidence),
-    )
-    couples = [
-        sorted(int(renamed[np.searchsorted(people, one)]) for one in (pair.first, pair.second))
-        for pair in resolved.decided.pairs
-    ]
-    return DetectedSequence(
+    renamed = {int(old): names[one] for one, old in enumerate(people)}
+    columns = {
+        "number": number,
+        "take_frame": number,
+        "person_id": np.array([renamed[one] for one in resolved.rows.person_id.tolist()]),
+        "partner_id": [renamed.get(one) for one in resolved.partner_id.tolist()],
+        "source_person_id": [None] * len(number),
+        "is_key": np.ones(len(number), dtype=bool),
+        "seen": Annotated(resolved.rows.keypoints_px, resolved.rows.confidence),
+        "op14": resolved.op14,
+    }
+    couples = [sorted((renamed[pair.first], renamed[pair.second])) for pair in resolved.decided.pairs]
+    return columns, DetectedSequence(
         sequence_id=sequence_id,
         num_people=len(people),
         num_true_people=len(np.unique(true_id)),
@@ -261,91 +236,76 @@ def _add_detected(
     )
 
 
-def _add_known(
-    rows: Columns,
-    parameters: VideoParameters,
-    sequence_id: str,
-    view: VirtualView,
-    frames: np.ndarray,
-    key: int | None,
-    seen: Annotated,
-) -> None:
-    """Add the rows of a sequence whose people are known."""
+def _known(frames: np.ndarray, key: int | None, seen: Annotated) -> Columns:
+    """Return the columns of a sequence whose people are known."""
     num_frames, num_persons = seen.confidence.shape[:2]
     count = num_frames * num_persons
     flat = Annotated(seen.px.reshape(count, -1, 2), seen.confidence.reshape(count, -1))
-    op14 = _LAYOUT.derive(OP14.name, flat.px, flat.confidence)
     person = np.tile(np.arange(num_persons), num_frames)
-    _add_rows(
-        rows,
-        parameters,
-        view,
-        sequence_id,
-        number=np.repeat(frames - frames[0], num_persons),
-        take_frame=np.repeat(frames, num_persons),
-        person_id=person,
-        partner_id=1 - person if num_persons == 2 else [None] * count,
-        source_person_id=person,
-        is_key=np.repeat(np.ones(num_frames, bool) if key is None else frames == key, num_persons),
-        seen=flat,
-        op14=Annotated(op14.positions, op14.confidence),
-    )
+    return {
+        "number": np.repeat(frames - frames[0], num_persons),
+        "take_frame": np.repeat(frames, num_persons),
+        "person_id": person,
+        "partner_id": (1 - person).tolist() if num_persons == 2 else [None] * count,
+        "source_person_id": person.tolist(),
+        "is_key": np.repeat(np.ones(num_frames, bool) if key is None else frames == key, num_persons),
+        "seen": flat,
+        "op14": _LAYOUT.derive(OP14.name, flat.px, flat.confidence),
+    }
 
 
-def _add_rows(
-    rows: Columns,
+def _rows(
     parameters: VideoParameters,
-    view: VirtualView,
     sequence_id: str,
+    view: VirtualView,
     *,
     number: np.ndarray,
     seen: Annotated,
-    op14: Annotated,
+    op14: Keypoints,
     **columns: Any,
-) -> None:
-    """Add rows; `seen` has the points of `_LAYOUT`."""
+) -> Columns:
+    """Return the rows of a sequence; `seen` has the points of `_LAYOUT`."""
     count = len(number)
     width, height = view.camera.image_size_px
     px, confidence = seen.px[:, : PAIR17.num_joints], seen.confidence[:, : PAIR17.num_joints]
-    _add(
-        rows,
-        sequence_id=[sequence_id] * count,
-        frame=number,
-        time_s=number / parameters.rate_hz,
-        is_virtual=[True] * count,
-        take_id=[parameters.take_id] * count,
-        layout=["pair17"] * count,
-        keypoints_px=px.reshape(count, -1),
-        keypoint_confidence=confidence,
-        pair17_px=px,
-        pair17_confidence=confidence,
-        op14_px=op14.px,
-        op14_confidence=op14.confidence,
-        image_width_px=[width] * count,
-        image_height_px=[height] * count,
+    return {
+        "sequence_id": [sequence_id] * count,
+        "frame": number,
+        "time_s": number / parameters.rate_hz,
+        "is_virtual": [True] * count,
+        "take_id": [parameters.take_id] * count,
+        "layout": ["pair17"] * count,
+        "keypoints_px": list(px.reshape(count, -1)),
+        "keypoint_confidence": list(confidence),
+        "pair17_px": px,
+        "pair17_confidence": confidence,
+        "op14_px": op14.positions,
+        "op14_confidence": op14.confidence,
+        "image_width_px": [width] * count,
+        "image_height_px": [height] * count,
         # As with a user's video, nobody knows the lens; `cameras` does.
-        focal_px=[None] * count,
+        "focal_px": [None] * count,
         **columns,
-    )
+    }
 
 
-def _add_camera(cameras: Columns, parameters: VideoParameters, sequence_id: str, view: VirtualView) -> None:
+def _camera(parameters: VideoParameters, sequence_id: str, view: VirtualView, occlusion: float) -> Columns:
     camera = view.camera
-    _add(
-        cameras,
-        sequence_id=[sequence_id],
-        take_id=[parameters.take_id],
-        is_held_out=[parameters.is_held_out],
-        rate_hz=[parameters.rate_hz],
-        image_width_px=[camera.image_size_px[0]],
-        image_height_px=[camera.image_size_px[1]],
-        focal_px=[camera.focal_px],
-        principal_point_px=[camera.principal_point_px],
-        distance_m=[view.distance_m],
-        yaw_rad=[view.yaw_rad],
-        pitch_rad=[view.pitch_rad],
-        camera_position_m=[camera.position_m],
-        camera_from_world_rotmat=[camera.camera_from_world_rotmat],
-        noise_px=[parameters.noise_px],
-        occlusion=[parameters.detector.occlusion if parameters.detector else parameters.occlusion],
-    )
+    columns = {
+        "sequence_id": sequence_id,
+        "take_id": parameters.take_id,
+        "is_held_out": parameters.is_held_out,
+        "rate_hz": parameters.rate_hz,
+        "image_width_px": camera.image_size_px[0],
+        "image_height_px": camera.image_size_px[1],
+        "focal_px": camera.focal_px,
+        "principal_point_px": camera.principal_point_px,
+        "distance_m": view.distance_m,
+        "yaw_rad": view.yaw_rad,
+        "pitch_rad": view.pitch_rad,
+        "camera_position_m": camera.position_m,
+        "camera_from_world_rotmat": camera.camera_from_world_rotmat,
+        "noise_px": parameters.noise_px,
+        "occlusion": occlusion,
+    }
+    return {name: [value] for name, value in columns.items()}

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PriorSettings
@@ -75,10 +75,8 @@ def load_seed(file: SeedFile, *, seed_index: int = 0) -> LoadedSeed:
     if not is_bvh and file.other is not None:
         raise InputError(f"seeds.files: {name} is no BVH, so there can be no `other` file beside it")
     parameters = file.part(FileSeed, seed_index=seed_index, file_format="bvh" if is_bvh else "json")
-    try:
+    with named(f"seeds.files: {' and '.join(path.name for path in paths)}"):
         pair = _parsed(parameters, [one.data for one in loaded])
-    except InputError as error:
-        raise type(error)(f"seeds.files: {' and '.join(path.name for path in paths)}: {error}") from None
     return LoadedSeed(pair, tuple(one.file for one in loaded), parameters)
 
 

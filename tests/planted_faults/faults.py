@@ -103,7 +103,7 @@ FAULTS = (
           "parameters.leave_one_out_every, stills", "0",
           "contract/test_ingest_annotations.py::test_every_so_many_th_moment_is_left_out_of_what_draws_are_made_from"),
     Fault("no random view is left out", "tasks/ingest/virtual_video.py",
-          "(left_out | parameters", "((left_out & False) | parameters",
+          "= left_out | parameters", "= (left_out & False) | parameters",
           "contract/test_ingest_annotations.py::test_every_so_many_th_moment_is_left_out_of_what_draws_are_made_from"),
     Fault("priors are learned from held-out takes", "tasks/priors.py",
           ' and not facts.is_held_out', "",

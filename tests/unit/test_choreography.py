@@ -296,5 +296,5 @@ def test_drawn_takes_have_nobody_of_the_same_size_and_are_always_the_same() -> N
     assert max(heights) <= 1.95
     assert len({(one.variation, one.speed) for one in drawn}) == 11
     for one in drawn:
-        make_duet(one.name, **(one.told | {"duration_s": 0.5, "rate_hz": 4.0}))
+        make_duet(one.name, **(one.settings | {"duration_s": 0.5, "rate_hz": 4.0}))
     assert IngestParameters.model_validate({"duets": told}).resolved_duets() == made

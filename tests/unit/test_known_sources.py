@@ -43,7 +43,7 @@ def test_rate_and_licence_of_cmu_are_those_of_files_that_fetch_brought_and_of_no
     assert credit_of([find_person(path, take, PersonOptions(rate_hz=60), {})], None, None).licence == NOT_STATED
     note_fetched(path, path.read_bytes())
     brought = find_person(path, take, PersonOptions(), {})
-    assert brought.told.rate_hz == 120
+    assert brought.parameters.rate_hz == 120
     assert credit_of([brought], None, None) == CMU_CREDIT
     assert credit_of([brought], "CC0-1.0", None).licence == "CC0-1.0"
     path.write_bytes(path.read_bytes() + b"\n")

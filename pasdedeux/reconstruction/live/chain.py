@@ -22,7 +22,7 @@ class LivePeople:
     Args:
         searcher: Database made ready.
         rate_hz: Frames per second.
-        image_size_px: Width and height; told from the first people seen when not given.
+        image_size_px: Width and height; estimated from the first people seen when not given.
         options: How.
     """
 

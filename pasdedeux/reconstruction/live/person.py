@@ -78,7 +78,6 @@ class LivePose:
         person_id: Person, stable over frames.
         frame: Frame of the image.
         positions_m: op14 positions (14, 3).
-        bone_unitquat: Rotations of the bones (14, 4), see `bones.bone_rotations`.
         root_m: Mid-hip (3,).
         yaw_rad: Yaw of the matched projection.
         score_m: Mean distance per seen joint to it.
@@ -93,7 +92,6 @@ class LivePose:
     person_id: int
     frame: int
     positions_m: Array
-    bone_unitquat: Array
     root_m: Array
     yaw_rad: float
     score_m: float
@@ -338,7 +336,6 @@ class _Chain:
             person_id=self._person.person_id,
             frame=seen.frame,
             positions_m=positions,
-            bone_unitquat=bone_rotations(positions),
             root_m=mid_hip(positions),
             yaw_rad=float(np.mod(seen.yaw_steps[rank] * self._searcher.database.yaw_step_rad, 2.0 * np.pi)),
             score_m=float(seen.match_m[rank]),

@@ -108,5 +108,5 @@ def test_what_was_decided_is_written_and_a_changed_copy_overrules_it(tmp_path: P
     with pytest.raises(InputError, match="there is no such sequence; sequences: clip"):
         ingested(store, annotations=[source | {"people_file": people}])
     people.write_text("who,is,who\n")
-    with pytest.raises(InputError, match=r"annotations clip: people\.csv: line 1: a table of people begins with"):
+    with pytest.raises(InputError, match=r"annotations clip: people\.csv: line 1: column 'who' is unknown or double"):
         ingested(store, annotations=[source | {"people_file": people}])

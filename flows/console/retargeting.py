@@ -30,7 +30,8 @@ from pasdedeux.formats.registry import MOTION_FORMATS
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.formats.working_poses import check_layout
-from pasdedeux.learning import VariantRequest, Weights, read_weights
+from pasdedeux.learning.model import VariantRequest
+from pasdedeux.learning.registry import Weights, read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits

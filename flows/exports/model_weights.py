@@ -10,7 +10,7 @@ import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
 from flows.records import read_last_run
-from pasdedeux.learning import Weights, write_weights
+from pasdedeux.learning.registry import Weights, write_weights
 from storage_schema import Manifest, Store, latest_studies
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.stage import verdict_of

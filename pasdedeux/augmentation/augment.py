@@ -174,10 +174,8 @@ class Augmenter:
             each = _FRAME_BYTES * (self.source.num_people / 2) ** 2 * (window.stop - window.start)
             while self._ready and (len(self._ready) + 1) * each > _KEPT_BYTES:
                 self._ready.pop(next(iter(self._ready)))
-            within = (contact.within(window.start, window.stop) for contact in self._user_contacts)
-            user = [contact for contact in within if contact is not None]
-            source = self.source if len(self._windows) == 1 else self.source.take_frames(window)
-            self._ready[number] = WindowSolver(source, self.settings, user)
+            source, contacts = self.source.window(window, self._user_contacts)
+            self._ready[number] = WindowSolver(source, self.settings, contacts)
         return self._ready[number]
 
     def _judge(self, quality: Quality, frame_verdicts: npt.NDArray[np.int64], solver: str) -> Verdict:

@@ -27,7 +27,7 @@ from pasdedeux.skeletons import BODY22
 Indices = npt.NDArray[np.int64]
 
 _SMALLEST_WEIGHT = 1e-2
-"""Pairs that weigh less than this share of the full weight are left out."""
+"""Pairs that weigh less than this share of the full weight are dropped."""
 
 
 _NEAR_M = (0.03, 0.1)

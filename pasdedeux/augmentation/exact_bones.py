@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.augmentation.source import points_of
 from pasdedeux.compiled import compiled
+from pasdedeux.fitting import BoneForest
 from pasdedeux.skeletons import BODY22
 
 Indices = npt.NDArray[np.int64]
@@ -19,52 +19,20 @@ _STEPS_TO_NEAREST = 2
 def project_to_bones(points: Array, lengths_m: Array, *, is_nearest: bool = False) -> Array:
     """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
 
-    The pelvis stays; a bone without direction takes none, which only a bone of length zero has.  Where the nearest are
-    asked for, all joints first move as little as they can to have these lengths: what lengths are off does not add up
-    along limbs, and motion that has other bones by mistake comes nearer to the one that has these.
+    The pelvis stays.  Where the nearest are asked for, all joints first move as little as they can to have these
+    lengths: length errors do not add up along limbs, and motion that has other bones by mistake comes nearer to the one
+    that has these.
     """
-    people = np.array(points, np.float64).reshape(*points.shape[:2], -1, BODY22.num_joints, 3)
-    placed = np.empty(people.shape)
-    lengths = np.asarray(lengths_m, np.float64).reshape(len(lengths_m), -1, BODY22.num_joints)
-    parents, order = np.array(BODY22.parents), np.array(BODY22.order)
+    points = np.array(points, np.float64, order="C")
     if is_nearest:
-        _meet_lengths(people, parents, order[:0:-1], lengths, _STEPS_TO_NEAREST)
-    _keep_directions(people, parents, order, lengths, placed)
-    return points_of(placed)
-
-
-@compiled(error_model="numpy")
-def _keep_directions(people: Array, parents: Indices, order: Indices, lengths_m: Array, placed: Array) -> None:
-    """Fill `placed` with people whose bones point as they do and have other lengths.
-
-    As `kinematics.place_bones` of `bone_directions`, to the last bit; in one pass, where those take some forty.
-
-    Args:
-        people: Positions (variant, T, P, J, 3), metres.
-        parents: Parent of each joint (J,), -1 for the root.
-        order: Joints (J,), parents first.
-        lengths_m: Length of the bone that ends in each joint (variant, P, J), metres.
-        placed: Is written, of the shape of `people`.
-    """
-    for v in range(people.shape[0]):
-        for t in range(people.shape[1]):
-            for p in range(people.shape[2]):
-                new, old = placed[v, t, p], people[v, t, p]
-                for joint in order:
-                    parent = parents[joint]
-                    if parent < 0:
-                        new[joint] = old[joint]
-                        continue
-                    x = old[joint, 0] - old[parent, 0]
-                    y = old[joint, 1] - old[parent, 1]
-                    z = old[joint, 2] - old[parent, 2]
-                    length = np.sqrt((x * x + y * y) + z * z)
-                    if not length > 1e-12:
-                        length = 1.0
-                    wanted = lengths_m[v, p, joint]
-                    new[joint, 0] = new[parent, 0] + x / length * wanted
-                    new[joint, 1] = new[parent, 1] + y / length * wanted
-                    new[joint, 2] = new[parent, 2] + z / length * wanted
+        people = points.reshape(*points.shape[:2], -1, BODY22.num_joints, 3)
+        lengths = np.asarray(lengths_m, np.float64).reshape(len(lengths_m), -1, BODY22.num_joints)
+        _meet_lengths(people, np.array(BODY22.parents), np.array(BODY22.order)[:0:-1], lengths, _STEPS_TO_NEAREST)
+    skeletons = (BODY22,) * (points.shape[2] // BODY22.num_joints)
+    for variant, lengths in zip(points, lengths_m, strict=True):
+        forest = BoneForest(skeletons, lengths)
+        variant[...] = forest.positions(forest.state_of(variant))
+    return points
 
 
 @compiled(error_model="numpy")

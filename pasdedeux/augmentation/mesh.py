@@ -46,7 +46,7 @@ class InteractionMesh:
 def delaunay_edges(points: Array) -> npt.NDArray[np.bool_]:
     """Return which of the points (n, 3) share a Delaunay tetrahedron (n, n).
 
-    Points that lie in a plane have no tetrahedra, and of points that coincide all but one are left out; such sets are
+    Points that lie in a plane have no tetrahedra, and of points that coincide all but one are dropped; such sets are
     meshed again after a fixed pseudo-random displacement of a micrometre.
     """
     from scipy.spatial import Delaunay, QhullError  # here: planning need not wait for it

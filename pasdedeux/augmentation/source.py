@@ -151,6 +151,12 @@ class Source:
             objects=self.objects,
         )
 
+    def window(self, frames: slice, stated: Sequence[UserContact]) -> tuple[Source, list[UserContact]]:
+        """Return some frames, and the stated contacts in them; the take itself where that is all of it."""
+        within = (contact.within(frames.start, frames.stop) for contact in stated)
+        contacts = [contact for contact in within if contact is not None]
+        return (self if frames == slice(0, self.num_frames) else self.take_frames(frames)), contacts
+
     def take_frames(self, frames: slice, *, rate_hz: float | None = None) -> Source:
         """Return some frames with the bones, floor and feet of the whole take; thinned out, they have another rate."""
         objects = self.objects and self.objects.at(frames)

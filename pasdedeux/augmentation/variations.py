@@ -57,7 +57,7 @@ class VariationSettings(Settings):
         ("A",),
         min_length=1,
         description="Who is scaled: A, B, C, ...; AB, BC, ... (alike); all (everybody alike).  Who a take does not "
-        "have is left out",
+        "have is skipped",
     )
     groups: tuple[Group, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
     scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")

@@ -30,8 +30,9 @@ from pasdedeux.errors import InputError
 from pasdedeux.fitting import total_energy
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.learning import DEFAULT_MODELS, VariantModel, VariantRequest
 from pasdedeux.learning.mesh_refine import window_problems
+from pasdedeux.learning.model import VariantModel, VariantRequest
+from pasdedeux.learning.registry import DEFAULT_MODELS
 from pasdedeux.skeletons import BODY22, Skeleton
 
 Errors = Mapping[str, float]

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.fitting.bones import BoneForest, topology_of
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import AccelerationTerm, Normal, PointTerm, Term
@@ -90,19 +89,6 @@ class ObservedFitSettings(Settings):
     )
 
 
-@dataclass(frozen=True)
-class ObservedFit:
-    """The fitted track.
-
-    Args:
-        positions_m: (T, N, 3), metres; x and y as observed, z about the first guess's.
-        noise_m: Standard deviation of the image that was measured and used (N,), metres.
-    """
-
-    positions_m: Array
-    noise_m: Array
-
-
 def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_]) -> float:
     """Return the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
 
@@ -130,8 +116,8 @@ def fit_observed(
     rate_hz: float,
     distance_m: Array | None = None,
     settings: ObservedFitSettings | None = None,
-) -> ObservedFit:
-    """Fit a track of poses to its image.
+) -> Array:
+    """Return a track of poses fitted to its image (T, N, 3), metres; x and y as observed, z about the first guess's.
 
     Args:
         skeleton: Tree of N joints.
@@ -146,15 +132,10 @@ def fit_observed(
         settings: What is believed.
 
     Raises:
-        InputError: Shapes that do not fit, or a first guess that is not finite.
+        InputError: The first guess is not finite.
     """
     settings = settings or ObservedFitSettings()
     frames, joints = start_m.shape[:2]
-    if observed_m.shape != (frames, joints, 2) or confidence.shape != (frames, joints) or joints != skeleton.num_joints:
-        raise InputError(
-            f"observed fit: first guess {start_m.shape}, observation {observed_m.shape} and confidence "
-            f"{confidence.shape} do not belong to {frames} frames of {skeleton.num_joints} joints"
-        )
     is_seen = np.isfinite(observed_m).all(axis=-1) & (confidence > 0)
     weight = np.where(is_seen, confidence, 0.0)
     noise = np.full(joints, max(image_noise(observed_m, is_seen), settings.min_noise_m))
@@ -175,7 +156,7 @@ def fit_observed(
             residual = np.where(is_seen, residual, np.nan)
             noise = np.maximum(noise, _joint_noise(residual))
             robust = 1.0 / (1.0 + (np.nan_to_num(residual) / (3.0 * noise)) ** 2)
-    return ObservedFit(positions, noise)
+    return positions
 
 
 def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | float | None) -> Array:

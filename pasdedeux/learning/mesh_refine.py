@@ -13,7 +13,7 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.problem import Problem
-from pasdedeux.augmentation.source import Source, complete_scales, points_of
+from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.windows import LONGEST_S, blend_weights, plan_windows
 from pasdedeux.errors import InputError
@@ -102,10 +102,5 @@ def window_problems(request: VariantRequest) -> tuple[list[slice], list[Problem]
     """Return the windows in which the solver solves a take, and the problem of each."""
     source = request.source
     windows = plan_windows(source.num_frames, source.rate_hz, LONGEST_S)
-    problems = []
-    for window in windows:
-        part: Source = source if len(windows) == 1 else source.take_frames(window)
-        within = (contact.within(window.start, window.stop) for contact in request.contacts)
-        contacts = [contact for contact in within if contact is not None]
-        problems.append(build_problem(part, request.solving, user_contacts=contacts))
-    return windows, problems
+    parts = [source.window(window, request.contacts) for window in windows]
+    return windows, [build_problem(part, request.solving, user_contacts=contacts) for part, contacts in parts]

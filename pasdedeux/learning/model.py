@@ -256,7 +256,7 @@ def mapped_item(item: TrainingItem, joints: JointMap, source: Source) -> Trainin
     """Return an item of `body22` on another skeleton: its motion, and its scales.
 
     A bone's scale is what plain forward kinematics on `body22` makes of its median length.  Stated contacts, which name
-    bones of `body22`, are left out.
+    bones of `body22`, are dropped.
 
     Args:
         item: The item.

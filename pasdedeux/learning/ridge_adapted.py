@@ -20,7 +20,7 @@ from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.skeletons import BODY22
 
 _GROUPS: tuple[Group, ...] = ("torso", "arms", "legs")
-"""Limbs that are scaled alone; the others are told from whole bodies."""
+"""Limbs that are scaled alone; the others follow from whole bodies."""
 _REACH = 0.15
 """How far from scale 1 the variants of an unseen take are that are solved, either way.
 

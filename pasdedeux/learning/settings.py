@@ -15,21 +15,21 @@ from pasdedeux.learning.windows import RATE_HZ
 from pasdedeux.settings import Settings
 
 
-class FitSettings(Settings):
+class NetworkSettings(Settings):
     """How long a network is trained, and how fast."""
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
 
 
-class ClassifierSettings(FitSettings):
+class ClassifierSettings(NetworkSettings):
     """How the classifier of clips is trained."""
 
     num_steps: int = Field(200, ge=1, description="Steps of training")
     learning_rate: float = Field(0.003, gt=0, le=1, description="Learning rate of Adam at the start")
 
 
-class PredictorSettings(FitSettings):
+class PredictorSettings(NetworkSettings):
     """How the predictor of motion is trained."""
 
     num_steps: int = Field(300, ge=1, description="Steps of training")
@@ -48,7 +48,7 @@ class SegmentSettings(Settings):
         return -(-self.num_steps // self.segment_steps)
 
 
-class WindowSettings(SegmentSettings, FitSettings):
+class WindowSettings(SegmentSettings, NetworkSettings):
     """Rate and windows of a step; no study sets them, but for the rate of `paper_cvae`."""
 
     window_s: float = Field(2.0, gt=0, le=60.0, description="Length of a window, seconds")
@@ -125,8 +125,8 @@ class Action2MotionLikeConfig(WindowSettings):
     From Action2motion: z of every frame, whose prior is a recurrent network's of the frames so far, gated recurrent
     units of 128, two of them in the decoder, z of 30, squared errors, divergence times 1e-4. Assumed: classes,
     windows and the change from the template as in `actor_like`; class and the template's first and last frame are
-    known in every frame; the network always goes on from its own last frame, where theirs is told the true one for 60 %
-    of the steps; places of joints in place of a Lie algebra.
+    known in every frame; the network always goes on from its own last frame, where theirs is given the true one for
+    60 % of the steps; places of joints in place of a Lie algebra.
     """
 
     hidden: int = Field(128, ge=1, le=1024, description="Size of the states of its gated recurrent units")

@@ -113,7 +113,7 @@ def make_split(
             them out.  Splits across interactions need some: where none are given (nor held out), they are those of the
             later half of the interactions by name.  A take stands for all of its interaction there.
         held_out: Takes that nothing is learned from: tested on across interactions, swapped or not, with all takes of
-            their interactions; else left out.
+            their interactions; else skipped.
 
     Raises:
         InputError: Unknown split, or its training or test set is empty.

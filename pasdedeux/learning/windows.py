@@ -20,9 +20,8 @@ from pasdedeux.learning.model import Items, VariantRequest
 Narrow = npt.NDArray[np.float32]
 
 RATE_HZ = 10.0
-"""Frames a second that are looked at; between them, displacements follow cubic splines."""
+"""Sampled frames a second; between them, displacements follow cubic splines."""
 _SCALED = 1e-6
-_STRETCH_KNOTS, _FELT_KNOTS = 200, 40
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Window:
     Args:
         take_id: The take.
         person: Who is scaled.
-        frames: Which of the frames looked at (T,).
+        frames: Which of the sampled frames (T,).
         template_m: The source's motion (T, 2, 22, 3), metres.
         axes: The window's axes as columns in the world (3, 3).
         variants_m: Motions of variants (V, T, 2, 22, 3), metres; none where it is asked for them.
@@ -48,45 +47,10 @@ class Window:
     bone_scale: Narrow
 
 
-def frames_looked_at(source: Source) -> npt.NDArray[np.int64]:
-    """Return the frames of a take that are looked at, the first and the last among them."""
+def sampled_frames(source: Source) -> npt.NDArray[np.int64]:
+    """Return the frames of a take that models see, the first and the last among them."""
     stride = max(round(source.rate_hz / RATE_HZ), 1)
     return np.unique(np.append(np.arange(0, source.num_frames, stride), source.num_frames - 1))
-
-
-@dataclass(frozen=True)
-class Spread:
-    """The cubic spline through values of the frames looked at, as matrices: one for every stretch of 20 s or so.
-
-    A frame feels a spline's knots less by a factor of 0.27 for each knot in between, so what lies 4 s away is left out
-    (1e-23): a take's memory grows with its length, not with the square of that.
-
-    Args:
-        stretches: Of each the knots that its frames are made of, and their shares (frames, knots).
-    """
-
-    stretches: tuple[tuple[slice, Array], ...]
-
-    @classmethod
-    def over(cls, source: Source, frames: npt.NDArray[np.int64]) -> Spread:
-        """Return the spline of a take that is looked at in these frames (F,), the first and the last among them."""
-        count = len(frames)
-        if count == 1:
-            return cls(((slice(0, 1), np.ones((source.num_frames, 1))),))
-        from scipy.interpolate import CubicSpline  # here: planning need not wait for it
-
-        found = []
-        firsts = range(0, max(count - _FELT_KNOTS, 1), _STRETCH_KNOTS)
-        for first in firsts:
-            last = count - 1 if first == firsts[-1] else first + _STRETCH_KNOTS
-            knots = slice(max(first - _FELT_KNOTS, 0), min(last + _FELT_KNOTS, count - 1) + 1)
-            times = np.arange(frames[first], frames[last] + (last == count - 1))
-            found.append((knots, np.asarray(CubicSpline(frames[knots], np.eye(knots.stop - knots.start))(times))))
-        return cls(tuple(found))
-
-    def apply(self, values: npt.NDArray[np.floating]) -> Array:
-        """Return values (T, n) of all frames, from those of the frames looked at (F, n)."""
-        return np.concatenate([shares @ values[knots] for knots, shares in self.stretches])
 
 
 def scaled_persons(request: VariantRequest) -> list[int]:
@@ -104,14 +68,14 @@ def cut(source: Source, take_id: str, person: int, length: int) -> list[Window]:
         person: Who is scaled.
         length: Frames of a window.
     """
-    looked = frames_looked_at(source)
+    sampled = sampled_frames(source)
     order = [1 - person, person]
-    count = len(looked)
+    count = len(sampled)
     starts = [*range(0, max(count - length, 0), max(length // 2, 1)), max(count - length, 0)]
     windows = []
     for start in sorted(set(starts)):
         frames = np.arange(start, min(start + length, count))
-        people = source.positions_m[looked[frames]][:, order]
+        people = source.positions_m[sampled[frames]][:, order]
         hips = people[0, :, source.skeleton.root]
         along = (hips[1] - hips[0]) * (1.0, 0.0, 1.0)
         distance = float(np.linalg.norm(along))
@@ -135,7 +99,7 @@ def gather_windows(items: Items, length: int) -> list[Window]:
             continue
         source, (person,) = item.request.source, persons
         _, moved, scales = variants.setdefault((item.request.take_id, person), (source, [], []))
-        moved.append((item.motion_m - source.positions_m)[frames_looked_at(source)][:, [1 - person, person]])
+        moved.append((item.motion_m - source.positions_m)[sampled_frames(source)][:, [1 - person, person]])
         scales.append(item.request.bone_scale[person])
     found = []
     for (take_id, person), (source, moved, scales) in variants.items():
@@ -155,12 +119,16 @@ def blend(source: Source, windows: Sequence[Window], moved_m: Iterator[Narrow]) 
         moved_m: For each of them the displacements (its frames, 2, 22, 3), in its axes; where two windows overlap, one
             fades into the other.
     """
-    looked = frames_looked_at(source)
-    total, shares = np.zeros((len(looked), *source.positions_m.shape[1:])), np.zeros(len(looked))
+    from scipy.interpolate import CubicSpline  # here: planning need not wait for it
+
+    sampled = sampled_frames(source)
+    total, shares = np.zeros((len(sampled), *source.positions_m.shape[1:])), np.zeros(len(sampled))
     for window, moved in zip(windows, moved_m, strict=True):
         count = len(window.frames)
         share = np.minimum(np.arange(1, count + 1), np.arange(count, 0, -1)).astype(np.float64)
         total[window.frames] += share[:, None, None, None] * (moved.astype(np.float64) @ window.axes.T)
         shares[window.frames] += share
     mean = (total / shares[:, None, None, None])[:, [1 - windows[0].person, windows[0].person]]
-    return Spread.over(source, looked).apply(mean.reshape(len(looked), -1)).reshape(source.positions_m.shape)
+    if len(sampled) == 1:
+        return mean
+    return np.asarray(CubicSpline(sampled, mean)(np.arange(source.num_frames)))

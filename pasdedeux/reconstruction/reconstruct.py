@@ -349,7 +349,7 @@ def _fit(
             rate_hz=track.rate_hz,
             distance_m=distance,
             settings=options.fit,
-        ).positions_m
+        )
         positions = positions - mid_hip(positions)[:, None]
     return positions
 

@@ -14,7 +14,9 @@ from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pac
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning import BASELINES, DEFAULT_MODELS, SPLIT_NAMES, TrainingItem, VariantKey
+from pasdedeux.learning.model import TrainingItem
+from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
+from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult

@@ -13,8 +13,8 @@ from pydantic import Field
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval
 from pasdedeux.evaluation.models import GENERATED, SOLVER, generated
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.learning import BASELINES
 from pasdedeux.learning.clips import clips_of
+from pasdedeux.learning.registry import BASELINES
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.augmentation import AugmentationSettings, Source
-from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest, mapped_item, mapped_source
+from pasdedeux.learning.model import TrainingItem, VariantRequest, mapped_item, mapped_source
+from pasdedeux.learning.splits import VariantKey
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import batch_of

@@ -7,7 +7,8 @@ from typing import Literal, NamedTuple
 from pydantic import Field, SerializeAsAny, model_validator
 
 from pasdedeux.errors import InputError
-from pasdedeux.learning import DEFAULT_MODELS, MODELS, SPLIT_NAMES, SplitName, model_class
+from pasdedeux.learning.registry import DEFAULT_MODELS, MODELS, model_class
+from pasdedeux.learning.splits import SPLIT_NAMES, SplitName
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 from tasks.stage import Parameters, with_fields

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pasdedeux.errors import InputError
-from pasdedeux.learning import Split, VariantKey, make_split, model_class
+from pasdedeux.learning.registry import model_class
+from pasdedeux.learning.splits import Split, VariantKey, make_split
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations, variations
 from tasks.facts import TakeFacts, VariantFacts

@@ -10,21 +10,10 @@ import numpy as np
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import frame_errors_cm
 from pasdedeux.evaluation.verdicts import Items, compare
-from pasdedeux.learning import (
-    BASELINES,
-    Arrays,
-    LogEntry,
-    ModelDescription,
-    Training,
-    TrainingItem,
-    VariantKey,
-    VariantModel,
-    describe,
-    has_torch,
-    load_model,
-    model_arrays,
-    model_class,
-)
+from pasdedeux.learning.model import Arrays, LogEntry, Training, TrainingItem, VariantModel
+from pasdedeux.learning.registry import BASELINES, ModelDescription, describe, load_model, model_arrays, model_class
+from pasdedeux.learning.settings import has_torch
+from pasdedeux.learning.splits import VariantKey
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import ModelFacts, SkippedFacts

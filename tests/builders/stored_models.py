@@ -4,7 +4,8 @@ import hashlib
 
 import numpy as np
 
-from pasdedeux.learning import VariantModel, describe, model_arrays
+from pasdedeux.learning.model import VariantModel
+from pasdedeux.learning.registry import describe, model_arrays
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
 from tasks.stage import VERDICT_FACT

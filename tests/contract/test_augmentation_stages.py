@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths, forward_kinematics
-from pasdedeux.learning import VariantRequest
+from pasdedeux.learning.model import VariantRequest
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store

@@ -22,7 +22,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
-from pasdedeux.learning import CopyModel, read_weights
+from pasdedeux.learning.baselines import CopyModel
+from pasdedeux.learning.registry import read_weights
 from storage_schema import (
     TABLES,
     ArtifactRef,

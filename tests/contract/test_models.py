@@ -10,18 +10,8 @@ from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import model_errors
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.learning import (
-    BASELINES,
-    MODELS,
-    Arrays,
-    Training,
-    TrainingItem,
-    VariantModel,
-    VariantRequest,
-    describe,
-    load_model,
-    model_arrays,
-)
+from pasdedeux.learning.model import Arrays, Training, TrainingItem, VariantModel, VariantRequest
+from pasdedeux.learning.registry import BASELINES, MODELS, describe, load_model, model_arrays
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 

@@ -6,19 +6,12 @@ import torch
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning import (
-    Arrays,
-    Training,
-    TrainingItem,
-    VariantRequest,
-    describe,
-    load_model,
-    model_arrays,
-)
+from pasdedeux.learning.model import Arrays, Training, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.class_vaes import _divergence_between
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.networks.layers import WindowNetwork, divergence
 from pasdedeux.learning.networks.motion_predictor import MotionPredictor
+from pasdedeux.learning.registry import describe, load_model, model_arrays
 from pasdedeux.learning.settings import PaperCvaeConfig
 from pasdedeux.learning.window_vae import Action2MotionLikeModel, ActorLikeModel, PaperCvaeModel, WindowVae
 from tests.builders.moving_pairs import swaying_pair

@@ -19,24 +19,13 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import UNITS, ModelMeter, key_contacts, model_errors
 from pasdedeux.fitting import total_energy
 from pasdedeux.interaction.contacts import Contacts
-from pasdedeux.learning import (
-    SPLIT_NAMES,
-    CopyModel,
-    MeshRefineModel,
-    ModelDescription,
-    NaiveFkModel,
-    RidgeAdaptedModel,
-    RidgeScaleModel,
-    Training,
-    TrainingItem,
-    VariantKey,
-    VariantModel,
-    VariantRequest,
-    describe,
-    load_model,
-    make_split,
-    model_arrays,
-)
+from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
+from pasdedeux.learning.mesh_refine import MeshRefineModel
+from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest
+from pasdedeux.learning.registry import ModelDescription, describe, load_model, model_arrays
+from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
+from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey, make_split
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 

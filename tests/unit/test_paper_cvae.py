@@ -11,22 +11,14 @@ from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.learning import (
-    MODELS,
-    MeshRefineModel,
-    ModelDescription,
-    RidgeScaleModel,
-    Training,
-    TrainingItem,
-    VariantRequest,
-    describe,
-    load_model,
-    model_arrays,
-)
+from pasdedeux.learning.mesh_refine import MeshRefineModel
+from pasdedeux.learning.model import Training, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.networks.layers import divergence, draw_latent
+from pasdedeux.learning.registry import MODELS, ModelDescription, describe, load_model, model_arrays
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.window_vae import PaperCvaeModel
-from pasdedeux.learning.windows import Spread, frames_looked_at
+from pasdedeux.learning.windows import blend, cut, sampled_frames
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
@@ -138,12 +130,12 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
         PaperCvaeModel.config_kind.model_validate({"kernel": 4})
 
 
-@pytest.mark.parametrize("num_frames", [1, 2, 30, 605, 1801])
-def test_frames_between_those_looked_at_are_on_a_cubic_spline_and_long_takes_need_little(num_frames: int) -> None:
-    source = Source(np.zeros((num_frames, 2, 22, 3)), 30.0, "still")
-    frames = frames_looked_at(source)
-    values = np.random.default_rng(0).standard_normal((len(frames), 3))
-    wanted = CubicSpline(frames, values)(np.arange(num_frames)) if num_frames > 1 else values
-    spread = Spread.over(source, frames)
-    np.testing.assert_allclose(spread.apply(values), wanted, atol=1e-12)
-    assert sum(shares.size for _, shares in spread.stretches) <= 280 * num_frames
+@pytest.mark.parametrize("num_frames", [1, 2, 30, 605])
+def test_frames_between_the_sampled_ones_are_on_a_cubic_spline(num_frames: int) -> None:
+    source = Source(swaying_pair(num_frames), 30.0, "sway")
+    frames = sampled_frames(source)
+    (window,) = cut(source, "", 1, len(frames))
+    values = np.random.default_rng(0).standard_normal(window.template_m.shape).astype(np.float32)
+    in_world = values.astype(np.float64) @ window.axes.T
+    wanted = CubicSpline(frames, in_world)(np.arange(num_frames)) if num_frames > 1 else in_world
+    np.testing.assert_allclose(blend(source, [window], iter([values])), wanted, atol=1e-12)

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
-from pasdedeux.fitting.observed_pose import BoneVectorTerm, ObservedFitSettings, fit_observed, image_noise
+from pasdedeux.fitting.observed_pose import BoneVectorTerm, image_noise
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
@@ -216,15 +215,6 @@ def test_the_bone_term_has_the_gradient_and_curvature_of_its_energy() -> None:
     slope = 2.0 * (normal.gradient * step).sum()
     bend = np.einsum("tia,atij,tja->", step, normal.matrix, step)
     assert term.energy(positions + step) == pytest.approx(term.energy(positions) + slope + bend)
-
-
-def test_the_fit_refuses_what_does_not_fit_together() -> None:
-    pose = walk(5)
-    good = {"confidence": np.ones((5, 14)), "bone_m": pose, "bone_deviation_m": np.ones((5, 14)), "rate_hz": 24.0}
-    with pytest.raises(InputError, match="do not belong"):
-        fit_observed(OP14, REFERENCE_LENGTHS_M, pose, pose[:4, :, :2], **good)
-    with pytest.raises(ValidationError, match="min_noise_m"):
-        ObservedFitSettings(min_noise_m=0.0)
 
 
 def test_a_known_scale_is_kept_and_brings_the_fit_nearer(searcher: Searcher) -> None:

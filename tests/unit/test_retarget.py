@@ -15,7 +15,9 @@ from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
-from pasdedeux.learning import NaiveFkModel, RidgeScaleModel, Weights, write_weights
+from pasdedeux.learning.baselines import NaiveFkModel
+from pasdedeux.learning.registry import Weights, write_weights
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store, resolve
 from tasks.ingest import STAGE, IngestParameters

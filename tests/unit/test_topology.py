@@ -11,22 +11,9 @@ from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.learning import (
-    MODELS,
-    CopyModel,
-    Training,
-    TrainingItem,
-    VariantModel,
-    VariantRequest,
-    Weights,
-    describe,
-    load_model,
-    mapped_item,
-    mapped_source,
-    model_arrays,
-    read_weights,
-    write_weights,
-)
+from pasdedeux.learning.baselines import CopyModel
+from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest, mapped_item, mapped_source
+from pasdedeux.learning.registry import MODELS, Weights, describe, load_model, model_arrays, read_weights, write_weights
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22, MODEL_SKELETONS
 from storage_schema import Store
 from tasks.evaluation.realism import TOPIC, LearnedSettings

@@ -12,21 +12,12 @@ from safetensors.numpy import load, save
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning import (
-    MeshRefineModel,
-    NaiveFkModel,
-    RidgeAdaptedModel,
-    RidgeScaleModel,
-    Training,
-    TrainingItem,
-    VariantRequest,
-    Weights,
-    describe,
-    load_model,
-    model_arrays,
-    read_weights,
-    write_weights,
-)
+from pasdedeux.learning.baselines import NaiveFkModel
+from pasdedeux.learning.mesh_refine import MeshRefineModel
+from pasdedeux.learning.model import Training, TrainingItem, VariantRequest
+from pasdedeux.learning.registry import Weights, describe, load_model, model_arrays, read_weights, write_weights
+from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 

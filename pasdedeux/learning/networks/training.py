@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from pasdedeux.errors import InputError
 from pasdedeux.learning.model import Arrays, LogEntry
 from pasdedeux.learning.networks.layers import Batch, WindowNetwork, initialise
-from pasdedeux.learning.settings import FitSettings, WindowSettings
+from pasdedeux.learning.settings import NetworkSettings, WindowSettings
 
 Narrow = npt.NDArray[np.float32]
 Draw = Callable[[], tuple[Mapping[str, Narrow], str]]
@@ -33,7 +33,7 @@ def fit(
     name: str,
     loss: Callable[[Batch], Tensor],
     optimiser: torch.optim.Optimizer,
-    settings: FitSettings,
+    settings: NetworkSettings,
     draw: Draw,
     steps: range,
 ) -> float:

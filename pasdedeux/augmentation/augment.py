@@ -36,8 +36,8 @@ class Variant:
     """One solved variant.
 
     Args:
-        variation: Its name and the scales asked for.
-        bone_scale: The scales used (P, 22): as asked for, the root's following the legs.
+        variation: Its name and the requested scales.
+        bone_scale: The scales used (P, 22): as requested, the root's following the legs.
         positions_m: Motion of all people (T, P, 22, 3), metres; always finite.
         quality: Its figures.
         frames: Its figures frame by frame.
@@ -150,7 +150,7 @@ class Augmenter:
         return variants
 
     def judge(self, bone_scale: Array, positions_m: Array) -> Verdict:
-        """Return what is thought of a motion that something else than the solver gives.
+        """Return the verdict on a motion that is not the solver's.
 
         Args:
             bone_scale: The scales it is for (P, 22), the root's included.

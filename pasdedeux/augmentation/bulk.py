@@ -83,10 +83,10 @@ class _End:
     """When a variant has settled; means over frames, of edges and of joints.
 
     Args:
-        checked_every: Iterations after which that is asked.
+        checked_every: Iterations between checks.
         change_m: It has when edges change by less than this in an iteration, metres.
         stalled_m: It also has when they change by less than this,
-        moved_m: and joints moved by less than this since it was asked last: somewhere bones swing between touching and
+        moved_m: and joints moved by less than this since the last check: somewhere bones swing between touching and
             not, which moves nothing else.
     """
 

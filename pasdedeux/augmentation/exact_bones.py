@@ -19,9 +19,9 @@ _STEPS_TO_NEAREST = 2
 def project_to_bones(points: Array, lengths_m: Array, *, is_nearest: bool = False) -> Array:
     """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
 
-    The pelvis stays.  Where the nearest are asked for, all joints first move as little as they can to have these
-    lengths: length errors do not add up along limbs, and motion that has other bones by mistake comes nearer to the one
-    that has these.
+    The pelvis stays; a bone without direction points up.  With `is_nearest`, all joints first move as little as they
+    can to have these lengths: length errors do not add up along limbs, and motion that has other bones by mistake comes
+    nearer to the one that has these.
     """
     points = np.array(points, np.float64, order="C")
     if is_nearest:

@@ -81,12 +81,12 @@ class Quality:
 
         Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
         """
-        found = [(level, said) for _, level, said in complaints(self, FIGURES, limits)]
+        found = [(level, words) for _, level, words in complaints(self, FIGURES, limits)]
         if not self.num_contact_pairs and not is_alone:
             found.insert(0, (Level.WARN, "nothing is in contact in the source, so contact drift is not known"))
         return Verdict(
             max((level for level, _ in found), key=lambda level: level.rank, default=Level.PASS),
-            "; ".join(said for _, said in found),
+            "; ".join(words for _, words in found),
             figure=FIGURES["contact_drift_m"].words,
             value=self.contact_drift_m,
             unit="m",
@@ -101,7 +101,7 @@ FIGURES = figures_of(Quality)
 
 @dataclass(frozen=True)
 class FrameQuality:
-    """Figures of each frame of one variant, arrays (T,), columns of `variant_frames`; what is not said is as above.
+    """Figures of each frame of one variant, arrays (T,), columns of `variant_frames`; what is not stated is as above.
 
     Limits are wider than those of a variant, which are of means and percentiles of them.
     """

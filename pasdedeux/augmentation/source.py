@@ -41,7 +41,7 @@ class Source:
         rate_hz: Frames per second.
         name: Name of the take, used in messages.
         ground_m: Height of standing toe joints, metres, where it is known; otherwise it is found from everybody.
-        objects: What people handle; it moves as it did, whoever has another size.
+        objects: What people handle; it moves as captured, whatever the body sizes.
         skeleton: Skeleton of everybody.
 
     Raises:
@@ -114,7 +114,7 @@ class Source:
 
     @cached_property
     def closest_m(self) -> float | None:
-        """Smallest distance between joints of two people over the take, metres; None where somebody is alone."""
+        """Smallest distance between joints of two people over the take, metres; None for one person."""
         couples = combinations(range(self.num_people), 2)
         closest = [closest_joint_distance(self.positions_m[:, both]).min() for both in map(list, couples)]
         return float(min(closest)) if closest else None
@@ -169,7 +169,7 @@ class Source:
 
 @cache
 def _own_touch() -> npt.NDArray[np.int64]:
-    """Return the bones with which somebody alone may touch himself: forearms, and what is far enough along the body."""
+    """Return the pairs of bones of one person that may touch: forearms, and what is far enough along the body."""
     return np.array([pair for pair in capsule_model(BODY22).within if set(pair) & set(_WRISTS)])
 
 
@@ -194,7 +194,7 @@ def complete_scales(source: Source, bone_scale: Array) -> Array:
 def reference_motion(source: Source, bone_scale: Array) -> Array:
     """Return r, the source's bone directions with the new lengths, root height scaled by the leg ratio.
 
-    This is plain forward kinematics: what retargeting is without any thought of the partner, the baseline of the
+    This is plain forward kinematics: retargeting that ignores the partner, the baseline of the
     quality columns and the motion that the smoothness term follows.  The height is scaled above the level of the
     standing toe joints, so that they stay where they are: bones scale, the sole under the toe joint does not.
 

@@ -124,9 +124,9 @@ def check_bone_scales(
 
 
 def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Variation]:
-    """Return the variations asked for, each once.
+    """Return the requested variations, each once.
 
-    Where a take has nobody of those asked for, there are none.
+    A take without the persons named has none.
     """
     found: list[Variation] = []
     for kind in settings.kinds:

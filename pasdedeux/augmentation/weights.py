@@ -1,4 +1,4 @@
-"""Weights of the energy's terms, one set for every take, per square metre where nothing else is said; see `terms`.
+"""Weights of the energy's terms, one set for every take, per square metre unless stated otherwise; see `terms`.
 
 They were chosen by the figures of the variants of captured and made-up takes; `docs/findings.md` has what was tried.
 """

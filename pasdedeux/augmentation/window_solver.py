@@ -1,4 +1,4 @@
-"""One window of a take: variants solved in bulk and, where that is asked for, polished by guaranteed descent."""
+"""One window of a take: variants solved in bulk and, with solver `polished`, polished by guaranteed descent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pasdedeux.fitting import FitSettings, Term, total_energy
 from pasdedeux.interaction.known_contacts import UserContact
 
 SOLVERS = ("bulk", "polished", "plain_fk")
-"""Names of what may have given a variant; of several windows the last of these is stated."""
+"""Solvers of a variant; of several windows the last of these is stated."""
 
 _ROUNDING = 1e-6
 """Energy per frame that single precision leaves of nothing: a micrometre in all terms."""

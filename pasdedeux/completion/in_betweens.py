@@ -1,4 +1,4 @@
-"""The pairs between two pairs, led past draws instead of straight.
+"""The pairs between two pairs, guided by draws instead of straight.
 
 A straight line between the joints of two poses shortens limbs and cuts through what people do not do.  Draws near the
 line say where such pairs lie; the path is the compromise of both that is smooth, with exact bone lengths.

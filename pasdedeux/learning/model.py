@@ -29,7 +29,7 @@ Config = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class VariantRequest:
-    """What is asked of a model: one take with new proportions.
+    """The input of a model: one take with new proportions.
 
     Args:
         take_id: Name of the take; a model may know it from training.
@@ -57,7 +57,7 @@ class VariantRequest:
         check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id, skeleton=self.source.skeleton)
 
     def with_exact_bones(self, motion_m: Array, *, is_nearest: bool = False) -> Array:
-        """Return a motion (T, 2, 22, 3), metres, with exactly the bones asked for, placed by `project_to_bones`."""
+        """Return a motion (T, 2, 22, 3), metres, with exactly the requested bones, placed by `project_to_bones`."""
         lengths = scaled_lengths(self.source, complete_scales(self.source, self.bone_scale[None]))
         placed = project_to_bones(points_of(motion_m)[None], lengths, is_nearest=is_nearest)
         return np.asarray(placed[0].reshape(motion_m.shape))
@@ -138,7 +138,7 @@ class Trained:
 
 
 class VariantModel(ABC):
-    """The protocol of models: trained on items, kept as named arrays, asked for motions.
+    """The protocol of models: trained on items, stored as named arrays, predict motions.
 
     A model is a class with these members; `MODELS` lists it, and a contract test holds all that are listed to what is
     said here.  Training twice on the same items gives the same arrays to the last bit, in one go or segment by segment:
@@ -153,7 +153,7 @@ class VariantModel(ABC):
     is_trained: ClassVar[bool] = True
     """It learns from the items; one that does not can be trained on nothing."""
     has_exact_bones: ClassVar[bool] = False
-    """Every motion has the source's bone lengths times the scales asked for, to rounding."""
+    """Every motion has the source's bone lengths times the requested scales, to rounding."""
     needs_torch: ClassVar[bool] = False
     """It needs the extra `learning`."""
     is_of_any_skeleton: ClassVar[bool] = False
@@ -161,7 +161,7 @@ class VariantModel(ABC):
 
     @property
     def skeleton(self) -> Skeleton | None:
-        """The skeleton of its motions; None where it is that of whatever is asked."""
+        """The skeleton of its motions; None where it is that of the request."""
         return BODY22
 
     @property

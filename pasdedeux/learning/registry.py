@@ -41,7 +41,7 @@ BASELINES = (CopyModel.name, NaiveFkModel.name)
 """Models that learn nothing and stand beside every result."""
 
 DEFAULT_MODELS = (CopyModel.name, NaiveFkModel.name, RidgeScaleModel.name)
-"""What is trained where nothing is asked for, as it takes seconds, and what a model has to beat: the baselines and the
+"""Trained by default, as it takes seconds, and what a model has to beat: the baselines and the
 closed form, mixed over takes where a take is not learned from."""
 
 
@@ -154,20 +154,20 @@ def read_weights(data: bytes, what: str) -> Weights:
     try:
         arrays = load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])  # `load` has checked its length
-        said = _Header.model_validate_json(header["__metadata__"][_KEY])
+        stored = _Header.model_validate_json(header["__metadata__"][_KEY])
     except (SafetensorError, RecursionError, ValueError, TypeError, KeyError) as problem:
         found = f"{type(problem).__name__}: {problem}".splitlines()[0][:120]
         raise InputError(
             f"{what}: these are no weights of a model that `export --format safetensors` wrote ({found})"
         ) from None
     try:
-        model = load_model(said.description, arrays)
+        model = load_model(stored.description, arrays)
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
-    if said.joints != _joints(model):
-        count = said.joints.count(",") + 1
-        raise InputError(f"{what}: weights of another topology, {count} joints: {said.joints[:60]}")
-    return Weights(model, said.takes)
+    if stored.joints != _joints(model):
+        count = stored.joints.count(",") + 1
+        raise InputError(f"{what}: weights of another topology, {count} joints: {stored.joints[:60]}")
+    return Weights(model, stored.takes)
 
 
 def _joints(model: VariantModel) -> str:

@@ -56,7 +56,7 @@ class RidgeAdaptedModel(VariantModel):
 
     @classmethod
     def train(cls, training: Training) -> Trained:
-        """Take what `ridge_scale` learned; nothing else is learned before a take is asked for."""
+        """Take what `ridge_scale` learned; the rest is learned at prediction."""
         assert isinstance(training.start, RidgeScaleModel)
         return Trained(cls(training.start))
 

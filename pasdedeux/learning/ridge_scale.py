@@ -42,14 +42,6 @@ _MIX_RIDGE = 1e-4
 
 
 @dataclass
-class _Sums:
-    """Normal equations of one take, added up item by item."""
-
-    gram: Array
-    moment: Array
-
-
-@dataclass
 class RidgeScaleModel(VariantModel):
     """Quadratic coefficients of each take it was trained on, and the mix for others.
 
@@ -85,14 +77,14 @@ class RidgeScaleModel(VariantModel):
             raise InputError("ridge_scale: there is no variant to train on; check the split and the scales")
         num_points = 2 * skeleton.num_joints
         model = cls(is_by_group=is_by_group, mix=np.eye(num_points))
-        sums: dict[str, _Sums] = {}
+        sums: dict[str, tuple[Array, Array]] = {}
         gram, moment = np.zeros((2, num_points, num_points))
         for item in items():
             model._add(item, sums)
             plain, change = _displacements(item)
             gram += np.einsum("tia,tja->ij", plain, plain, optimize=True)
             moment += np.einsum("tia,tja->ij", plain, change, optimize=True)
-        model.coefficients = {take: _ridge(total.gram, total.moment, RIDGE) for take, total in sums.items()}
+        model.coefficients = {take: _ridge(*both, RIDGE) for take, both in sums.items()}
         flat = _ridge(gram, moment, _MIX_RIDGE)
         model.mix = np.ascontiguousarray(flat.T)
         squared, count, squared_mix = 0.0, 0, 0.0
@@ -154,18 +146,19 @@ class RidgeScaleModel(VariantModel):
         sizes = linear.mean(axis=1)
         return np.concatenate([linear.ravel(), linear.ravel() ** 2, [sizes[0] * sizes[1]]])
 
-    def _add(self, item: TrainingItem, sums: dict[str, _Sums]) -> None:
+    def _add(self, item: TrainingItem, sums: dict[str, tuple[Array, Array]]) -> None:
+        """Add an item to the matrix and the right-hand side of its take's normal equations."""
         features = self.features(item.request.bone_scale)
         change = item.motion_m - item.request.source.positions_m
         take = item.request.take_id
         if take not in sums:
             count = len(features)
-            sums[take] = _Sums(np.zeros((count, count)), np.zeros((count, *change.shape)))
-        total = sums[take]
-        if total.moment.shape[1:] != change.shape:
-            raise InputError(f"{take}: variants of {total.moment.shape[1]} and of {len(change)} frames")
-        total.gram += np.outer(features, features)
-        total.moment += features[:, None, None, None, None] * change
+            sums[take] = np.zeros((count, count)), np.zeros((count, *change.shape))
+        matrix, rhs = sums[take]
+        if rhs.shape[1:] != change.shape:
+            raise InputError(f"{take}: variants of {rhs.shape[1]} and of {len(change)} frames")
+        matrix += np.outer(features, features)
+        rhs += features[:, None, None, None, None] * change
 
 
 def _ridge(gram: Array, moment: Array, share: float) -> Array:

@@ -61,7 +61,7 @@ class VariantKey:
 
     @property
     def furthest_scale(self) -> float:
-        """The scale furthest from 1 of anybody's bones, whoever is scaled; the root height is no bone."""
+        """The scale furthest from 1 over all bones of both persons; the root height is no bone."""
         scales = np.delete(self.bone_scale, BODY22.root, axis=1)
         return float(scales.flat[np.argmax(np.abs(scales - 1.0))])
 
@@ -88,11 +88,6 @@ class Split:
     validation: tuple[VariantKey, ...]
     test: tuple[VariantKey, ...]
     shares_takes: bool
-
-    @property
-    def train_takes(self) -> list[str]:
-        """Takes trained on, sorted."""
-        return sorted({key.take_id for key in self.train})
 
 
 def make_split(

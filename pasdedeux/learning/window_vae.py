@@ -274,7 +274,7 @@ class PaperCvaeModel(WindowVae):
         return np.asarray(mean + deviation * self.network.scales(z)[0])
 
     def figures(self, batch: Mapping[str, Narrow]) -> dict[str, float]:
-        """Return figures of generation, scales from p(B_s) and z from the prior: its bones beside those asked for.
+        """Return figures of generation, scales from p(B_s) and z from the prior: its bones beside the requested ones.
 
         There is no true motion; scales should vary as those of training do.
         """

@@ -34,7 +34,7 @@ class Window:
         frames: Which of the sampled frames (T,).
         template_m: The source's motion (T, 2, 22, 3), metres.
         axes: The window's axes as columns in the world (3, 3).
-        variants_m: Motions of variants (V, T, 2, 22, 3), metres; none where it is asked for them.
+        variants_m: Motions of variants (V, T, 2, 22, 3), metres; none where they are to be predicted.
         bone_scale: Their scales of the scaled person (V, 22).
     """
 
@@ -54,7 +54,7 @@ def sampled_frames(source: Source) -> npt.NDArray[np.int64]:
 
 
 def scaled_persons(request: VariantRequest) -> list[int]:
-    """Return who is scaled, the root's scale aside; the second person where nobody is."""
+    """Return the scaled persons, the root's scale aside; the second person where none is."""
     bones = np.delete(request.bone_scale, request.source.skeleton.root, axis=1)
     return [person for person in range(2) if np.abs(bones[person] - 1.0).max() > _SCALED] or [1]
 

@@ -355,10 +355,15 @@ def test_the_compiled_projection_to_bones_is_plain_kinematics_to_the_last_bit() 
     generator = np.random.default_rng(0)
     people, lengths = generator.normal(size=(3, 7, 2, 22, 3)), generator.uniform(0.1, 0.6, (3, 44))
     people[:, :, 1, 5] = people[:, :, 1, BODY22.parents[5]]
+    lengths[:2, 22 + 5] = 0.0
     directions = bone_directions(BODY22, people)
     plain = place_bones(BODY22, people[..., BODY22.root, :], directions, lengths.reshape(3, 1, 2, 22))
     points = plain.reshape(3, 7, 44, 3)
-    np.testing.assert_array_equal(project_to_bones(people.reshape(points.shape), lengths), points)
+    found = project_to_bones(people.reshape(points.shape), lengths)
+    np.testing.assert_array_equal(found[:2], points[:2])
+    # A bone that has a length and no direction points up.
+    bone = found[2, :, 22 + 5] - found[2, :, 22 + BODY22.parents[5]]
+    np.testing.assert_allclose(bone, np.tile([0.0, lengths[2, 22 + 5], 0.0], (7, 1)), atol=1e-12)
 
 
 def test_the_nearest_motion_with_exact_bones_moves_joints_along_bones_alone() -> None:

@@ -1,4 +1,4 @@
-"""The networks of `actor_like` and `action2motion_like`; what they are is said with their settings.
+"""The networks of `actor_like` and `action2motion_like`; their settings describe them.
 
 Both give the change of both people from the template, as three numbers a joint, for a class and the template's first
 and last frame.
@@ -54,8 +54,8 @@ class ActorNetwork(WindowNetwork):
         return _people(self._decode(batch, z))
 
     def _encode(self, batch: Batch) -> Tensor:
-        asked = torch.einsum("wc,ctn->wtn", batch["condition"], self.tokens)
-        tokens = torch.cat([asked, self.pose(_change(batch))], 1)
+        queries = torch.einsum("wc,ctn->wtn", batch["condition"], self.tokens)
+        tokens = torch.cat([queries, self.pose(_change(batch))], 1)
         times = sines(tokens.shape[1], self.settings.width).to(tokens.device)
         return self.encoder(tokens + times)[:, :2].flatten(1)
 

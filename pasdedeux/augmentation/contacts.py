@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.fitting import Term
-from pasdedeux.fitting.terms import Normal
+from pasdedeux.fitting.terms import Normal, Term
 from pasdedeux.interaction.contacts import Contacts
 
 _SHORTEST_M = 1e-6

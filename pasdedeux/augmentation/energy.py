@@ -14,16 +14,9 @@ from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.contacts import ContactTerm
 from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import right_hand_side
-from pasdedeux.fitting import (
-    BoneForest,
-    DistanceTerm,
-    FitResult,
-    FitSettings,
-    HalfSpaceTerm,
-    QuadraticTerm,
-    Term,
-    fit_bones,
-)
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitResult, FitSettings, fit_bones
+from pasdedeux.fitting.terms import DistanceTerm, HalfSpaceTerm, QuadraticTerm, Term
 from pasdedeux.skeletons import BODY22
 
 

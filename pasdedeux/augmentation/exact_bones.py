@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
-from pasdedeux.fitting import BoneForest
+from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.skeletons import BODY22
 
 Indices = npt.NDArray[np.int64]

@@ -14,7 +14,8 @@ from pasdedeux.augmentation.problem import Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
-from pasdedeux.fitting import FitSettings, Term, total_energy
+from pasdedeux.fitting.levenberg import FitSettings
+from pasdedeux.fitting.terms import Term, total_energy
 from pasdedeux.interaction.known_contacts import UserContact
 
 SOLVERS = ("bulk", "polished", "plain_fk")

@@ -14,7 +14,7 @@ from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.fitting import FitSettings
+from pasdedeux.fitting.levenberg import FitSettings
 from pasdedeux.skeletons import BODY22
 
 _FRAMES = 120

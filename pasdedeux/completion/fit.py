@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.fitting import BoneForest, FitSettings, PointTerm, fit_bones
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm
+from pasdedeux.fitting.terms import PointTerm
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.completion.neighbours import Draws, nearest_rigid
-from pasdedeux.fitting import AccelerationTerm, BoneForest, FitSettings, PointTerm, fit_bones
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings, fit_bones
+from pasdedeux.fitting.terms import AccelerationTerm, PointTerm
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 

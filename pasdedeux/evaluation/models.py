@@ -27,7 +27,7 @@ from pasdedeux.augmentation.quality import FIGURES, QualityMeter
 from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.terms import build_targets
 from pasdedeux.errors import InputError
-from pasdedeux.fitting import total_energy
+from pasdedeux.fitting.terms import total_energy
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.mesh_refine import window_problems

@@ -17,7 +17,7 @@ from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.windows import LONGEST_S, blend_weights, plan_windows
 from pasdedeux.errors import InputError
-from pasdedeux.fitting import FitSettings
+from pasdedeux.fitting.levenberg import FitSettings
 from pasdedeux.learning.model import Arrays, Config, Trained, Training, VariantModel, VariantRequest
 from pasdedeux.settings import Settings
 

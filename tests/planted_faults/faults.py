@@ -219,7 +219,7 @@ FAULTS = (
           "grade * contacts.weights", "0.0 * grade * contacts.weights",
           "unit/test_augmentation_solvers.py::test_bones_are_exact_and_contacts_kept"),
     Fault("bones are not projected to their lengths", "pasdedeux/augmentation/exact_bones.py",
-          "return points_of(placed)", "return points_of(people)",
+          "variant[...] = forest.positions(forest.state_of(variant))", "variant[...] = variant",
           "unit/test_augmentation_solvers.py::test_bones_are_exact_and_contacts_kept"),
     Fault("standing feet are not found", "pasdedeux/augmentation/support.py",
           "fade(speed, *_STANCE_SPEED_M_S) * fade", "0.0 * fade(speed, *_STANCE_SPEED_M_S) * fade",

@@ -18,7 +18,9 @@ from pasdedeux.augmentation.variations import (
     group_variations,
 )
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.fitting import BoneForest, FitSettings, total_energy
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings
+from pasdedeux.fitting.terms import total_energy
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22

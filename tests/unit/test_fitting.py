@@ -4,19 +4,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.errors import InputError
-from pasdedeux.fitting import (
+from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings, fit_bones
+from pasdedeux.fitting.terms import (
     AccelerationTerm,
-    BoneForest,
     DistanceTerm,
-    FitSettings,
     HalfSpaceTerm,
+    Normal,
     PointTerm,
     QuadraticTerm,
     Term,
-    fit_bones,
 )
-from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
-from pasdedeux.fitting.terms import Normal
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, Skeleton
 from tests.builders.moving_pairs import swaying_pair

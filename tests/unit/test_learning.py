@@ -17,7 +17,7 @@ from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import PAPER_SCALES, bone_variations, group_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import UNITS, ModelMeter, key_contacts, model_errors
-from pasdedeux.fitting import total_energy
+from pasdedeux.fitting.terms import total_energy
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel

@@ -32,15 +32,15 @@ from flows.study import study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import in_use
 
-_DIFF = """Put two finished runs, or two versions of datasets, side by side: only what differs, the scores last.
+_DIFF = """Compare two finished runs or two versions of datasets; only differences are shown, scores last.
 
 \b
   pasdedeux diff 20260301T020000-salsa-3fa9c0 20260302T020000-salsa-77b2d1
   pasdedeux diff salsa@1 salsa@2 --store /data/store
   pasdedeux diff salsa@1 salsa@2 --json
 
-Parameters are those of the resolved studies; the environment is what each ran on; files from outside go by their
-digests; artifacts are counted by stage; the scores that differ come by how much they do.
+It compares the parameters of the resolved studies, the environments, input files by digest, artifacts by stage, and
+scores, largest difference first.
 """
 _NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run, or a version of a dataset.")]
 
@@ -84,7 +84,7 @@ def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
         yield f"  and {counted(len(found.scores) - num_rows, 'more')}; --rows shows them"
 
 
-_RERUN = """Build a finished run, or a version of a dataset, once more elsewhere, and compare artifact by artifact.
+_RERUN = """Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.
 
 \b
   pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again

@@ -28,7 +28,7 @@ from storage_schema.datasets import dataset_labels, open_dataset
 _group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(_group, name="dataset")
 
-_CREATE = """Give what the last run of a study built a name and a version, which never change their meaning.
+_CREATE = """Name the artifacts of the last run of a study as an immutable version of a dataset.
 
 \b
   pasdedeux dataset create salsa --study cmu_salsa
@@ -86,7 +86,7 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
     answer([_describe(one) for one in found], lines or [f"store {store}: no datasets yet"], as_json=as_json)
 
 
-_PUSH = """Put a version of a dataset, with all that it was computed from, into S3-compatible storage.
+_PUSH = """Copy a version of a dataset, with everything it was computed from, to S3-compatible storage.
 
 \b
   export AWS_ENDPOINT_URL=https://s3.example.org AWS_REGION=... AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=...
@@ -96,7 +96,7 @@ _PUSH = """Put a version of a dataset, with all that it was computed from, into 
 Only what is not there yet is sent, the list last: a push that was cut off leaves nothing half-visible, and the same
 command goes on.
 """
-_PULL = """Get a version of a dataset (the newest when none is said), with all that it was computed from, into a store.
+_PULL = """Copy a version of a dataset (default: the newest), with everything it was computed from, into a store.
 
 Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
 """

@@ -26,7 +26,7 @@ from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, telemetry_off
 from flows.study import load_study
 
-_DEPLOY = """Put a study on Prefect's server as a build that a worker runs, on a schedule or when it is asked for.
+_DEPLOY = """Deploy a study to a Prefect server, as a build that runs on a schedule or on request.
 
 \b
   export DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false PREFECT_API_URL=http://127.0.0.1:4200/api

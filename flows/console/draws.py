@@ -31,18 +31,17 @@ from storage_schema import Store, latest_studies
 if TYPE_CHECKING:
     from tasks.seeds.files import DrawSeed
 
-_RESTART = """Go on from a draw: new chains that start where it is (Yin et al. 2018, section 5.3).
+_RESTART = """Start new chains from a draw (Yin et al. 2018, section 5.3).
 
-Look through the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, and
+Inspect the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, and run
 
 \b
   pasdedeux restart draws:duets/ic-seed0#17
   pasdedeux restart draws@3fa9c1#17 --set chains.num_draws=5000 --set chains.proposal=velocity
 
-The draw is written to a file (JSON, for editing too).  The file becomes the only seed of a study of its own, named
-after the one that the draw is from and with the same settings otherwise; that is run until its chains are there.  What
-it needs of the first study is in the store already.  The new draws carry the lineage: the seed they start from names
-the draw, and the takes and credits of the draw are theirs.
+The draw is written to a JSON file, which you can edit, and becomes the only seed of a new study with the settings of
+the original.  The study runs up to its chains; everything else is in the store already.  The new draws keep the
+lineage: their seed names the draw, with its takes and credits.
 """
 _NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0}
 
@@ -100,16 +99,16 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
     )
 
 
-_COMPLETE = """Complete a 3D pair whose joints are not all known, as a depth camera gives it (Yin et al. 2018, Fig. 12).
+_COMPLETE = """Fill in the unknown joints of a 3D pair, as from a depth camera (Yin et al. 2018, Fig. 12).
 
 \b
   pasdedeux complete pair.json --draws draws:duets
   pasdedeux complete pair.json --draws seeds:mine --out whole.json
 
-FILE is a pair as `pasdedeux export seeds:... --format json` writes it; a joint that is not known is absent or null, and
-one person may lack all of theirs.  The draws that are nearest over the known joints say where the others are; bone
-lengths are those that are known, or the draws'.  The answer says of every person how far those draws lie apart; the
-whole pair is in --out, else in FILE_completed.json.
+FILE is a pair as written by `pasdedeux export seeds:... --format json`.  Unknown joints are absent or null; one person
+may lack all joints.  The missing joints come from the draws that are nearest over the known joints; unknown bone
+lengths come from the draws, too.  The spread of these draws is printed for each person, and the completed pair is
+written to --out (default: FILE_completed.json).
 """
 
 

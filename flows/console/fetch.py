@@ -27,7 +27,7 @@ _NUM_ATTEMPTS = 4
 _NO_ANSWER_S = 30.0
 _FIRST_WAIT_S = 0.5
 
-_group = typer.Typer(help="Bring motion capture from the sites that give it freely.", no_args_is_help=True)
+_group = typer.Typer(help="Download freely available motion capture.", no_args_is_help=True)
 app.add_typer(_group, name="fetch")
 
 
@@ -52,12 +52,12 @@ def _has_subcommands() -> None:
 @_group.command("cmu")
 def cmu(
     out: Annotated[Path, Option(help="Folder for the files.")],
-    study: Annotated[str, Option(help="Study whose takes are brought where no subjects are named.")] = "everyday",
+    study: Annotated[str, Option(help="Study whose takes are downloaded if no subjects are given.")] = "everyday",
     subjects: Annotated[str | None, Option(help="Subjects, such as 60,61.")] = None,
     takes: Annotated[str | None, Option(help="Their takes, such as 01,03; by default all that the site lists.")] = None,
     base_url: Annotated[str, Option(help="Address of the site.")] = CMU_BASE_URL,
 ) -> None:
-    """Bring ASF/AMC files of the CMU motion capture database: those of a study, or of some subjects."""
+    """Download ASF/AMC files of the CMU motion capture database: those of a study, or of some subjects."""
     if subjects is None and takes is not None:
         raise InputError("--takes are those of --subjects; a study names its own")
     wanted: Mapping[str, Sequence[str] | None] = (

@@ -10,22 +10,23 @@ from typer import Argument, Option
 from flows.console.context import app
 from pasdedeux.errors import InputError
 
-_HELP = """Reconstruct 3D motions of the people in a detector's files, from the projections of a study.
+_HELP = """Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study.
 
-Read are OpenPose folders, COCO annotations and result lists, MediaPipe's landmarks, our CSV and npz; a folder of
-several cameras is as many sequences.  With --follow: a folder of OpenPose files.
+Inputs are OpenPose folders, COCO annotations and result lists, MediaPipe landmarks, and the CSV and npz of the docs;
+each camera of a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
 
 \b
-  pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file a person
+    pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file for each person
   pasdedeux reconstruct walk/ --database projections:duets --follow
-                                       a JSON line per person and frame while the files are being written
+                                                                              a JSON line per person and frame, live
 
-Size, rate and focal length are those of the files where these say them; the pitch is found, 10 degrees with --follow.
---height and --stature give people their size.  --people overrules who is who with a changed copy of the table written.
+Image size, rate and focal length come from the files if stated there.  The camera pitch is estimated (with --follow: 10
+degrees).  --height or --stature fixes the scale.  --people overrides identities with an edited copy of the table that
+was written.
 
-With --follow, a pose leaves --lag frames after its image, those of a person's first two seconds when these are over.
-It ends with Ctrl-C, when a file STOP appears in the folder, or when nothing new came for --idle seconds: poses that
-wait are then written, and a summary of the delays.
+With --follow, each pose is written --lag frames after its image; the first two seconds of a person are written when
+they are over.  It ends with Ctrl-C, when a file STOP appears in the folder, or after --idle seconds without a new file;
+pending poses and a summary of the delays are then written.
 """
 
 
@@ -36,19 +37,19 @@ def reconstruct(
     store: Annotated[Path, Option(metavar="DIR", help="Store that a reference is looked up in.")] = Path("store"),
     out: Annotated[Path | None, Option(help="Folder for BVH files, or with --follow a file for the lines.")] = None,
     follow: Annotated[bool, Option("--follow", help="Read files while they are being written.")] = False,
-    idle: Annotated[float, Option(min=0.0, metavar="S", help="Seconds without a new file that end it.")] = 5.0,
+    idle: Annotated[float, Option(min=0.0, metavar="S", help="End after so many seconds without a file.")] = 5.0,
     rate: Annotated[float | None, Option(min=1, max=1000, metavar="HZ", help="Frames per second.")] = None,
     size: Annotated[str | None, Option(metavar="WxH", help="Image size; the file's or the video's.")] = None,
     focal: Annotated[float | None, Option(min=1.0, metavar="PX", help="Focal length, if known.")] = None,
     fov: Annotated[float | None, Option(min=1.0, max=179.0, metavar="DEG", help="Horizontal field of view.")] = None,
     stature: Annotated[list[str] | None, Option(metavar="[PERSON=]M", help="How tall people are.")] = None,
     person: Annotated[list[int] | None, Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,
-    min_confidence: Annotated[float | None, Option(min=0.0, max=10.0, help="Less is missing; else 0.2.")] = None,
+    min_confidence: Annotated[float | None, Option(min=0.0, max=10.0, help="Missing below this; default 0.2.")] = None,
     pitch: Annotated[float | None, Option(min=-80, max=80, metavar="DEG", help="Pitch of the camera, down.")] = None,
     height: Annotated[float | None, Option(min=0.1, max=100, metavar="M", help="Height of the camera.")] = None,
     lag: Annotated[int, Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,
     units: Annotated[Literal["cm", "m"], Option(help="Unit of lengths in BVH files.")] = "cm",
-    people: Annotated[Path | None, Option(metavar="FILE", help="Table of who is who, changed.")] = None,
+    people: Annotated[Path | None, Option(metavar="FILE", help="Edited table of identities.")] = None,
     clean_up: Annotated[bool, Option(help="Still planted feet and keep the floor.")] = True,
 ) -> None:
     """Run the command."""

@@ -10,7 +10,7 @@ from typer import Argument, Option
 from flows.console.context import app
 from flows.exports import RestPose, Units
 
-_HELP = """Give a take the bodies of other people, its contacts kept, and write it on its own skeletons.
+_HELP = """Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.
 
 TAKE is STUDY/TAKE of a store, a reference to poses, or motion files that need no study, one a person (BVH, AMC with
 its ASF, positions), person A first.  The first --to is for person A, the next for B, and so on; `source` keeps somebody

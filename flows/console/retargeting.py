@@ -149,7 +149,7 @@ def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
         if unit_m is None:
             guess = guess_unit(rest)
             if guess.confidence < MIN_UNIT_CONFIDENCE:
-                raise InputError(f"its length unit cannot be told ({guess.reason}); say --body-unit")
+                raise InputError(f"its unit of length is unknown ({guess.reason}); say --body-unit")
             unit_m = guess.metres_per_unit
         motion = rest.to_motion(metres_per_unit=unit_m, rate_hz=1.0)
         check_layout(motion, layout)

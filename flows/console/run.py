@@ -55,7 +55,7 @@ _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.uti
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
 """Defaults of `plan --cost`."""
 
-_RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
+_RUN = """Build a study: compute what is missing or stale in the store.
 
 \b
 Examples:
@@ -66,7 +66,7 @@ Examples:
   pasdedeux run my.toml --scheduler tcp://cluster:8786
   pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
 """
-_PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
+_PLAN = """List what a run would compute and why, by stage and partition; nothing is started.
 
 \b
 fresh    it is there and nothing it depends on has changed

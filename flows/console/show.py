@@ -38,14 +38,14 @@ ReferenceArgument = Annotated[
     str, Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
 ]
 
-_SHOW = """Show what a reference names: columns, rows, a look at the first ones, and where it comes from.
+_SHOW = """Print the columns, first rows and lineage of what a reference names.
 
 \b
   pasdedeux show poses:duets                 every part of a table, as the last run of a study made it
   pasdedeux show scores:duets                a table a topic, the better value marked
   pasdedeux show draws@3fa9c0#17             one row: its poses drawn, their joints by name
 """
-_EXPORT = """Write what a reference names into files, with licence and credits beside them.
+_EXPORT = """Export what a reference names to files, with licence and credits.
 
 \b
   npz   numpy arrays, one file: every table

@@ -107,10 +107,10 @@ def _describe(
     return {"store": str(store), "studies": studies, "runs": describe_runs(store)}
 
 
-_GC = """Remove from a store what nothing needs; without --yes only say what that is, and how many bytes.
+_GC = """Delete what nothing needs from a store; without --yes only list it.
 
 \b
-  pasdedeux gc --store /data/store               what would go, stage by stage; removes nothing
+  pasdedeux gc --store /data/store               dry run, by stage
   pasdedeux gc --store /data/store --yes
   pasdedeux gc --store /data/store --days 0 --yes
 

@@ -20,11 +20,11 @@ from flows.study_keys import study_keys
 from tasks.graph import Graph
 
 _group = typer.Typer(
-    help="Studies: those that ship, new ones, and what may be said in one.", no_args_is_help=True, rich_markup_mode=None
+    help="List, show and write studies; explain their keys.", no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(_group, name="study")
 
-_SHOW = """Print a study: its file as it is, to start your own from, or with --resolved everything that holds in it.
+_SHOW = """Print the file of a study, or with --resolved every key with inherited values and defaults.
 
 \b
   pasdedeux study show duets
@@ -38,7 +38,7 @@ _KEYS = """Print every key that a study may have, with type, default, unit and m
 \b
 In a key, N is a position in a list, counted from 0, and NAME a name of your own.
 """
-_NEW = """Write a commented study to start from, with what was found in the given files.
+_NEW = """Write a commented study for the given files.
 
 \b
   pasdedeux study new waltz.toml                               over the built-in duets
@@ -61,7 +61,7 @@ def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
 def show(
     context: typer.Context,
     name: Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")],
-    is_resolved: Annotated[bool, Option("--resolved", help="With defaults and what is extended.")] = False,
+    is_resolved: Annotated[bool, Option("--resolved", help="With inherited values and defaults.")] = False,
     settings: SettingOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -47,7 +47,7 @@ class _BadError(Exception):
     """A check failed; the message is what was found."""
 
 
-@app.command(help="Check that everything a run needs is there; exit code 1 when something is not.")
+@app.command(help="Check the installation; exit code 1 if something is missing.")
 def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Look at the machine and say what is found."""
     checks: dict[str, Callable[[], str]] = {
@@ -127,7 +127,7 @@ def _check_dask() -> str:
         return f"a local worker starts and answers (process {next(iter(client.run(os.getpid).values()))})"
 
 
-@app.command(help="Measure the speed of what is compiled on this machine, each beside its plain form in the same run.")
+@app.command(help="Measure the compiled kernels on this machine, each relative to its plain form.")
 def bench(
     stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage; all when none.")] = None,
     large: Annotated[int | None, Option(min=1, metavar="N", help="Also databases of N projections.")] = None,

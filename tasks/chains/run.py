@@ -194,7 +194,7 @@ class Evidence:
         if self.num_annotations > 1 and self.view_spread_rad < _ONE_VIEW_RAD:
             notes.append(
                 f"nearly all annotations see the pair from one side, within {np.rad2deg(self.view_spread_rad):.0f} "
-                "degrees: how deep people are is told by how bodies move alone"
+                "degrees: depth follows from how bodies move alone"
             )
         if self.num_skipped:
             total = self.num_annotations + self.num_skipped

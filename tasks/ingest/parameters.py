@@ -65,7 +65,7 @@ class CommonOptions(Parameters):
     """What single takes and families of takes have in common."""
 
     format: MotionFormatName = Field(
-        "auto", description=f"Format of the files: {', '.join(MOTION_FORMATS)}; told from their content by default"
+        "auto", description=f"Format of the files: {', '.join(MOTION_FORMATS)}; detected from the content by default"
     )
     rate_hz: float | None = Field(
         None,
@@ -305,11 +305,11 @@ class AnnotationCommon(PeopleSettings, Parameters):
         pattern=_ID, max_length=100, description="Name of the source, and of its sequence if it has one only"
     )
     format: AnnotationFormatName = Field(
-        "auto", description=f"Format: {', '.join(ANNOTATION_FORMATS)}; told from the content by default"
+        "auto", description=f"Format: {', '.join(ANNOTATION_FORMATS)}; detected from the content by default"
     )
     layout: KeypointLayoutName = Field(
         "auto",
-        description=f"Keypoint layout: {', '.join(KEYPOINT_LAYOUTS)}; told from the file, and refused if it is another",
+        description=f"Keypoint layout: {', '.join(KEYPOINT_LAYOUTS)}; detected from the file; another is refused",
     )
     image_size_px: tuple[int, int] | None = Field(
         None, description="Width and height of the images; by default the file's, else the video's beside it"

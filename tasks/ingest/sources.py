@@ -129,7 +129,7 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
         stated = person.metres_per_unit or take.metres_per_unit or known.metres_per_unit
         unit = guess_unit(head.rest) if stated is None else UnitGuess(stated, 1.0, "it is known", 0.0)
         if unit.confidence < MIN_UNIT_CONFIDENCE:
-            raise InputError(f"its length unit cannot be told ({unit.reason}); set metres_per_unit for this take")
+            raise InputError(f"its unit of length is unknown ({unit.reason}); set metres_per_unit for this take")
         check_layout(head.rest.to_motion(metres_per_unit=unit.metres_per_unit, rate_hz=rate), layout)
     parameters = PersonParameters(
         source_name=path.name,

@@ -200,7 +200,7 @@ def _detect(
 
 
 def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray) -> tuple[Columns, DetectedSequence]:
-    """Return the columns of a detector's sequence, and how well people were told apart.
+    """Return the columns of a detector's sequence, and how well people were identified.
 
     People are numbered as the take numbers who they are for most of the time; all others come after those.
     """

@@ -51,7 +51,7 @@ def test_amc_and_bvh_of_one_cmu_performance_are_known_for_the_same(data_dir: Pat
 def test_an_unclear_unit_is_named(tmp_path: Path) -> None:
     strange = tmp_path / "strange.bvh"
     strange.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
-    with pytest.raises(InputError, match=r"its length unit cannot be told .*set metres_per_unit"):
+    with pytest.raises(InputError, match=r"its unit of length is unknown .*set metres_per_unit"):
         planned(takes=[{"id": "d", "files": [strange]}])
 
 

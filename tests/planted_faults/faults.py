@@ -304,7 +304,7 @@ FAULTS = (
           "if rate_hz == self.rate_hz or self.num_frames < 2:", "if rate_hz:",
           "property/test_kinematics.py::test_resampling_to_a_divisor_of_the_rate_takes_every_nth_frame"),
     Fault("z up is turned down", "pasdedeux/formats/source_motion.py",
-          '"z": [-quarter', '"z": [quarter', "contract/test_ingest_stage.py::test_z_up_files_come_out_standing"),
+          '"z": (-np.pi / 2', '"z": (np.pi / 2', "contract/test_ingest_stage.py::test_z_up_files_come_out_standing"),
     Fault("the boxes of the search are too small", "pasdedeux/projections/tree.py",
           "half = np.maximum(high - middle", "half = np.float32(0.7) * np.maximum(high - middle",
           "property/test_projection_search.py::test_the_tree_equals_brute_force_with_masks_and_weights"),

@@ -152,7 +152,7 @@ def test_given_sequences_are_pictured_in_the_report_without_scores(own: Own) -> 
     for sequence in GIVEN:
         assert (report / f"reconstruction-{sequence}.player.json").is_file()
         assert f"{sequence}: reconstructed (" in own.report
-    assert own.report.count("a video whose truth nobody knows; no scores.") == 1
+    assert own.report.count("a video without ground truth; no scores.") == 1
     scores = open_table("scores:own", own.store)
     items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
     assert items == {"hug.video00 person 0", "hug.video00 person 1", "hug.video00 person 0 with 1"}

@@ -66,7 +66,7 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
         if server is not None:
             server.end()
     folder = begin(run, plan)  # while the server starts
-    if address is None and server is not None:
+    if not address and server is not None:
         # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
         # Nobody starts it again either, so each request waits some seconds for that and not a minute.
         settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 1}

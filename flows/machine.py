@@ -108,7 +108,9 @@ def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
             arrives in a finalizer, of Dask's futures for example, so that alone does not end the work.
     """
     before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
+    # Where Ctrl-C is ignored, as in the background of a shell, it stays so for work that it would break off.
+    is_ignored = is_passed_on and not callable(before)
+    if threading.current_thread() is not threading.main_thread() or is_ignored:
         yield lambda: False
         return
     is_pressed = threading.Event()
@@ -116,7 +118,7 @@ def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
     def remember(number: int, frame: FrameType | None) -> None:
         is_pressed.set()
         signal.signal(signal.SIGINT, before)
-        if is_passed_on:
+        if is_passed_on and callable(before):
             before(number, frame)
 
     signal.signal(signal.SIGINT, remember)

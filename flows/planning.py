@@ -157,7 +157,12 @@ class StagePlan:
         described: dict[str, Any] = {"stage": self.stage.name, "is_selected": self.is_selected}
         if self.is_pending:
             partitions = [{"partition": name, "num_shards": count} for name, count in self.last_partitions]
-            return {**described, "state": "pending", "reason": self.pending_reason, "last_partitions": partitions}
+            return {
+                **described,
+                "state": State.PENDING.value,
+                "reason": self.pending_reason,
+                "last_partitions": partitions,
+            }
         shards = [
             {
                 "partition": item.shard.partition,

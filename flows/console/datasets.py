@@ -42,7 +42,9 @@ Then `variants:salsa@2.0` names its rows, here and in Python.
 def create(
     name: Annotated[str, Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
     study: Annotated[str, Option("--study", help="Study whose last run is meant.")] = "duets",
-    stages: Annotated[list[str] | None, Option("--stage", metavar="STAGE", help="This stage alone.")] = None,
+    stages: Annotated[
+        list[str] | None, Option("--stage", metavar="STAGE", help="This stage alone; may be given again.")
+    ] = None,
     version: Annotated[str | None, Option("--version", help="Version; the next number when not given.")] = None,
     note: Annotated[str, Option("--note", help="A line about it.")] = "",
     store: StoreOption = Path("store"),

@@ -16,9 +16,9 @@ Inputs are OpenPose folders, COCO annotations and result lists, MediaPipe landma
 each camera of a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
 
 \b
-    pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file for each person
+  pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file for each person
   pasdedeux reconstruct walk/ --database projections:duets --follow
-                                                                              a JSON line per person and frame, live
+                                                              a JSON line per person and frame, live
 
 Image size, rate and focal length come from the files if stated there.  The camera pitch is estimated (with --follow: 10
 degrees).  --height or --stature fixes the scale.  --people overrides identities with an edited copy of the table that

@@ -211,11 +211,11 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
     """Run what is not fresh: Prefect's server and the workers start while Prefect is loaded, and only here."""
     listener = make_listener(is_quiet=is_quiet)
     run = replace(run, listener=listener)
-    if named := os.environ.get("PREFECT_API_URL"):
-        check_server(named)
-    else:
-        listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
     try:
+        if named := os.environ.get("PREFECT_API_URL"):
+            check_server(named)
+        else:
+            listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
         with nullcontext() if named else starting_server() as server, ThreadPoolExecutor(1) as threads:
             if cluster.is_shared or cluster.num_workers:
                 import distributed  # noqa: F401 - first: threads that import at once may meet half-loaded modules

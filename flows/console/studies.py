@@ -99,7 +99,7 @@ def keys(
 def new(
     file: Annotated[Path, Argument(metavar="FILE", help="The study to write, a .toml file that is not there yet.")],
     sources: Annotated[
-        list[Path] | None, Option("--from", metavar="PATH", help="Motion, 2D poses, or a folder.")
+        list[Path] | None, Option("--from", metavar="PATH", help="Motion, 2D poses, or a folder; may be given again.")
     ] = None,
 ) -> None:
     """Write a commented study to start from."""

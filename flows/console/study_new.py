@@ -198,7 +198,14 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
         text += f"\n[[ingest.takes]]\nid = {_quoted(take_id)}\nfiles = [{shown}]\n"
         alone = [_Line("", "it has one person: no other file of this take and this length was given")]
         lines = alone if len(people) == 1 < len(motions) else _lengths(people)
-        for line in (*lines, _layout(people), _up_axis(people), _rate(people), *_units(people)):
+        for line in (
+            *_copies(people, motions),
+            *lines,
+            _layout(people),
+            _up_axis(people),
+            _rate(people),
+            *_units(people),
+        ):
             text += f"{line.text}\n" if line.text else ""
             if line.doubt:
                 doubted.setdefault(line.doubt, []).append(take_id)
@@ -316,23 +323,35 @@ def _found(take_id: str, people: Sequence[_Motion]) -> str:
     return f"take {take_id}: {names}, {first.num_frames} frames{lasts}, about {tall} m tall"
 
 
-def _lengths(people: Sequence[_Motion]) -> list[_Line]:
-    """Say whether the files are of one take; a second person who is a copy of the first is refused."""
-    by_content = {one.sha256: one for one in people}
+def _copies(people: Sequence[_Motion], motions: Sequence[_Motion]) -> list[_Line]:
+    """Doubt files of a take that copy those of takes before it; a second person who is a copy is refused."""
+    lines = []
     for one in people:
-        if (other := by_content[one.sha256]) is not one:
+        other = next(motion for motion in motions if motion.sha256 == one.sha256)
+        if other is not one and other in people:
             raise InputError(
-                f"{one.path} and {other.path} are the same, byte for byte; a person has a file of their own"
+                f"{other.path} and {one.path} are the same, byte for byte; a person has a file of their own"
             )
+        if other is not one:
+            lines.append(_Line("", f"{one.path.name} is the same as {other.path.name}, byte for byte"))
+    return lines
+
+
+def _lengths(people: Sequence[_Motion]) -> list[_Line]:
+    """Say whether the files are of one take, by their names and lengths."""
+    numbers = {number for subject, _, number in (one.path.stem.rpartition("_") for one in people) if subject}
+    lines = []
+    if len(numbers) > 1 and all(number.isdigit() for number in numbers):
+        lines.append(_Line("", f"by their names its files are of takes {' and '.join(sorted(numbers))}"))
     lengths = [one.num_frames for one in people]
     if len(set(lengths)) == 1:
-        return []
+        return lines
     words = f"files have {' and '.join(map(str, lengths))} frames"
     text = f'on_unequal = "trim"      # the {words}'
     is_near = min(lengths) >= ONE_TAKE * max(lengths)
     if not is_near:
         text = f'# on_unequal = "trim"    # the {words}: ARE THEY OF ONE TAKE? Then switch this on'
-    return [_Line(text, f"its {words}: are they of one take?")]
+    return [*lines, _Line(text, f"its {words}: are they of one take?")]
 
 
 def _layout(people: Sequence[_Motion]) -> _Line:

@@ -100,8 +100,8 @@ def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_a
             )
     if (parameters.num_lifted or parameters.num_grown) and not has_annotations:
         raise InputError(
-            "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views: "
-            "neither annotations ([[ingest.annotations]]) nor virtual video of takes (ingest.virtual_video)"
+            "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views, "
+            "neither of annotations ([[ingest.annotations]]) nor of virtual video of takes (ingest.virtual_video)"
         )
 
 

@@ -72,21 +72,23 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse splits that leave nothing to train or test on, as far as the sections of other stages tell.
+    """Refuse models that cannot be, and splits that leave nothing to train or test on, as far as other sections tell.
 
     Only takes of two people count; where a study has none, there is nothing to split.
 
     Raises:
-        InputError: A split leaves nothing to train on, or nothing to test on, or a test take is no take of a pair.
+        InputError: As `TrainingParameters.named`; a split leaves nothing to train on, or nothing to test on, or a test
+            take is no take of a pair.
     """
+    parameters: TrainingParameters = sections["training"]
+    parameters.named()
     if "ingest" not in sections or "augmentation" not in sections:
         return
     if any(family.takes is None for family in sections["ingest"].pairs.values()):
         return  # what lies in the folder is read with its files
-    ingest, parameters = sections["ingest"], sections["training"]
+    ingest = sections["ingest"]
     duets = {duet.take_id: duet.name for duet in ingest.resolved_duets()}
     takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]
-    parameters.named()
     known = [one for part in variations(sections["augmentation"], 2).values() for one in part]
     keys = [
         VariantKey(take_id, one.variant_id, one.bone_scale, duets.get(take_id, ""))

@@ -426,6 +426,13 @@ def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> 
         plan_training(takes, variants, splits=("cross_interaction",))
 
 
+def test_models_that_cannot_be_are_refused_whatever_the_takes() -> None:
+    wrong = TRAINING.parameters(sweep={"both": {"models": ["copy", "naive_fk"]}})
+    assert TRAINING.check_study is not None
+    with pytest.raises(InputError, match="2 are named; a sweep is of one model"):
+        TRAINING.check_study({"training": wrong})
+
+
 def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
     def check(*duets: str, alone: bool = False, **training: Any) -> None:
         takes = [{"id": "alone", "files": ["walk.bvh"]}] if alone else []

@@ -150,6 +150,19 @@ def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_p
             signal.raise_signal(signal.SIGINT)
 
 
+def test_the_video_ends_by_the_signal_of_ctrl_c_in_the_background_too() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with remembered_ctrl_c(is_passed_on=False) as is_stopped:
+            signal.raise_signal(signal.SIGINT)
+            assert is_stopped()
+        with remembered_ctrl_c(is_passed_on=True) as is_stopped:
+            signal.raise_signal(signal.SIGINT)
+            assert not is_stopped()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_times_are_told_of_files_that_came_while_following(
     video: Path, store: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:

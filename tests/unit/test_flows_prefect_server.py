@@ -11,8 +11,15 @@ from pathlib import Path
 
 import pytest
 
+from flows.console import run as run_module
+from flows.outcomes import Run
 from flows.prefect_server import LocalServer, ServerError, check_server, starting_server
+from flows.progress import Listener
+from flows.study import load_study
+from storage_schema import Store
+from tasks.shards import ClusterSettings
 from tests.builders.toy_runs import ROOT, write_study
+from tests.builders.toys import TOYS
 
 
 @pytest.fixture(autouse=True)
@@ -81,3 +88,21 @@ def test_a_users_server_that_does_not_answer_fails_the_run_before_any_work(tmp_p
     assert found.returncode == 1
     assert "error: Prefect's server at http://127.0.0.1:9/api does not answer" in found.stderr
     assert "Traceback" not in found.stderr
+
+
+def test_the_terminal_is_given_back_where_a_users_server_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = []
+
+    class Closing(Listener):
+        def close(self) -> None:
+            closed.append(self)
+
+    monkeypatch.setattr(run_module, "make_listener", lambda **_: Closing())
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
+    chosen, stages = load_study(str(write_study(tmp_path)), TOYS)
+    run = Run(chosen, stages, Store(tmp_path / "store"))
+    with pytest.raises(ServerError, match="does not answer"):
+        run_module.build(run, ClusterSettings(num_workers=0), is_quiet=False)
+    assert len(closed) == 1

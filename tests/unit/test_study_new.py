@@ -115,7 +115,17 @@ def test_files_of_two_takes_are_doubted_and_not_trimmed(tmp_path: Path, capsys: 
     said = new_in_words(capsys, tmp_path, tmp_path / "60_01.bvh", tmp_path / "61_02.bvh")
     assert "found take 60_01: 60_01.bvh and 61_02.bvh, 40 frames" in said
     assert "in doubt: take 60_01: its files have 40 and 60 frames: are they of one take?" in said
+    assert "in doubt: take 60_01: by their names its files are of takes 01 and 02" in said
     assert ingest_of((tmp_path / "mine.toml").read_text()).takes[0].on_unequal == "refuse"
+
+
+def test_a_take_that_copies_another_is_doubted(tmp_path: Path) -> None:
+    for name, frames in (("60_01", 40), ("61_01", 40), ("60_02", 40)):
+        (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames))
+    with (tmp_path / "61_01.bvh").open("a") as file:
+        file.write("\n")
+    made = new_study("s", [tmp_path])
+    assert "take 60_02: 60_02.bvh is the same as 60_01.bvh, byte for byte" in made.doubts
 
 
 def test_a_frame_more_or_less_is_one_take(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_the_stages_of_the_program_form_a_graph() -> None:
         (["ingest.duets=[]", "ingest.held_out=[]"], "seeds.num_seeds asks for 2 frames of takes, but there is no take"),
         (
             ["ingest.virtual_video.num_videos=0", "ingest.virtual_video.num_random_views=0"],
-            "seeds.num_grown lift annotations, but there are no annotated pairs with views: neither",
+            "seeds.num_grown lift annotations, but there are no annotated pairs with views, neither",
         ),
     ],
 )

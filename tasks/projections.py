@@ -97,8 +97,8 @@ class ProjectionsParameters(CameraSettings):
     )
     include_variants: bool = Field(
         False,
-        description="Poses of the variants enter the database; to search 14 million projections a worker needs 3 GB "
-        "(--worker-memory 4)",
+        description="Poses of the variants enter the database; to search 14 million projections a worker needs 4.5 GB "
+        "(--worker-memory 6)",
     )
 
     @property

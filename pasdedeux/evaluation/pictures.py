@@ -89,14 +89,12 @@ class CurvePanel:
     levels: Mapping[str, float] = field(default_factory=dict)
 
 
-def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, *, has_common_axes: bool = False
-) -> tuple[Figure, Any]:
-    """Return an empty figure of this size in inches and its axes (row, column), all with the same ranges if wished."""
+def new_figure(width: float, height: float, *, columns: int = 1, has_common_axes: bool = False) -> tuple[Figure, Any]:
+    """Return an empty figure of this size in inches and its axes (1, column), all with the same ranges if wished."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height))
-    return figure, figure.subplots(rows, columns, squeeze=False, sharex=has_common_axes, sharey=has_common_axes)
+    return figure, figure.subplots(1, columns, squeeze=False, sharex=has_common_axes, sharey=has_common_axes)
 
 
 def figure_svg(figure: Figure, *, title: str = "") -> bytes:

@@ -19,7 +19,7 @@ from pasdedeux.learning.model import Arrays, VariantModel
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.window_vae import Action2MotionLikeModel, ActorLikeModel, PaperCvaeModel
-from pasdedeux.settings import Settings
+from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import BODY22
 
 MODELS: dict[str, type[VariantModel]] = {
@@ -96,9 +96,7 @@ def load_model(description: ModelDescription, arrays: Arrays) -> VariantModel:
     try:
         return kind.restore(description.config, own, built_on)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{name}: its setting '{place}' is out of range: {first['msg']}") from None
+        raise InputError(f"{name}: its settings do not fit: {first_problem(error)}") from None
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Settings of the networks, without torch: studies can be read where it is not installed.
 
-What the paper of `paper_cvae` and of what it was compared with leaves open, and is ours, stands here in one place.
+What the papers of `paper_cvae` and of the models that it was compared with leave open is chosen here, in one place.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ class PaperCvaeSettings(SegmentSettings):
     time and keep joints; ST-GCN as Yan et al. (2018) with one partition, a residual, every second frame from the
     second block on, no batch normalisation; G-GRU as Li et al. (2020), its state begun by a dense layer from what
     it is given, its input the change so far and what it is given, its output added to it and 0 at the beginning of
-    training; G-GRU2 is given ST-GCN3's features of B's motion, the true one in training and the predicted one when
-    asked; velocities are differences of frames. The alternatives that section 5.5 names are in that supplement too: the
-    other architectures are those that the text gives its own for (sections 3.1 and 3.2), one choice undone in each.
+    training; G-GRU2 is given ST-GCN3's features of B's motion, the true one in training and else the predicted one;
+    velocities are differences of frames. The alternatives that section 5.5 names are in that supplement too: the other
+    architectures are those that the text gives reasons for (sections 3.1 and 3.2), one choice undone in each.
     """
 
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")

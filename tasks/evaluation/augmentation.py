@@ -226,10 +226,9 @@ def gap_scores(
     """
     middle, half = source.num_frames // 2, max(int(_SAMPLE_S * source.rate_hz / 2.0), 1)
     window = slice(max(middle - half, 0), min(middle + half, source.num_frames))
-    within = [contact.within(window.start, window.stop) for contact in contacts]
-    user = [contact for contact in within if contact is not None]
+    sample, stated = source.window(window, contacts)
     bulk, best = (
-        Augmenter(source.take_frames(window), settings.model_copy(update={"solver": solver}), user_contacts=user).solve(
+        Augmenter(sample, settings.model_copy(update={"solver": solver}), user_contacts=stated).solve(
             [Variation(str(index), bone_scale[index]) for index in evenly_spread(len(bone_scale), _SAMPLE_VARIANTS)]
         )
         for solver in ("bulk", "polished")

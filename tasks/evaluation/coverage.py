@@ -242,7 +242,7 @@ def realism_scores(
 ) -> list[Score]:
     """Return how far draws (draw, 2, 17, 3) are from their nearest real pair, in D_C: the other direction of coverage.
 
-    Some draws of each method and some real pairs (n, 2, 17, 3), metres, which the generator chooses, are compared.
+    Compared are the first draws of each method and some real pairs (n, 2, 17, 3), metres, which the generator chooses.
     """
     real = real_m[generator.permutation(len(real_m))[:_MAX_REAL]]
     distances = {}

@@ -278,7 +278,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult:
         "excluded; the nearest draw may have been lifted from that very image. Better: all look alike; far neighbours "
         "mean that nothing like it is known."
     )
-    rows = {_label(place, pairs[place][1]): _row(seen[place], pairs[place][0], known, index) for place in chosen}
+    rows = [(_label(place, pairs[place][1]), _row(seen[place], pairs[place][0], known, index)) for place in chosen]
     return TopicResult(scores, [Picture("nearest.svg", caption, rows_figure(rows))])
 
 
@@ -310,15 +310,15 @@ def _row(one: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawInd
     return row + [(f"draw, {100 * far:.0f} cm", pair[..., :2]) for pair, far in zip(draws, distance, strict=True)]
 
 
-def rows_figure(rows: Mapping[str, Sequence[tuple[str, Array]]]) -> bytes:
+def rows_figure(rows: Sequence[tuple[str, Sequence[tuple[str, Array]]]]) -> bytes:
     """Draw rows of pairs (person=2, joint=17, 2), metres, NaN where not seen, with their words; give SVG bytes."""
-    width, height = max(map(len, rows.values())) * _CELL_M[0], len(rows) * _CELL_M[1]
+    width, height = max(len(pairs) for _, pairs in rows) * _CELL_M[0], len(rows) * _CELL_M[1]
     figure, ((axis,),) = new_figure(9.0, 9.0 * height / width)
     axis.set_xlim(0.0, width)
     axis.set_ylim(-height, 0.0)
     axis.set_aspect("equal")
     axis.set_axis_off()
-    for row, (label, pairs) in enumerate(rows.items()):
+    for row, (label, pairs) in enumerate(rows):
         for column, (words, points) in enumerate(pairs):
             middle, top = _CELL_M[0] * (column + 0.5), -_CELL_M[1] * row
             draw_pair(axis, points, np.array([middle, top - 0.56 * _CELL_M[1]]))

@@ -53,7 +53,7 @@ class PlacedPairs:
 class SeenPair:
     """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first.
 
-    One that is `left_out` is of what draws are not made from.
+    One that `is_left_out` is of what draws are not made from.
     """
 
     place: Place

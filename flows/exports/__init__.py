@@ -15,7 +15,6 @@ from storage_schema import Store, parse_reference, referenced_credits, resolve
 
 __all__ = [
     "EXPORT_FORMATS",
-    "OWN_SKELETON_TABLES",
     "Export",
     "ExportFormat",
     "RestPose",
@@ -34,8 +33,7 @@ EXPORT_FORMATS = {
 }
 """Module of each format, by its name on the command line; imported when it is used, so that help comes at once."""
 
-
-OWN_SKELETON_TABLES = ("poses", "variants")
+_OWN_SKELETON_TABLES = ("poses", "variants")
 """Tables whose people leave on the skeleton they came with."""
 
 
@@ -62,8 +60,8 @@ def export_reference(
     kind = export_format(file_format)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
-    if (rest_pose, units) != ("source", "cm") and not (kind.has_rest_pose and reference.table in OWN_SKELETON_TABLES):
-        tables = " and ".join(OWN_SKELETON_TABLES)
+    if (rest_pose, units) != ("source", "cm") and not (kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES):
+        tables = " and ".join(_OWN_SKELETON_TABLES)
         raise InputError(
             f"rest pose and units can be chosen for BVH files of {tables}, not for '{text}' as {file_format.upper()}"
         )

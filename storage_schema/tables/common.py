@@ -66,9 +66,9 @@ def positions(skeleton: str, meaning: str, *, num_people: int = 1, dtype: pa.Dat
     return _joints(f"{skeleton}_m", skeleton, meaning, num_people, {"xyz": 3}, unit="m", dtype=dtype)
 
 
-def unitquats(name: str, skeleton: str, meaning: str, *, num_people: int = 1) -> Column:
-    """Describe rotations (x, y, z, w), one for each joint of a working skeleton, with the axes of `positions`."""
-    return _joints(name, skeleton, meaning, num_people, {"xyzw": 4})
+def unitquats(name: str, skeleton: str, meaning: str) -> Column:
+    """Describe rotations (x, y, z, w), one for each joint of a working skeleton, `(joint, xyzw)`."""
+    return _joints(name, skeleton, meaning, 1, {"xyzw": 4})
 
 
 def _joints(

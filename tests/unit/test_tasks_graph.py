@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import pytest
 
 from flows.planning import make_plan
 from flows.study import load_study
+from flows.study_files import study_text
 from pasdedeux.errors import InputError
 from storage_schema import Store
 from tasks.graph import Graph, GraphError, load_graph
@@ -90,3 +92,11 @@ def test_a_section_that_is_not_in_the_study_is_checked_as_well_as_its_stage_runs
     assert "training" not in study.asked
     with pytest.raises(InputError, match="has no t"):
         make_plan(study, stages, Store(tmp_path / "store"))
+
+
+def test_the_command_in_the_file_of_models_small_can_be_planned(tmp_path: Path) -> None:
+    text = study_text("models_small", tmp_path).replace("\\\n", " ").replace("#", "")
+    command = text.partition("pasdedeux run models_small")[2].partition("\n\n")[0]
+    study, stages = load_study("models_small", load_graph(), settings=shlex.split(command)[1::2])
+    assert study.sections_of("training")["training"]["skeleton"] == "expi18"
+    make_plan(study, stages, Store(tmp_path / "store"))

@@ -1,7 +1,7 @@
 """The pairs between two pairs, guided by draws instead of straight.
 
 A straight line between the joints of two poses shortens limbs and cuts through what people do not do.  Draws near the
-line say where such pairs lie; the path is the compromise of both that is smooth, with exact bone lengths.
+line show where such pairs lie; the path is the compromise of both that is smooth, with exact bone lengths.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
 _NUM_NEAREST = 16
-"""Draws that say where pairs lie, for each pair between."""
+"""Draws that show where pairs lie, for each pair between."""
 _LINE_DEVIATION_M = 0.05
 """Distance of a true pair from the straight line half-way."""
 _DRAW_DEVIATION_M = 0.1

@@ -1,7 +1,8 @@
 """Lifting by sampling: the draws that look most like an annotation, as 3D pairs in the camera's axes.
 
-Yin et al. 2018, Fig. 2.  The paper shows the nearest draw alone.  Several near draws say where they agree on depth, and
-several hypotheses of the view compete: a view is known to some 10 degrees, which is more depth than a pose leaves open.
+Yin et al. 2018, Fig. 2.  The paper takes the nearest draw alone.  Several near draws show where they agree on depth,
+and several hypotheses of the view compete: a view is known to some 10 degrees, which is more depth than a pose leaves
+open.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Retrieval:
     Args:
         pairs_m: The draws (k, person=2, joint=17, 3), metres, camera axes (x right, y up, z towards the camera); over
             the joints seen they share the image's centroid, and depth 0 there.
-        weight: How much each says, (k,); they sum to 1.
+        weight: Weight of each, (k,); they sum to 1.
         nearest: Which draws they are, under which view, and how far.
     """
 

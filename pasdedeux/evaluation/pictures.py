@@ -118,7 +118,7 @@ def label_axis(axis: Any, x_label: str = "", y_label: str = "") -> None:
 
 
 def fit_map(figure: Figure, axis: Any, *, scale: float, limits: tuple[float, float]) -> None:
-    """Give both directions of a map the same scale, and the figure the height that this needs, inches in limits."""
+    """Give both directions of a map the same scale, and the figure the height for that, within limits, inches."""
     axis.set_aspect("equal")
     width, height = (float(np.ptp(ends)) for ends in (axis.get_xlim(), axis.get_ylim()))
     figure.set_figheight(float(np.clip(0.9 + scale * height / width, *limits)))

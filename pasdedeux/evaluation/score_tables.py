@@ -60,7 +60,7 @@ def pivot_table(
     column: Callable[[Score], str],
     cell: Callable[[Sequence[Score]], str],
 ) -> TextTable:
-    """Lay out scores as a table, the one way that all tables of scores are made.
+    """Lay out scores as a table, by the names of their rows and their columns.
 
     Args:
         scores: The scores, in the order of their rows.

@@ -1,4 +1,4 @@
-"""A pose fitted to observed 2D over a whole track: exact bone lengths, depth pulled to what retrieval says, smooth.
+"""A pose fitted to observed 2D over a whole track: exact bone lengths, depth near the retrieved one, smooth.
 
 Camera axes, metres about the mid-hip: x right, y up, z towards the camera.  The terms, each over its own standard
 deviation, so that weights follow what was measured:
@@ -25,7 +25,7 @@ from pasdedeux.skeletons import Skeleton
 
 _DEPTH_HOLD = 1e-2
 _FEWEST_DIFFERENCES = 5
-"""Fewer third differences than this say nothing of the noise."""
+"""Fewer third differences than this do not determine the noise."""
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _furthest_from_1(scales: np.ndarray) -> float:
-    """Return of scales (person,) that of whoever has another size; NaN where somebody's is not uniform.
+    """Return the one furthest from 1 of scales (person,); NaN where one is NaN, as scales that are not uniform are.
 
     >>> _furthest_from_1(np.array([1.0, 0.8, 1.0]))
     0.8

@@ -284,7 +284,7 @@ class Store(StoreReader):
         return False
 
     def remove_folders(self, targets: Iterable[Path]) -> None:
-        """Remove folders of the store in this order, each in one rename; those that are not there are left out."""
+        """Remove folders of the store in this order, each in one rename; those that are not there are skipped."""
         targets = list(targets)
         if self.mirror is not None:
             self.mirror.withdraw(targets)

@@ -171,7 +171,7 @@ def pair_of(people: Mapping[int, np.ndarray]) -> np.ndarray:
 def gather(
     store: Store, *, annotations: Sequence[ArtifactRef], views: Sequence[ArtifactRef], num_hypotheses: int
 ) -> PlacedPairs:
-    """Return every annotated pair with its likeliest view hypotheses; annotations without both are left out.
+    """Return every annotated pair with its likeliest view hypotheses; annotations without both are skipped.
 
     Raises:
         InputError: No annotated pair has a view.

@@ -201,7 +201,7 @@ def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
 
 
 def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | None = None) -> np.ndarray:
-    """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; people who were alone are left out.
+    """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; people who were alone are skipped.
 
     The rows of a frame give back its people in their place to each other: heading and place are put on again.  Of more
     pairs than `max_pairs` an even choice is given.

@@ -97,7 +97,7 @@ def _say_version(is_asked: bool) -> None:
 def options(
     context: typer.Context,
     debug: bool = Option(False, "--debug", help="Show the traceback of an error."),
-    version: bool = Option(False, "--version", help="Say the version and end.", callback=_say_version, is_eager=True),
+    version: bool = Option(False, "--version", help="Print the version.", callback=_say_version, is_eager=True),
 ) -> None:
     """Take the options of all commands."""
     context.obj.is_debug = debug

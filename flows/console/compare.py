@@ -90,9 +90,9 @@ _RERUN = """Rebuild a finished run or a version of a dataset in another store an
   pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again
   pasdedeux rerun salsa@2 --from /data/store --store /tmp/again --json
 
-The study is the one on record, with every key as it was; files from outside have to be what they were.  On one platform
-the bytes are the same.  Where they are not, the first table and column that differ by more than the tolerances of the
-data dictionary are named, with how much (exit code 1), and what of program, packages and processor is different now.
+The study is the recorded one, with all its keys; input files must not have changed.  On one platform the bytes are the
+same.  If they are not, the output names the first table and column that differ by more than the tolerances of the data
+dictionary (exit code 1), and the differences of program, packages and processor.
 """
 
 
@@ -101,7 +101,7 @@ def rerun(
     context: typer.Context,
     name: Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run (`pasdedeux status`), or a dataset.")],
     store: Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store to build in.")],
-    source: Annotated[Path, Option("--from", metavar="DIR", help="Store that has it on record.")] = Path("store"),
+    source: Annotated[Path, Option("--from", metavar="DIR", help="Store with the record.")] = Path("store"),
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,
     scheduler: SchedulerOption = None,

@@ -116,7 +116,7 @@ written to --out (default: FILE_completed.json).
 def complete(
     file: Annotated[Path, Argument(metavar="FILE", help="JSON file of a pair.")],
     draws: Annotated[str, Option("--draws", metavar="REF", help="Draws or seeds: draws:study, seeds:study.")],
-    num_nearest: Annotated[int, Option("--nearest", min=1, help="Nearest draws that are asked.")] = 100,
+    num_nearest: Annotated[int, Option("--nearest", min=1, help="Number of nearest draws used.")] = 100,
     out: Annotated[Path | None, Option("--out", metavar="FILE", help="The completed pair.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:

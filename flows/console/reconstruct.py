@@ -13,12 +13,11 @@ from pasdedeux.errors import InputError
 _HELP = """Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study.
 
 Inputs are OpenPose folders, COCO annotations and result lists, MediaPipe landmarks, and the CSV and npz of the docs;
-each camera of a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
+each camera in a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
 
 \b
-  pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file for each person
-  pasdedeux reconstruct walk/ --database projections:duets --follow
-                                                              a JSON line per person and frame, live
+  pasdedeux reconstruct walk/ --database store --out out/             a BVH and an npz file for each person
+  pasdedeux reconstruct walk/ --database projections:duets --follow   a JSON line per person and frame, live
 
 Image size, rate and focal length come from the files if stated there.  The camera pitch is estimated (with --follow: 10
 degrees).  --height or --stature fixes the scale.  --people overrides identities with an edited copy of the table that
@@ -34,17 +33,17 @@ pending poses and a summary of the delays are then written.
 def reconstruct(
     path: Annotated[Path, Argument(metavar="FILE_OR_DIR", help="2D poses: a file, or a folder of them.")],
     database: Annotated[str, Option(metavar="REF", help="Projections, or a store with one study.")] = "store",
-    store: Annotated[Path, Option(metavar="DIR", help="Store that a reference is looked up in.")] = Path("store"),
+    store: Annotated[Path, Option(metavar="DIR", help="Store of the reference.")] = Path("store"),
     out: Annotated[Path | None, Option(help="Folder for BVH files, or with --follow a file for the lines.")] = None,
     follow: Annotated[bool, Option("--follow", help="Read files while they are being written.")] = False,
-    idle: Annotated[float, Option(min=0.0, metavar="S", help="End after so many seconds without a file.")] = 5.0,
+    idle: Annotated[float, Option(min=0.0, metavar="S", help="End after this time without a new file, seconds.")] = 5.0,
     rate: Annotated[float | None, Option(min=1, max=1000, metavar="HZ", help="Frames per second.")] = None,
-    size: Annotated[str | None, Option(metavar="WxH", help="Image size; the file's or the video's.")] = None,
+    size: Annotated[str | None, Option(metavar="WxH", help="Image size; default: as in the files.")] = None,
     focal: Annotated[float | None, Option(min=1.0, metavar="PX", help="Focal length, if known.")] = None,
     fov: Annotated[float | None, Option(min=1.0, max=179.0, metavar="DEG", help="Horizontal field of view.")] = None,
-    stature: Annotated[list[str] | None, Option(metavar="[PERSON=]M", help="How tall people are.")] = None,
+    stature: Annotated[list[str] | None, Option(metavar="[PERSON=]M", help="Stature of all, or of a person.")] = None,
     person: Annotated[list[int] | None, Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,
-    min_confidence: Annotated[float | None, Option(min=0.0, max=10.0, help="Missing below this; default 0.2.")] = None,
+    min_confidence: Annotated[float | None, Option(min=0.0, max=10.0, help="Lowest confidence; default 0.2.")] = None,
     pitch: Annotated[float | None, Option(min=-80, max=80, metavar="DEG", help="Pitch of the camera, down.")] = None,
     height: Annotated[float | None, Option(min=0.1, max=100, metavar="M", help="Height of the camera.")] = None,
     lag: Annotated[int, Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,

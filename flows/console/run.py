@@ -78,9 +78,9 @@ pending  it depends on a stage that is not there yet; rebuilt only if that stage
 """
 
 
-OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="These stages alone.")]
-FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
-UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="This stage and what it needs.")]
+OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="Only these stages.")]
+FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and all that depend on it.")]
+UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="This stage and all that it needs.")]
 ForceOption = Annotated[
     list[str] | None,
     Option("--force", metavar="STAGE", help="Compute this stage again, in place; what a dataset needs stays."),
@@ -103,7 +103,7 @@ def run(
     until: UntilOption = None,
     force: ForceOption = None,
     is_preview: Annotated[bool, Option("--preview", help=f"{PREVIEW_S:g} s of each take, as <study>-preview.")] = False,
-    fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 where a verdict is so bad.")] = None,
+    fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Build a study."""
@@ -176,10 +176,10 @@ def plan(
     until: UntilOption = None,
     force: ForceOption = None,
     is_long: Annotated[bool, Option("--long", help="Show fresh partitions too.")] = False,
-    cost: Annotated[bool, Option("--cost", help="Say what the run would take, on how many workers.")] = False,
-    workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: on so many.")] = None,
+    cost: Annotated[bool, Option("--cost", help="Estimate the duration, by number of workers.")] = False,
+    workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: number of workers.")] = None,
     measured: Annotated[
-        Path | None, Option("--measured", metavar="DIR", help="With --cost: where it was built.")
+        Path | None, Option("--measured", metavar="DIR", help="With --cost: store with measured times.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -114,18 +114,18 @@ _GC = """Delete what nothing needs from a store; without --yes only list it.
   pasdedeux gc --store /data/store --yes
   pasdedeux gc --store /data/store --days 0 --yes
 
-Kept is what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names, what
-runs of the last days made or read, and everything that any of these were computed from.  The folders of older runs go
-too, their reports with them.  Nothing is removed while a run is in progress.  Killed half-way it leaves a whole store,
-and the same command again finishes.
+It keeps what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names, what
+runs of the last days made or read, and everything that any of these were computed from.  Folders of older runs are
+removed with their reports.  Nothing is removed while a run is in progress.  If it is killed, the store stays whole, and
+the same command finishes the work.
 """
 
 
 @app.command(help=_GC)
 def gc(
     store: StoreOption = Path("store"),
-    days: Annotated[float, Option(min=0, max=36500, metavar="N", help="Keep all of the last N days, too.")] = 7.0,
-    is_dry: Annotated[bool, Option("--dry-run/--yes", help="Only say what would go, or remove it.")] = True,
+    days: Annotated[float, Option(min=0, max=36500, metavar="N", help="Also keep all of the last N days.")] = 7.0,
+    is_dry: Annotated[bool, Option("--dry-run/--yes", help="List what would be removed, or remove it.")] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Remove what nothing needs."""

@@ -76,7 +76,7 @@ def show(
 @_group.command(help=_KEYS)
 def keys(
     context: typer.Context,
-    section: Annotated[str | None, Argument(metavar="[SECTION]", help="One section; all when none.")] = None,
+    section: Annotated[str | None, Argument(metavar="[SECTION]", help="One section; default: all.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Print the keys of a study."""

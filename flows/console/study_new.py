@@ -32,9 +32,9 @@ _MAX_SHOWN = 12
 _SUFFIXES = {end for kind in (*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()) for end in kind.suffixes}
 
 _HEAD = """\
-# A study: what comes in, and what is made of it.  Everything not said here has its default;
+# A study: what comes in, and what is made of it.  Keys that are not set take their defaults.
 # `pasdedeux plan` shows what a run would do, `pasdedeux run` does it.
-# Lines that start with # are notes, and settings to be switched on by removing it.
+# Lines that start with # are notes, or keys that are set by removing the #.
 
 [study]
 name = {name}
@@ -58,11 +58,11 @@ distance_m = 4.0
 noise_px = 1.0          # for a person 600 px tall
 """
 _ASSUMED = """
-[views]                     # 2D shows neither how far away the camera is nor how it is tilted: assumed
+[views]                     # 2D determines neither the distance of the camera nor its pitch: assumed
 distance_m = {0.distance_m}            # from the camera to the people, metres
 camera_pitch_deg = {0.camera_pitch_deg}     # how far the camera looks down
-camera_pitch_deviation_deg = {0.camera_pitch_deviation_deg}   # how sure that is: standard deviation
-lean_deviation_deg = {0.lean_deviation_deg}   # backs are upright, this far from it: standard deviation
+camera_pitch_deviation_deg = {0.camera_pitch_deviation_deg}   # standard deviation of that assumption
+lean_deviation_deg = {0.lean_deviation_deg}   # standard deviation of backs from the vertical
 """
 _FROM_2D_ALONE = f"""
 [seeds]                     # no take is there to start from: pairs of two people are lifted from 2D alone

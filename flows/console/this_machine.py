@@ -129,7 +129,7 @@ def _check_dask() -> str:
 
 @app.command(help="Measure the compiled kernels on this machine, each relative to its plain form.")
 def bench(
-    stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage; all when none.")] = None,
+    stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage; default: all.")] = None,
     large: Annotated[int | None, Option(min=1, metavar="N", help="Also databases of N projections.")] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -57,8 +57,8 @@ class PersonOptions(Parameters):
     layout: str | None = Field(None, description="Joint mapping: a known layout or one of `ingest.mappings`")
     skeleton: Path | None = Field(None, description="ASF of an AMC file, or BVH template of rotation rows")
     first_frame: int = Field(0, ge=0, description="Source frame at which the take starts for this person")
-    translation_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="Shift in the world, after scaling")
-    yaw_deg: float = Field(0.0, ge=-360, le=360, description="Turn about the world's Y axis, before the shift")
+    translation_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="Shift, after scaling")
+    yaw_deg: float = Field(0.0, ge=-360, le=360, description="Turn about the Y axis, before the shift")
 
 
 class CommonOptions(Parameters):
@@ -85,7 +85,7 @@ class CommonOptions(Parameters):
     frames: tuple[int, int] | None = Field(None, description="Source frames taken: first, and one past the last")
     on_unequal: Literal["refuse", "trim"] = Field("refuse", description="What to do with files of unequal length")
     floor: Literal["auto", "keep"] = Field(
-        "auto", description="auto: shift a take whose feet do not stand near y = 0; keep: leave the world as it is"
+        "auto", description="auto: shift a take whose feet do not stand near y = 0; keep: do not shift it"
     )
     persons: tuple[PersonOptions, ...] = Field((), max_length=26, description="Options of each file, in their order")
     licence: str | None = Field(
@@ -130,12 +130,12 @@ class PairOptions(CommonOptions):
     takes: tuple[str, ...] | None = Field(
         None,
         min_length=1,
-        description="Takes, as they stand in the file names; by default every take of the folder, also those that come "
-        "later, and one that cannot be read, or not yet, is skipped with a warning",
+        description="Takes, as named in the file names; by default every take in the folder, also those that are added "
+        "later; one that cannot be read (yet) is skipped with a warning",
     )
     id: str = Field("{subject}_{take}", description="Name of each take; {subject} is the first subject")
     is_watched: bool = Field(
-        False, description="Takes that are held out or for priors may come later: until then a warning names them"
+        False, description="Takes named in `held_out` or `prior` may be added later; until then a warning names them"
     )
 
     @field_validator("pattern", "id")
@@ -249,7 +249,7 @@ class VirtualCameras(Parameters):
         4.0,
         gt=0.5,
         le=100,
-        description="Distance from the camera to the middle of the pair; tell views.distance_m when it is changed",
+        description="Distance from the camera to the middle of the pair; change views.distance_m with it",
     )
     pitch_mean_deg: float = Field(
         10.0, ge=-89, le=89, description="Mean elevation of the cameras, which stays in [-15, 60]"
@@ -260,7 +260,7 @@ class VirtualCameras(Parameters):
 
 
 class DetectorOptions(Parameters):
-    """A simulated detector, which sees worse than the cameras do and does not know who is who."""
+    """A simulated detector: worse than the cameras, and without identities."""
 
     occlusion: float = Field(0.1, ge=0, lt=1, description="Share of the joints missing, each on its own")
     num_junk_joints: int = Field(
@@ -288,8 +288,8 @@ class VirtualVideoOptions(VirtualCameras):
     leave_one_out_every: int = Field(
         0,
         ge=0,
-        description="Every so many-th of the random views is left out of what draws are made from, and how near draws "
-        "come to it is scored; 0: none",
+        description="One in so many of the random views is kept out of seeds and chains, and scored by its distance to "
+        "the nearest draw; 0: none",
     )
     detector: DetectorOptions | None = Field(
         None,
@@ -330,8 +330,8 @@ class AnnotationCommon(PeopleSettings, Parameters):
         None,
         ge=0,
         le=10,
-        description="Keypoints of less are missing, in the detector's own values; by default 0.2, and of a detector "
-        "whose values are far from 0 to 1 as much of what it gives to joints that are plain to see",
+        description="Keypoints of a lower confidence, in the detector's own units, are missing; by default 0.2, scaled "
+        "for detectors whose confidences of visible joints are far from 1",
     )
     on_unreadable: Literal["refuse", "skip"] = Field(
         "refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
@@ -339,8 +339,8 @@ class AnnotationCommon(PeopleSettings, Parameters):
     leave_one_out_every: int = Field(
         10,
         ge=0,
-        description="Every so many-th moment (30 frames of a video, or a still) is left out of what draws are made "
-        "from, and how near draws come to it is scored: evidence without truth; 0: none",
+        description="One in so many moments (30 frames of a video, or a still) is kept out of seeds and chains, and "
+        "scored by its distance to the nearest draw: evidence without ground truth; 0: none",
     )
     take_id: str | None = Field(None, description="Take of this study that the video shows, if it is one")
     licence: str = Field("not stated", description="Licence of the source")
@@ -352,14 +352,14 @@ class AnnotationOptions(AnnotationCommon):
 
     people_file: Path | None = Field(
         None,
-        description="Table of who is who that overrules what ingest decides (sequence, first_frame, last_frame, "
-        "person, is): the attachment people.csv of an earlier run, changed",
+        description="Table of identities that overrides those that ingest resolves (sequence, first_frame, last_frame, "
+        "person, is): an edited copy of the attachment people.csv of an earlier run",
     )
     path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
     is_watched: bool = Field(
         False,
-        description="More will come into the folder: each file or folder in it is a source `<id>.<its name>`, also the "
-        "only one, and one that cannot be read, or not yet, is skipped with a warning",
+        description="Files will be added to the folder: each file or folder in it is a source `<id>.<its name>`, also "
+        "if there is only one; one that cannot be read (yet) is skipped with a warning",
     )
 
 
@@ -370,7 +370,7 @@ class IngestParameters(Parameters):
     duets: tuple[DuetEntry, ...] | None = Field(None, description="Built-in duets")
     takes: tuple[TakeOptions, ...] = Field((), description="Takes of one person or more, file by file")
     pairs: dict[str, PairOptions] = Field({}, description="Families of takes in a folder")
-    obtain: str = Field("", description="How files of `pairs` are had, said where some are not there")
+    obtain: str = Field("", description="How to get the files of `pairs`, printed if some are missing")
     take_seconds: float | None = Field(
         None,
         gt=0,
@@ -383,7 +383,7 @@ class IngestParameters(Parameters):
         description="Joint mappings by layout: changes to a known layout, or a layout of your own; each working joint "
         "is a source joint or weights of source joints",
     )
-    capture: CaptureOptions = Field(CaptureOptions(), description="What is asked of the capture of takes")
+    capture: CaptureOptions = Field(CaptureOptions(), description="Checks of the capture of takes")
     held_out: tuple[str, ...] = Field(
         (), description="Takes kept for evaluation: never learned from or matched against"
     )

@@ -44,7 +44,7 @@ class TrainingParameters(SweptParameters):
     )
     networks: bool = Field(
         True,
-        description="Train the models that need torch; false leaves them out, with what builds on them, and says so",
+        description="Train the models that need torch; false skips them and what builds on them, and says so",
     )
     skeleton: SkeletonName = Field(
         "body22", description="Skeleton of the models: body22, or 18 joints as in ExPI, which follow from it (expi18)"
@@ -108,7 +108,7 @@ class SegmentParameters(Parameters):
     model: str
     settings: SerializeAsAny[Settings]
     segment: int
-    # Left out of the key for `body22`: what was trained before there was another skeleton stays as it is.
+    # Not in the key for `body22`: what was trained before there was another skeleton stays as it is.
     skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
 
 

@@ -29,7 +29,7 @@ class SweptParameters(Parameters):
     def swept_values(self) -> dict[str, dict[str, Any]]:
         """Return all values of the section of each sweep, by its name; tables are merged, lists replaced."""
         base = self.model_dump(exclude={"sweep"})
-        return {name: _merged(base, own) for name, own in self.sweep.items()}
+        return {name: merged(base, own) for name, own in self.sweep.items()}
 
     def swept(self) -> dict[str, Self]:
         """Return the section of each sweep by its name.
@@ -40,9 +40,10 @@ class SweptParameters(Parameters):
         return {name: type(self).model_validate(values) for name, values in self.swept_values().items()}
 
 
-def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
+def merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of a section with those of a sweep in it; tables are merged, lists replaced."""
+    values = dict(base)
     for name, value in own.items():
-        before = merged.get(name)
-        merged[name] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
-    return merged
+        before = values.get(name)
+        values[name] = merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
+    return values

@@ -31,7 +31,9 @@ from storage_schema import Store, latest_studies
 if TYPE_CHECKING:
     from tasks.seeds.files import DrawSeed
 
-_RESTART = """Start new chains from a draw (Yin et al. 2018, section 5.3).
+_RESTART = """Start new chains from a draw.
+
+This is the restart of Yin et al. 2018, section 5.3.
 
 Inspect the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, and run
 
@@ -60,6 +62,7 @@ def restart(
     """Go on from a draw."""
     from pasdedeux.formats.pair_file import write_pair_json
     from tasks.seeds.files import pair_of_draw
+    from tasks.sweep import merged
 
     cluster = cluster_settings(workers, oversubscribe=oversubscribe)
     opened = open_store(store)
@@ -71,7 +74,12 @@ def restart(
     tree = {section: dict(values) for section, values in sections.items() if section != PUBLISH}
     tree[HEAD] = {key: value for key, value in tree[HEAD].items() if value is not None} | {"name": name, "title": title}
     tree["seeds"] |= {**_NO_OTHER_SEEDS, "files": [{"path": str(path.resolve())}]}
-    tree["chains"] |= {"densities": [chosen.density]}
+    sweeps = tree["chains"].pop("sweep", {})
+    if chosen.density in sweeps:  # kept under the name of a sweep, which samples the first of its densities
+        tree["chains"] = merged(tree["chains"], sweeps[chosen.density])
+        tree["chains"]["densities"] = tree["chains"]["densities"][:1]
+    else:
+        tree["chains"]["densities"] = [chosen.density]
     study, graph = study_from_tree(
         StudyTree(name, tree, {(): Path.cwd()}), graph_of(context), here=Path.cwd(), settings=settings or ()
     )
@@ -99,7 +107,9 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
     )
 
 
-_COMPLETE = """Fill in the unknown joints of a 3D pair, as from a depth camera (Yin et al. 2018, Fig. 12).
+_COMPLETE = """Fill in the unknown joints of a 3D pair, such as one from a depth camera.
+
+This is the pose completion of Yin et al. 2018, Fig. 12.
 
 \b
   pasdedeux complete pair.json --draws draws:duets

@@ -222,8 +222,8 @@ class HerePool(Pool):
 
     client: HereClient
 
-    def __init__(self, store_root: str) -> None:
-        super().__init__(HereClient(), store_root)
+    def __init__(self, store_root: str, client: HereClient | None = None) -> None:
+        super().__init__(client or HereClient(), store_root)
 
     def work(self) -> bool:
         """Compute the shard of the highest priority."""

@@ -191,6 +191,22 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     assert {source.name for source in made.sources} == {source.name for source in chosen.pair.sources}
 
 
+def test_a_draw_of_a_sweep_is_gone_on_from_with_the_keys_of_the_sweep_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path / "store")
+    wide = "chains.sweep.wide={sigma_l = 0.1}"
+    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1", wide)
+    row = open_table("draws:edited", store)["density"].tolist().index("wide")
+    runs: list[Run] = []
+    monkeypatch.setattr("flows.console.draws.build_and_report", lambda run, *_, **__: runs.append(run))
+    options = ("--store", store.root, "--out", tmp_path / "out")
+    answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options)
+    assert answer.code == 0, answer.err
+    chains = runs[0].study.parameters["chains"]
+    assert (chains.densities, chains.sigma_l, chains.sweep) == (("ic",), 0.1, {})
+
+
 def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = Store(tmp_path / "store")
     build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=2")

@@ -266,6 +266,7 @@ _COUNTED: dict[str, type[Facts]] = {
     "grown_seeds": SeedFacts,
     "draws": DrawFacts,
     "lifted_pairs": LiftedFacts,
+    "model": ModelFacts,
 }
 
 

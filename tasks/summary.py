@@ -11,7 +11,7 @@ from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import Judged, merge_verdicts, part_name
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
-from tasks.facts import DrawFacts, LiftedFacts, PeopleFacts, SeedFacts, SequenceFacts, TakeFacts, facts_of
+from tasks.facts import DrawFacts, LiftedFacts, ModelFacts, PeopleFacts, SeedFacts, SequenceFacts, TakeFacts, facts_of
 from tasks.stage import verdict_of, verdicts_of_parts
 
 _APART = "evaluation"
@@ -126,7 +126,10 @@ def _made(thing: _Thing, parts: Sequence[Manifest]) -> Made:
     for one in parts:
         rows = one.tables[thing.table].rows
         facts = facts_of(one)
-        own = facts.num_lifted if isinstance(facts, LiftedFacts) else int(rows > 0) if thing.is_artifact else rows
+        if isinstance(facts, LiftedFacts):
+            own = facts.num_lifted
+        else:  # a model counts as one, also where it has no arrays
+            own = int(rows > 0 or isinstance(facts, ModelFacts)) if thing.is_artifact else rows
         count += own
         # Of annotations the rows are people and frames, of single frames there are no seconds.
         is_video = not isinstance(facts, SequenceFacts) or facts.purpose == "video"

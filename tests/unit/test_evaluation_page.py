@@ -9,6 +9,7 @@ import pytest
 
 from storage_schema import Store
 from tasks.evaluation import STAGE
+from tasks.facts import ModelFacts
 from tasks.stage import StageInputs
 from tasks.summary import summary_of
 from tests.builders.pages import Page
@@ -69,3 +70,11 @@ def test_a_model_of_many_arrays_is_one_model(tmp_path: Path) -> None:
     store = Store(tmp_path)
     made = [put(store, "training", name, {"models": random_columns("models", 5)}, {}) for name in "ab"]
     assert summary_of(made).built.startswith("2 models (")
+
+
+def test_a_model_without_arrays_counts_as_one(tmp_path: Path) -> None:
+    facts = ModelFacts(
+        split="random", model="copy", **{"class": "CopyModel"}, shares_takes=True, train={}, validation={}, test={}
+    )
+    made = put(Store(tmp_path), "training", "copy", {"models": random_columns("models", 0)}, facts.to_json())
+    assert summary_of([made]).built.startswith("1 model (")

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, mod
 from pasdedeux.sampling.densities import DENSITIES
 from pasdedeux.sampling.densities.density import PRIOR_ONLY, Density, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
-from pasdedeux.settings import Settings
+from pasdedeux.settings import Settings, first_problem
 from tasks.stage import Parameters, with_fields
 from tasks.sweep import SweptParameters
 
@@ -102,7 +102,7 @@ class ChainsParameters(SweptParameters, RunSettings, TargetSettings):
         try:
             return self.part(kind.settings)
         except ValidationError as error:
-            raise ValueError(f"chains: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+            raise ValueError(f"chains: {first_problem(error)}") from None
 
     def named(self) -> dict[str, ChainsParameters]:
         """Return the settings of all chains by the name that draws are kept under, each with one density."""

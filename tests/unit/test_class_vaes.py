@@ -79,6 +79,11 @@ def test_motion_that_is_not_a_number_ends_training_and_names_its_take(kind: type
     settings = kind.config_kind.model_validate({"window_s": 1.0, "num_steps": 2} | SIZES[kind.name])
     with pytest.raises(InputError, match=f"{kind.name}: step 0 .* not finite on takes sway"):
         kind.train(Training(lambda: iter(items), settings=settings))
+    settings = settings.model_copy(update={"segment_steps": 1})
+    good = [TrainingItem("B", request, TAKE.positions_m)]
+    state = kind.train(Training(lambda: iter(good), settings=settings)).state
+    with pytest.raises(InputError, match=r"step 1 .* not finite .*; what segment 0 left is kept"):
+        kind.train(Training(lambda: iter(items), settings=settings, segment=1, state=state))
 
 
 def test_the_divergence_of_frames_from_their_prior_is_that_of_normals() -> None:

@@ -99,7 +99,12 @@ def train_segment(
             optimiser.state[parameter] = {"step": torch.tensor(float(first)), **kept}
     else:
         initialise(network, generator)
-    log = [LogEntry(steps.stop, "train_loss", fit(name, network.loss, optimiser, settings, draw, steps))]
+    try:
+        log = [LogEntry(steps.stop, "train_loss", fit(name, network.loss, optimiser, settings, draw, steps))]
+    except InputError as failure:
+        if not segment:
+            raise
+        raise InputError(f"{failure}; what segment {segment - 1} left is kept") from None
     figures = validate()
     log += [LogEntry(steps.stop, quantity, value) for quantity, value in figures.items()]
     error, before = next(iter(figures.values()), np.nan), state["best_error"][0] if segment else np.inf

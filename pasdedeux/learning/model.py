@@ -17,6 +17,7 @@ from pasdedeux.augmentation.source import complete_scales, points_of, scaled_len
 from pasdedeux.augmentation.variations import check_bone_scales
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning.key_frames import KeyFrames
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, MODEL_SKELETONS, JointMap, Skeleton
 
@@ -156,6 +157,8 @@ class VariantModel(ABC):
     """Every motion has the source's bone lengths times the requested scales, to rounding."""
     needs_torch: ClassVar[bool] = False
     """It needs the extra `learning`."""
+    takes_key_frames: ClassVar[bool] = False
+    """It gives A's motion for B's, and so takes key frames of B."""
     is_of_any_skeleton: ClassVar[bool] = False
     """It can be of any of `MODEL_SKELETONS`, that of the takes it is trained on; otherwise of `body22` alone."""
 
@@ -221,8 +224,18 @@ class VariantModel(ABC):
             InputError: A take that it was trained on has another number of frames, or the take another skeleton.
         """
 
-    def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array] | None:
-        """Return scales (2, 22) that the model draws and a motion (T, 2, 22, 3) for them; None where it draws none."""
+    def generate(
+        self,
+        source: Source,
+        generator: np.random.Generator,
+        *,
+        scale: Array | None = None,
+        key_frames: KeyFrames | None = None,
+    ) -> tuple[Array, Array] | None:
+        """Return scales (2, 22) and a motion (T, 2, 22, 3) drawn for them; None of a model that draws nothing.
+
+        See `sample_motion`, which checks what is given: scales of B (22,), drawn where None, and key frames of B.
+        """
         return None
 
 

@@ -20,6 +20,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning.key_frames import KeyFrames
 from pasdedeux.learning.model import (
     Arrays,
     Config,
@@ -40,7 +41,7 @@ from pasdedeux.learning.settings import (
     WindowSettings,
     require_torch,
 )
-from pasdedeux.learning.windows import Window, blend, cut, gather_windows, scaled_persons
+from pasdedeux.learning.windows import Window, blend, cut, gather_windows, sampled_frames, scaled_persons
 from pasdedeux.skeletons import Skeleton
 
 if TYPE_CHECKING:
@@ -197,10 +198,18 @@ class WindowVae(VariantModel):
             moved += self.moved(request.source, person, request.bone_scale[person], None)
         return request.source.positions_m + moved
 
-    def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array]:
-        """Return scales (2, J), those of B drawn, and a motion (T, 2, J, 3), metres, drawn for them."""
-        scale = self.draw_scale(generator)
-        return np.stack([np.ones_like(scale), scale]), source.positions_m + self.moved(source, 1, scale, generator)
+    def generate(
+        self,
+        source: Source,
+        generator: np.random.Generator,
+        *,
+        scale: Array | None = None,
+        key_frames: KeyFrames | None = None,
+    ) -> tuple[Array, Array]:
+        """Return scales (2, J), those of B drawn or given, and a motion (T, 2, J, 3), metres, drawn for them."""
+        scale = self.draw_scale(generator) if scale is None else scale
+        moved = self.moved(source, 1, scale, generator, key_frames)
+        return np.stack([np.ones_like(scale), scale]), source.positions_m + moved
 
     def batch(self, windows: list[Window], variants: list[int]) -> dict[str, Narrow]:
         """Return windows of one length with one of their variants each, as the network sees them."""
@@ -211,8 +220,18 @@ class WindowVae(VariantModel):
             "condition": self.condition(np.stack([window.bone_scale[variant] for window, variant in pairs])),
         }
 
-    def moved(self, source: Source, person: int, scale: Array, generator: np.random.Generator | None) -> Array:
-        """Return how far both move (T, 2, J, 3), metres, where one is scaled; noise is the same for all windows."""
+    def moved(
+        self,
+        source: Source,
+        person: int,
+        scale: Array,
+        generator: np.random.Generator | None,
+        key_frames: KeyFrames | None = None,
+    ) -> Array:
+        """Return how far both move (T, 2, J, 3), metres, where one is scaled; noise is the same for all windows.
+
+        With key frames of that one, its motion is bent through them, and the other's is decoded for it.
+        """
         check_topology(self, source)
         windows = cut(source, "", person, self.options.length)
         count, num_frames = len(windows), len(windows[0].frames)
@@ -221,7 +240,16 @@ class WindowVae(VariantModel):
             "condition": np.repeat(self.condition(scale[None]), count, axis=0),
         }
         batch |= {key: np.repeat(one, count, axis=0) for key, one in self._noise(1, num_frames, generator).items()}
-        return blend(source, windows, iter(self.network.displacement(batch)))
+        moved = blend(source, windows, iter(self.network.displacement(batch)))
+        if key_frames is None:
+            return moved
+        own = source.positions_m[:, person]
+        bent = key_frames.bend(own + moved[:, person], source.rate_hz) - own
+        seen = bent[sampled_frames(source)]
+        batch["moved_b"] = np.stack([seen[window.frames] @ window.axes for window in windows]).astype(np.float32)
+        moved = blend(source, windows, iter(self.network.displacement(batch)))
+        moved[:, person] = bent
+        return moved
 
     def _noise(self, count: int, num_frames: int, generator: np.random.Generator | None) -> dict[str, Narrow]:
         """Return unit noise for so many windows, or 0."""
@@ -241,6 +269,7 @@ class PaperCvaeModel(WindowVae):
     """
 
     name = "paper_cvae"
+    takes_key_frames = True
     settings = PaperCvaeSettings
     config_kind = PaperCvaeConfig
 

@@ -74,11 +74,14 @@ class InteractionCvae(WindowNetwork):
         return of_scales + of_b + of_a
 
     def forward(self, batch: Batch, *, is_posterior: bool = False) -> Tensor:
-        """Return how far both move from the template, by z of the batch's noise or of the answer."""
+        """Return how far both move from the template, by z of the batch's noise or of the answer.
+
+        Where the batch has `moved_b` (W, T, J, 3), metres, how far B moves is given, and A's motion follows from it.
+        """
         z_b, z_a = batch["noise_b"], batch["noise_a"]
         if is_posterior:
             z_b, z_a = (found.chunk(2, -1)[0] for found in self._encode(batch))
-        b = self._decode_b(batch, z_b)
+        b = batch["moved_b"] if "moved_b" in batch else self._decode_b(batch, z_b)
         return torch.stack([self._decode_a(batch, z_a, batch["template_m"][:, :, 1] + b), b], 2)
 
     def scales(self, z: Narrow) -> Narrow:

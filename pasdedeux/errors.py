@@ -18,6 +18,12 @@ class FormatError(InputError):
     """A file's content is not what it claims to be: says which line or frame, what is wrong, what is allowed."""
 
 
+def check_positive(value: float, what: str) -> None:
+    """Refuse a number that is not positive or not finite."""
+    if not 0 < value < float("inf"):
+        raise InputError(f"{what} is {value}, it must be positive")
+
+
 @contextmanager
 def named(where: str) -> Iterator[None]:
     """Put in front of an InputError what it is about, such as the file or the take."""

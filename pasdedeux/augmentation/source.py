@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_positive
 from pasdedeux.interaction.contacts import Contacts, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.known_contacts import UserContact
@@ -72,8 +72,7 @@ class Source:
                 f"{self.name}: frame {int(np.argmax(is_bad))} has a joint that is not finite or further than "
                 f"{_LONGEST_JOINT_DISTANCE_M:g} m from the origin ({int(is_bad.sum())} such frames)"
             )
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise InputError(f"{self.name}: the frame rate is {self.rate_hz}, it must be positive")
+        check_positive(self.rate_hz, f"{self.name}: the frame rate")
         if self.objects is not None and self.objects.num_frames != self.num_frames:
             raise InputError(
                 f"{self.name}: its objects have {self.objects.num_frames} frames, the people {self.num_frames}"

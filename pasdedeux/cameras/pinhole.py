@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_positive
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,7 @@ class PinholeCamera:
 
     def __post_init__(self) -> None:
         """Check every field."""
-        if not (np.isfinite(self.focal_px) and self.focal_px > 0):
-            raise InputError(f"camera: the focal length is {self.focal_px} px, it must be positive")
+        check_positive(self.focal_px, "camera: the focal length in pixels")
         for name, shape in (("principal_point_px", (2,)), ("position_m", (3,)), ("camera_from_world_rotmat", (3, 3))):
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != shape or not np.isfinite(value).all():

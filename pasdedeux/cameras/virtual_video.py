@@ -12,7 +12,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_positive
 
 PERSON_HEIGHT_PX = 600.0
 """Height of a person in the image at which noise in pixels is meant."""
@@ -91,8 +91,7 @@ def look_at_camera(
     At yaw 0 and pitch 0 the camera stands on +Z of the target and looks along -Z; yaw turns it towards +X, a positive
     pitch lifts it.  Straight above (pitch 90 degrees) the image's up is where the camera came from, so nothing jumps.
     """
-    if not (np.isfinite(distance_m) and distance_m > 0):
-        raise InputError(f"camera: the distance is {distance_m} m, it must be positive")
+    check_positive(distance_m, "camera: the distance in metres")
     direction = _towards(yaw_rad, pitch_rad)
     right = np.array([np.cos(yaw_rad), 0.0, -np.sin(yaw_rad)])
     return PinholeCamera(

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
@@ -44,7 +43,7 @@ _FAR_PX = 1e9
 _KNOWN_BODY = ReconstructionOptions(
     has_own_proportions=False,
     metres_per_pixel=1.0 / _PIXELS_PER_METRE,
-    fit=ObservedFitSettings(min_noise_m=0.001),
+    min_noise_m=0.001,
     trust_per_misfit=4.0,
 )
 """Proportions, scale and lens are right, so the image is believed to 1 mm, and retrieved bones half as tightly.
@@ -165,7 +164,7 @@ def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Arr
         metres_per_pixel=_KNOWN_BODY.metres_per_pixel,
         has_own_proportions=False,
         has_clean_up=has_clean_up,
-        min_noise_m=_KNOWN_BODY.fit.min_noise_m,
+        min_noise_m=_KNOWN_BODY.min_noise_m,
     )
     person = LivePerson(0, searcher, rate_hz=track.rate_hz, lens=track.lens, options=live)
     poses = []

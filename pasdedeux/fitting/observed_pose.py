@@ -14,18 +14,21 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.fitting.bones import BoneForest, topology_of
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import AccelerationTerm, Normal, PointTerm, Term
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import Skeleton
 
 _DEPTH_HOLD = 1e-2
 _FEWEST_DIFFERENCES = 5
 """Fewer third differences than this do not determine the noise."""
+ACCELERATION_M_S2 = 8.0
+"""Standard deviation of a joint's acceleration."""
+_NUM_ROUNDS = 2
+"""Fits; between them the image's weights follow the residuals."""
+_STOP = FitSettings(max_iterations=6, tolerance=3e-3)
 
 
 @dataclass(frozen=True)
@@ -77,18 +80,6 @@ class BoneVectorTerm(Term):
         return (parents == np.arange(len(parents))[:, None]).astype(np.float64)
 
 
-class ObservedFitSettings(Settings):
-    """What is believed of image, retrieval and time."""
-
-    min_noise_m: float = Field(0.002, gt=0, description="The image is never believed better than this")
-    acceleration_m_s2: float = Field(8.0, gt=0, description="Standard deviation of a joint's acceleration")
-    num_rounds: int = Field(2, ge=1, description="Fits; between them the image's weights follow the residuals")
-    max_iterations: int = Field(6, ge=0, description="Steps of each fit")
-    tolerance: float = Field(
-        3e-3, ge=0, description="A fit stops when a step lowers its energy by less than this share"
-    )
-
-
 def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_]) -> float:
     """Return the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
 
@@ -114,8 +105,8 @@ def fit_observed(
     bone_deviation_m: Array,
     *,
     rate_hz: float,
-    distance_m: Array | None = None,
-    settings: ObservedFitSettings | None = None,
+    distance_m: Array,
+    min_noise_m: float,
 ) -> Array:
     """Return a track of poses fitted to its image (T, N, 3), metres; x and y as observed, z about the first guess's.
 
@@ -128,30 +119,28 @@ def fit_observed(
         bone_m: Vector of each bone as retrieved (T, N, 3), metres.
         bone_deviation_m: Standard deviation of that (T, N), metres.
         rate_hz: Frames per second.
-        distance_m: Distance (T,) of z = 0 from a pinhole; parallel rays when not given.
-        settings: What is believed.
+        distance_m: Distance (T,) of z = 0 from a pinhole.
+        min_noise_m: The image is never believed better than this.
 
     Raises:
         InputError: The first guess is not finite.
     """
-    settings = settings or ObservedFitSettings()
     frames, joints = start_m.shape[:2]
     is_seen = np.isfinite(observed_m).all(axis=-1) & (confidence > 0)
     weight = np.where(is_seen, confidence, 0.0)
-    noise = np.full(joints, max(image_noise(observed_m, is_seen), settings.min_noise_m))
+    noise = np.full(joints, max(image_noise(observed_m, is_seen), min_noise_m))
     robust = np.ones((frames, joints))
     forest = BoneForest((skeleton,), np.asarray(lengths_m, dtype=np.float64))
     state = forest.state_of(start_m)
     positions = forest.positions(state)
-    time_deviation = settings.acceleration_m_s2 / rate_hz**2
+    time_deviation = ACCELERATION_M_S2 / rate_hz**2
     smooth = AccelerationTerm(np.array(1.0 / time_deviation**2))
     bones = BoneVectorTerm(skeleton, bone_m, (1.0 / bone_deviation_m**2)[..., None])
-    for round_number in range(settings.num_rounds):
+    for round_number in range(_NUM_ROUNDS):
         image = image_term(observed_m, weight * robust / noise**2, positions, distance_m)
-        stop = FitSettings(settings.max_iterations, settings.tolerance)
-        result = fit_bones(forest, state, [image, smooth, bones], stop)
+        result = fit_bones(forest, state, [image, smooth, bones], _STOP)
         state, positions = result.state, result.positions_m
-        if round_number < settings.num_rounds - 1:
+        if round_number < _NUM_ROUNDS - 1:
             residual = np.linalg.norm(flatten_image(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
             residual = np.where(is_seen, residual, np.nan)
             noise = np.maximum(noise, _joint_noise(residual))
@@ -159,21 +148,19 @@ def fit_observed(
     return positions
 
 
-def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | float | None) -> Array:
+def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | float) -> Array:
     """Undo perspective in images (*batch, N, 2) at the depths of poses (*batch, N, 3): what is nearer looks larger.
 
     Args:
         observed_m: Observed joints, metres at the depth of z = 0.
         positions_m: Poses, camera axes.
-        distance_m: Distance (*batch,) of z = 0 from a pinhole; parallel rays when not given.
+        distance_m: Distance (*batch,) of z = 0 from a pinhole; infinite for parallel rays.
     """
-    if distance_m is None:
-        return observed_m
     depth = positions_m[..., 2]
     return np.asarray(observed_m * (1.0 - depth / np.asarray(distance_m)[..., None])[..., None])
 
 
-def image_term(observed_m: Array, weights: Array, positions_m: Array, distance_m: Array | None) -> PointTerm:
+def image_term(observed_m: Array, weights: Array, positions_m: Array, distance_m: Array) -> PointTerm:
     """Return the term that draws joints to their image (T, N, 2), weights (T, N), without perspective at these poses.
 
     Depth of the whole body is free for parallel rays: a light hand keeps it where it is.

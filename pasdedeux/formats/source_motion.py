@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_positive
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
@@ -80,8 +80,7 @@ class SourceMotion:
             InputError: An unknown axis, a scale that is not positive, or values that are not finite.
         """
         world_from_file = upright_from_file(up_axis)
-        if not (np.isfinite(metres_per_unit) and metres_per_unit > 0):
-            raise InputError(f"metres per unit is {metres_per_unit}; it must be positive")
+        check_positive(metres_per_unit, "the length of the file's unit in metres")
 
         def turned(vectors: Array) -> Array:
             return rotate(np.broadcast_to(world_from_file, (*vectors.shape[:-1], 4)), vectors)

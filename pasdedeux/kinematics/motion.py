@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_positive
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.kinematics.rotations import identity_unitquat, slerp
 from pasdedeux.skeletons import Skeleton
@@ -48,8 +48,7 @@ class Motion:
                 f"root translations {self.root_translation_m.shape} and rotations {self.local_unitquat.shape} "
                 f"do not fit {joints} joints: expected (frames, 3) and (frames, {joints}, 4)"
             )
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise InputError(f"the frame rate is {self.rate_hz}, it must be positive")
+        check_positive(self.rate_hz, "the frame rate")
         is_bad = ~(
             np.isfinite(self.root_translation_m).all(axis=-1) & np.isfinite(self.local_unitquat).all(axis=(-1, -2))
         )

@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.identity_kernels import MIN_TRUST
 from pasdedeux.skeletons import OP14
@@ -93,20 +92,9 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
         confidence: (person, frame, 14), 0 where not seen.
         rate_hz: Frames per second.
 
-    Returns:
-        The repaired keypoints.  Who is seen in fewer than three frames is left as they are.
-
-    Raises:
-        InputError: Shapes that do not fit, or a rate that is not positive.
+    Who is seen in fewer than three frames is left as they are.
     """
     people = len(keypoints_px)
-    if keypoints_px.ndim != 4 or keypoints_px.shape[2:] != (14, 2) or confidence.shape != keypoints_px.shape[:3]:
-        raise InputError(
-            f"faults: keypoints {keypoints_px.shape} and confidences {confidence.shape}; expected "
-            "(people, frames, 14, 2) and (people, frames, 14)"
-        )
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InputError(f"faults: the frame rate is {rate_hz}, it must be positive")
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (np.nan_to_num(confidence) > 0)
     points = np.where(is_seen[..., None], keypoints_px, np.nan)
     weight = np.where(is_seen, confidence, 0.0)

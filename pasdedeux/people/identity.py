@@ -14,14 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
-from pasdedeux.people.identity_kernels import clean_detections, match_costs, predict_joints, update_joints
-from pasdedeux.skeletons import OP14
+from pasdedeux.people.identity_kernels import GATE, clean_detections, match_costs, predict_joints, update_joints
 
 Integers = npt.NDArray[np.int64]
-
-_PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
-"""Alpha-beta filter of a joint: near the critically damped pair beta = alpha^2 / (2 - alpha), a little slower."""
 
 _SIZE_GAIN = 0.1
 _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
@@ -29,13 +24,10 @@ _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
 
 
 # Lengths are shares of the size of the body in the image (about its height).
-_GATE, _GATE_GROWTH_PER_S, _MAX_GATE = 0.25, 0.5, 0.6
-"""Mean joint distance from the prediction beyond which a detection is somebody else; its growth while a person is not
-seen, and what it never grows beyond."""
+_GATE_GROWTH_PER_S, _MAX_GATE = 0.5, 0.6
+"""Growth of `GATE` while a person is not seen, and what it never grows beyond."""
 MAX_ABSENT_S = 1.5
 """After this time unseen a person who comes back is a new one."""
-_SIZE_COST = 0.2
-"""Cost of a size that is e times the one before."""
 _DUPLICATE = 0.06
 """Two detections of a frame nearer than this are one person seen twice."""
 _GHOST_S = 0.25
@@ -181,19 +173,13 @@ class Follower:
         cost = np.empty((len(self._people), len(points)))
         limit = np.zeros(cost.shape)
         for row, person in enumerate(self._people):
-            expected = (person.predict(time_s), person.is_known, person.size_px)
-            cost[row] = match_costs(*expected, points, trust, size, 3.0 * _GATE, _SIZE_COST)
-            limit[row] = min(_GATE + _GATE_GROWTH_PER_S * (time_s - person.last_time_s), _MAX_GATE)
+            cost[row] = match_costs(person.predict(time_s), person.is_known, person.size_px, points, trust, size)
+            limit[row] = min(GATE + _GATE_GROWTH_PER_S * (time_s - person.last_time_s), _MAX_GATE)
         return cost, limit
 
 
 def follow_people(
-    frame: Integers,
-    keypoints_px: Array,
-    confidence: Array,
-    *,
-    rate_hz: float,
-    given_id: Integers | None = None,
+    frame: Integers, keypoints_px: Array, confidence: Array, *, rate_hz: float, given_id: Integers | None = None
 ) -> FollowedRows:
     """Return the person of every detection of a sequence, whatever the order of people within its frames.
 
@@ -209,17 +195,7 @@ def follow_people(
 
     Returns:
         The rows in the order given; without rows nothing.
-
-    Raises:
-        InputError: Shapes do not fit, or the rate is not positive.
     """
-    if keypoints_px.shape != (len(frame), OP14.num_joints, 2) or confidence.shape != keypoints_px.shape[:2]:
-        raise InputError(
-            f"identities: {len(frame)} frames, keypoints {keypoints_px.shape}, confidences {confidence.shape}; "
-            f"expected (rows, {OP14.num_joints}, 2) and (rows, {OP14.num_joints})"
-        )
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InputError(f"identities: the frame rate is {rate_hz}, it must be positive")
     points, seen = np.array(keypoints_px, dtype=np.float64), np.array(confidence, dtype=np.float64)
     track_id, twin = np.full((2, len(frame)), -1, dtype=np.int64)
     follower = Follower()
@@ -276,19 +252,9 @@ def _twin(
 
 def _update(person: _Person, time_s: float, points: Array, trust: Array, size_px: float) -> None:
     """Move a person's state to a detection that is theirs."""
-    passed = time_s - person.last_time_s
-    update_joints(
-        person.place_px,
-        person.speed_px_s,
-        person.is_known,
-        person.predict(time_s),
-        points,
-        trust,
-        passed,
-        float(np.exp(-passed / _LIMB_FADE_S)),
-        _PLACE_GAIN,
-        _SPEED_GAIN,
-    )
+    passed, state = time_s - person.last_time_s, (person.place_px, person.speed_px_s, person.is_known)
+    fade = float(np.exp(-passed / _LIMB_FADE_S))
+    update_joints(*state, person.predict(time_s), points, trust, passed, fade)
     person.size_px += _SIZE_GAIN * (size_px - person.size_px)
     person.last_time_s = time_s
 

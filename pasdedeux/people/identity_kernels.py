@@ -9,13 +9,20 @@ from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import OP14
 
-Booleans = npt.NDArray[np.bool_]
+Flags = npt.NDArray[np.bool_]
 
 _TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))
 MIN_TRUST = 0.3
 _MIN_SIZE_PX = 4.0
 _HIGHEST_BOX_PER_LENGTH = 4.0
 _MIN_BOX_PER_LENGTH = 1.5
+# Lengths are shares of the size of the body in the image (about its height).
+GATE = 0.25
+"""Mean joint distance from the prediction beyond which a detection is somebody else."""
+_SIZE_COST = 0.2
+"""Cost of a size that is e times the one before."""
+_PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
+"""Alpha-beta filter of a joint: near the critically damped pair beta = alpha^2 / (2 - alpha), a little slower."""
 
 
 @compiled(error_model="numpy")
@@ -46,7 +53,7 @@ def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array,
 
 
 @compiled(error_model="numpy")
-def size_in_image(points: Array, is_seen: Booleans) -> float:
+def size_in_image(points: Array, is_seen: Flags) -> float:
     """Do `identity.body_size_px` for one person (j, 2)."""
     box, count = _diagonal(points, is_seen, np.arange(points.shape[0]))
     if count < 2:
@@ -58,7 +65,7 @@ def size_in_image(points: Array, is_seen: Booleans) -> float:
 
 
 @compiled(error_model="numpy")
-def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -> tuple[float, int]:
+def _diagonal(points: Array, is_seen: Flags, joints: npt.NDArray[np.int64]) -> tuple[float, int]:
     """Return the diagonal of the box of the seen joints, and how many they are."""
     count = 0
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -71,7 +78,7 @@ def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -
 
 
 @compiled(error_model="numpy")
-def predict_joints(place: Array, speed: Array, is_known: Booleans, body_s: float, limb_s: float) -> Array:
+def predict_joints(place: Array, speed: Array, is_known: Flags, body_s: float, limb_s: float) -> Array:
     """Return where a person's joints (j, 2) are expected: median speed works for `body_s`, what is left `limb_s`."""
     out = np.empty(place.shape)
     for axis in range(2):
@@ -82,21 +89,12 @@ def predict_joints(place: Array, speed: Array, is_known: Booleans, body_s: float
 
 
 @compiled(error_model="numpy")
-def match_costs(
-    predicted: Array,
-    is_known: Booleans,
-    own_size: float,
-    points: Array,
-    trust: Array,
-    size: Array,
-    max_share: float,
-    size_cost: float,
-) -> Array:
+def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Array, trust: Array, size: Array) -> Array:
     """Return what each detection (n,) costs a person: mean distance of its joints from the prediction in sizes.
 
     Joints count by the trust (n, j) in them, 0 for those not seen.
 
-    A single joint that is far off is a detector's fault and not another person: it counts `max_share` at most.  Where
+    A single joint that is far off is a detector's fault and not another person: it counts three gates at most.  Where
     the two have too few joints in common only the place of the whole tells.
     """
     cost = np.empty(points.shape[0])
@@ -119,13 +117,13 @@ def match_costs(
                 both += 1
                 weight += trust[at, joint]
                 away = np.hypot(points[at, joint, 0] - predicted[joint, 0], points[at, joint, 1] - predicted[joint, 1])
-                total += trust[at, joint] * min(away / own_size, max_share)
+                total += trust[at, joint] * min(away / own_size, 3.0 * GATE)
         centre /= num_seen
         if both >= 2:
             cost[at] = total / weight
         else:
             cost[at] = np.hypot(centre[0] - own[0], centre[1] - own[1]) / own_size
-        cost[at] += size_cost * abs(np.log(size[at] / own_size))
+        cost[at] += _SIZE_COST * abs(np.log(size[at] / own_size))
     return cost
 
 
@@ -133,14 +131,12 @@ def match_costs(
 def update_joints(
     place: Array,
     speed: Array,
-    is_known: Booleans,
+    is_known: Flags,
     predicted: Array,
-    points: Array,
+    seen: Array,
     trust: Array,
     passed: float,
     fade: float,
-    place_gain: float,
-    speed_gain: float,
 ) -> None:
     """Move a person's joints (j, 2) to a detection that is theirs, in place; speeds of joints not seen fade.
 
@@ -150,13 +146,13 @@ def update_joints(
         is_seen = trust[joint] > 0
         both = is_seen and is_known[joint]
         for axis in range(2):
-            off = trust[joint] * (points[joint, axis] - predicted[joint, axis]) if both else 0.0
+            off = trust[joint] * (seen[joint, axis] - predicted[joint, axis]) if both else 0.0
             if is_seen and not is_known[joint]:
-                place[joint, axis] = points[joint, axis]
+                place[joint, axis] = seen[joint, axis]
             else:
-                place[joint, axis] = predicted[joint, axis] + place_gain * off
+                place[joint, axis] = predicted[joint, axis] + _PLACE_GAIN * off
             if passed > 0:
                 if not is_seen:
                     speed[joint, axis] *= fade
-                speed[joint, axis] += speed_gain / passed * off
+                speed[joint, axis] += _SPEED_GAIN / passed * off
         is_known[joint] = is_known[joint] or is_seen

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.people.faults import RepairedCrowd, repair_faults, track_size_px, wild_points
+from pasdedeux.people.faults import repair_faults, track_size_px, wild_points
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
@@ -68,38 +68,23 @@ def repair_rows(
         seen[change, keypoint] = confidence[source_row[change, joint], source[change]]
         masked = is_kept & found.is_masked[person, at, joint]
         px[masked, keypoint], seen[masked, keypoint] = np.nan, 0.0
-    for number in range(len(people)):
+    own = _own_joints(layout)
+    others = np.array([point for point, name in enumerate(layout.keypoint_names) if name not in own], dtype=np.int64)
+    for number in range(len(people)):  # what is no joint of op14 is only masked
         rows = np.flatnonzero(person == number)
-        _mask_others(px, seen, rows[np.argsort(at[rows])], at, found, number, layout, rate_hz)
+        rows = rows[np.argsort(at[rows])]
+        frames, there = at[rows] - at[rows[0]], np.ix_(rows, others)
+        track, trust = np.full((frames[-1] + 1, len(others), 2), np.nan), np.zeros((frames[-1] + 1, len(others)))
+        track[frames], trust[frames] = px[there], seen[there]
+        size = np.full(len(track), float(track_size_px(found.keypoints_px[number])[0]))
+        is_wild = wild_points(track, trust, size, rate_hz=rate_hz)[frames]
+        px[there], seen[there] = np.where(is_wild[..., None], np.nan, px[there]), np.where(is_wild, 0.0, seen[there])
     repaired = Keypoints(
         np.where(is_kept[:, None, None], found.keypoints_px[person, at], op14.positions),
         np.where(is_kept[:, None], found.confidence[person, at], op14.confidence),
     )
     is_touched = found.is_touched[person, at] & (op14.confidence > 0) & is_kept[:, None]
     return px, seen, repaired, int(is_touched.sum())
-
-
-def _mask_others(
-    px: Array,
-    seen: Array,
-    rows: Integers,
-    at: Integers,
-    found: RepairedCrowd,
-    number: int,
-    layout: KeypointLayout,
-    rate_hz: float,
-) -> None:
-    """Mask in place the wild ones of a person's keypoints that are no joint of op14; the rows in order of frames."""
-    own = _own_joints(layout)
-    others = np.array([point for point, name in enumerate(layout.keypoint_names) if name not in own], dtype=np.int64)
-    frames = at[rows] - at[rows[0]]
-    track, weight = np.full((frames[-1] + 1, len(others), 2), np.nan), np.zeros((frames[-1] + 1, len(others)))
-    there = np.ix_(rows, others)
-    track[frames], weight[frames] = px[there], seen[there]
-    size = np.full(len(track), float(track_size_px(found.keypoints_px[number])[0]))
-    is_wild = wild_points(track, weight, size, rate_hz=rate_hz)[frames]
-    px[there] = np.where(is_wild[..., None], np.nan, px[there])
-    seen[there] = np.where(is_wild, 0.0, seen[there])
 
 
 def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:

@@ -8,6 +8,8 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
+    Quaternion,
+    Vector,
     conjugate,
     cross,
     dot,
@@ -28,6 +30,8 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.reconstruction.bones import REST_DIRECTIONS
 from pasdedeux.reconstruction.cleanup import bend_one_leg
 from pasdedeux.skeletons import BODY22, OP14
+
+Indices = npt.NDArray[np.int64]
 
 _NECK, _NOSE = OP14.root, OP14.index("head")
 _HIPS_AT = np.array(OP14.indices(["left_hip", "right_hip"]))
@@ -130,7 +134,7 @@ def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None
 
 
 @compiled(error_model="numpy")
-def _place_pelvis(middle: tuple[float, float, float], world: Array, points: Array, rest: Array) -> None:
+def _place_pelvis(middle: Vector, world: Array, points: Array, rest: Array) -> None:
     """Put the pelvis where its hips have this middle."""
     up = rotate(unitquat_of(world, _PELVIS), row_of(rest, _PELVIS))
     put_row(points, _PELVIS, mix(1.0, middle, 1.0, up))
@@ -209,13 +213,7 @@ def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets:
 
 @compiled(error_model="numpy")
 def _face(
-    pose: Array,
-    bent: Array,
-    trunk: tuple[float, float, float, float],
-    nose: tuple[float, float, float],
-    world: Array,
-    points: Array,
-    offsets: Array,
+    pose: Array, bent: Array, trunk: Quaternion, nose: Vector, world: Array, points: Array, offsets: Array
 ) -> None:
     """Hold the head to the trunk as the match does, turned by what the nose is away from where the match has it."""
     turn = swing_between(rotate(trunk, nose), subtract(row_of(pose, _NOSE), row_of(pose, _NECK)))
@@ -229,14 +227,7 @@ def _face(
 
 @compiled(error_model="numpy")
 def _reach(
-    pose: Array,
-    wanted: npt.NDArray[np.int64],
-    bent: Array,
-    limb: npt.NDArray[np.int64],
-    world: Array,
-    points: Array,
-    offsets: Array,
-    above: int,
+    pose: Array, wanted: Indices, bent: Array, limb: Indices, world: Array, points: Array, offsets: Array, above: int
 ) -> None:
     """Turn a limb (its joint, hinge and end) that hangs on `above` until it is where the pose has it."""
     start, hinge, end = limb
@@ -277,6 +268,6 @@ def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, of
 
 
 @compiled(error_model="numpy")
-def _unit(q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+def _unit(q: Quaternion) -> Quaternion:
     norm = 1.0 / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return q[0] * norm, q[1] * norm, q[2] * norm, q[3] * norm

@@ -20,7 +20,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import retarget_proportions
@@ -31,6 +30,7 @@ Booleans = npt.NDArray[np.bool_]
 
 _LEGS = OP14.legs
 _ANKLES = np.array([leg[2] for leg in _LEGS])
+_LEFT_HIP, _RIGHT_HIP = (leg[0] for leg in _LEGS)
 _UP = 1
 _STRAIGHT = 1.0 - 1e-6
 """A leg is never stretched beyond this part of its length, where the knee's plane would be lost."""
@@ -108,9 +108,8 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Booleans | None 
         one = positions[:, person]
         for side, (hip, knee, ankle) in enumerate(_LEGS):
             target = _targets(one[:, ankle], is_planted[:, person, side], floor, rate_hz)
-            one[:, knee], one[:, ankle] = bend_leg(
-                one[:, hip], one[:, knee], one[:, ankle], target, fallback=_forward(one)
-            )
+            facing = np.stack([facing_of(pose) for pose in np.ascontiguousarray(one)])
+            one[:, knee], one[:, ankle] = bend_leg(one[:, hip], one[:, knee], one[:, ankle], target, fallback=facing)
     batch = positions_m.shape[:-2]
     return CleanedMotion(
         positions.reshape(positions_m.shape), is_planted.reshape(*batch, 2), shift.reshape(*batch, 3), floor
@@ -169,11 +168,13 @@ def bend_one_leg(start: Array, middle: Array, end: Array, target: Array, fallbac
     return start + along * line + aside * pole, start + reach * line
 
 
-def _forward(positions: Array) -> Array:
-    """Return where the body faces (frame, 3)."""
-    left, right = (positions[:, leg[0]] for leg in _LEGS)
-    up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), left.shape)
-    return normalise(np.cross(left - right, up), fallback=np.array([0.0, 0.0, 1.0]))
+@compiled(error_model="numpy")
+def facing_of(pose: Array) -> Array:
+    """Return where the body of a pose (14, 3) faces (3,), level; +Z where its hips are in one place."""
+    across = pose[_LEFT_HIP] - pose[_RIGHT_HIP]
+    facing = np.array([-across[2], 0.0, across[0]])
+    length = np.sqrt((facing**2).sum())
+    return facing / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
 def _correct_paths(

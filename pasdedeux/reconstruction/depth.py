@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
 
 Integers = npt.NDArray[np.int64]
@@ -31,6 +32,7 @@ _SIGN_GROUPS = tuple(
     )
 )
 _JOINTS = OP14.num_joints
+_LENGTHS_M = REFERENCE_LENGTHS_M
 _ORDER = np.array(OP14.order[1:])
 _GROUP_JOINTS = np.array([joint for group in _SIGN_GROUPS for joint in group])
 _GROUP_SIZES = np.array([len(group) for group in _SIGN_GROUPS])
@@ -87,33 +89,25 @@ def place_depths(observed_m: Array, depth_m: Array) -> Array:
 
 
 def vote_on_signs(
-    before: SignStep | None,
-    image_m: Array,
-    lengths_m: Array,
-    candidates_m: Array,
-    misfit_m: Array,
-    *,
-    noise_m: float,
-    passed_s: float,
+    before: SignStep | None, image_m: Array, candidates_m: Array, misfit_m: Array, *, noise_m: float, passed_s: float
 ) -> SignStep:
     """Let the candidates of one frame vote.
 
     Args:
         before: The frame before; None for the first.
-        image_m: Joints (14, 2), metres, in the proportions of the candidates; NaN where not seen.
-        lengths_m: Bone lengths (14,), metres.
-        candidates_m: Candidate poses (k, 14, 3), camera axes, metres.
+        image_m: Joints (14, 2), metres, in the proportions of the reference; NaN where not seen.
+        candidates_m: Candidate poses (k, 14, 3), camera axes, reference proportions, metres.
         misfit_m: How much worse than the best each matches (k,), metres; inf where there is none.
         noise_m: Standard deviation of the joints.
         passed_s: Time since the frame before.
     """
     vectors, log_weight = bone_vectors(candidates_m), -misfit_m / _MISFIT_M
-    size, deviation, score = _vote_signs(image_m, lengths_m, vectors, log_weight, noise_m)
+    size, deviation, score = _vote_signs(image_m, vectors, log_weight, noise_m)
     if before is None:
         cost, back = -score, np.zeros(_NUM_SIGN_STATES, dtype=np.int64)
     else:
         old, moved = (before.cost, before.size_m, before.deviation_m), _SPEED_M_S * passed_s
-        cost, back = _extend_signs(*old, size, deviation, score, lengths_m, moved)
+        cost, back = _extend_signs(*old, size, deviation, score, moved)
     return SignStep(vectors, log_weight, size, deviation, cost, back)
 
 
@@ -122,29 +116,20 @@ def trace_signs(steps: Sequence[SignStep]) -> Array:
     return _trace_signs(steps[-1].cost, np.stack([step.back for step in steps]))
 
 
-def bones_by_votes(step: SignStep, sign: Array, lengths_m: Array) -> tuple[Array, Array]:
+def bones_by_votes(step: SignStep, sign: Array) -> tuple[Array, Array]:
     """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
-    return _prior_of_frame(step.size_m, step.deviation_m, sign, step.vectors_m, step.log_weight, lengths_m)
+    return _prior_of_frame(step.size_m, step.deviation_m, sign, step.vectors_m, step.log_weight)
 
 
 def decode_depths(
-    observed_m: Array,
-    is_seen: npt.NDArray[np.bool_],
-    candidates_m: Array,
-    misfit_m: Array,
-    lengths_m: Array,
-    *,
-    noise_m: float,
-    rate_hz: float,
+    observed_m: Array, candidates_m: Array, misfit_m: Array, *, noise_m: float, rate_hz: float
 ) -> tuple[Array, Array]:
     """Return the bones of a track as candidates and image say.
 
     Args:
-        observed_m: Joints in the image (frame, 14, 2), metres, in the proportions of the candidates.
-        is_seen: (frame, 14).
-        candidates_m: Candidate poses (frame, k, 14, 3), camera axes, metres.
+        observed_m: Joints in the image (frame, 14, 2), metres, reference proportions; NaN where not seen.
+        candidates_m: Candidate poses (frame, k, 14, 3), camera axes, reference proportions, metres.
         misfit_m: How much worse than the best each candidate matches (frame, k), metres; inf where there is none.
-        lengths_m: Bone lengths (14,), metres.
         noise_m: Standard deviation of the observed joints.
         rate_hz: Frames per second.
 
@@ -152,33 +137,19 @@ def decode_depths(
         Vector of each bone as the candidates of the same sign have it (frame, 14, 3), and depth of the bone that ends
         in each joint (frame, 14), towards the camera positive; 0 for the root.
     """
-    image = np.where(is_seen[..., None], observed_m, np.nan)
     steps: list[SignStep] = []
-    for seen, candidates, misfit in zip(image, candidates_m, misfit_m, strict=True):
+    for seen, candidates, misfit in zip(observed_m, candidates_m, misfit_m, strict=True):
         before = steps[-1] if steps else None
-        steps.append(
-            vote_on_signs(before, seen, lengths_m, candidates, misfit, noise_m=noise_m, passed_s=1.0 / rate_hz)
-        )
-    found = [bones_by_votes(step, sign, lengths_m) for step, sign in zip(steps, trace_signs(steps), strict=True)]
+        steps.append(vote_on_signs(before, seen, candidates, misfit, noise_m=noise_m, passed_s=1.0 / rate_hz))
+    found = [bones_by_votes(step, sign) for step, sign in zip(steps, trace_signs(steps), strict=True)]
     return np.stack([vector for vector, _ in found]), np.stack([depth for _, depth in found])
 
 
 @compiled(error_model="numpy")
-def _vote_signs(
-    image: Array, lengths: Array, vectors: Array, log_weight: Array, noise: float
-) -> tuple[Array, Array, Array]:
+def _vote_signs(image: Array, vectors: Array, log_weight: Array, noise: float) -> tuple[Array, Array, Array]:
     """Return how deep each bone is by the image, and the log likelihood of each choice of signs by the candidates.
 
-    Args:
-        image: Joints (14, 2), metres, in the proportions of the candidates; NaN where not seen.
-        lengths: Bone lengths (14,).
-        vectors: Bones of the candidates (k, 14, 3).
-        log_weight: Log of the weight of each candidate (k,).
-        noise: Standard deviation of the image.
-
-    Returns:
-        Size of each bone's depth (14,), its standard deviation, infinite where an end is not seen, and the log
-        likelihood of each choice of signs.
+    The first are the size of each bone's depth (14,) and its standard deviation, infinite where an end is not seen.
     """
     size, deviation = np.zeros(_JOINTS), np.empty(_JOINTS)
     deviation[:] = np.inf
@@ -186,8 +157,8 @@ def _vote_signs(
         dx = image[joint, 0] - image[_PARENTS[joint], 0]
         dy = image[joint, 1] - image[_PARENTS[joint], 1]
         if np.isfinite(dx) and np.isfinite(dy):
-            size[joint] = np.sqrt(max(lengths[joint] ** 2 - dx * dx - dy * dy, 0.0))
-            spread = 2.0 * lengths[joint] * np.sqrt(2.0) * noise
+            size[joint] = np.sqrt(max(_LENGTHS_M[joint] ** 2 - dx * dx - dy * dy, 0.0))
+            spread = 2.0 * _LENGTHS_M[joint] * np.sqrt(2.0) * noise
             deviation[joint] = min(spread / (2.0 * max(size[joint], 1e-6)), 0.7 * np.sqrt(spread))
     score = np.zeros(_NUM_SIGN_STATES)
     total = 0.0
@@ -203,7 +174,7 @@ def _vote_signs(
                 for bone in range(bones):
                     joint = _GROUP_JOINTS[_FIRST_JOINT[group] + bone]
                     signed = size[joint] if (state >> bone) & 1 else -size[joint]
-                    own = deviation[joint] if np.isfinite(deviation[joint]) else lengths[joint]
+                    own = deviation[joint] if np.isfinite(deviation[joint]) else _LENGTHS_M[joint]
                     away = vectors[candidate, joint, 2] - signed
                     exponent += away * away / (_KERNEL_M * _KERNEL_M + own * own)
                 score[_FIRST_STATE[group] + state] += weight * np.exp(-0.5 * exponent)
@@ -214,14 +185,7 @@ def _vote_signs(
 
 @compiled(error_model="numpy")
 def _extend_signs(
-    before_cost: Array,
-    before_size: Array,
-    before_deviation: Array,
-    size: Array,
-    deviation: Array,
-    score: Array,
-    lengths: Array,
-    moved: float,
+    old_cost: Array, old_size: Array, old_deviation: Array, size: Array, deviation: Array, score: Array, moved: float
 ) -> tuple[Array, Integers]:
     """Return the cost of each choice of signs of a new frame, and the choice before that it is best come to from.
 
@@ -237,13 +201,13 @@ def _extend_signs(
             for bone in range(bones):
                 if (state >> bone) & 1:
                     joint = _GROUP_JOINTS[_FIRST_JOINT[group] + bone]
-                    own = deviation[joint] if np.isfinite(deviation[joint]) else lengths[joint]
-                    old = before_deviation[joint] if np.isfinite(before_deviation[joint]) else lengths[joint]
-                    change[state] += 2.0 * size[joint] * before_size[joint] / (moved * moved + own * own + old * old)
+                    own = deviation[joint] if np.isfinite(deviation[joint]) else _LENGTHS_M[joint]
+                    old = old_deviation[joint] if np.isfinite(old_deviation[joint]) else _LENGTHS_M[joint]
+                    change[state] += 2.0 * size[joint] * old_size[joint] / (moved * moved + own * own + old * old)
         for state in range(1 << bones):
             least, best = np.inf, 0
             for before in range(1 << bones):
-                total = before_cost[first + before] + change[state ^ before]
+                total = old_cost[first + before] + change[state ^ before]
                 if total < least:
                     least, best = total, before
             cost[first + state] = least - score[first + state]
@@ -270,14 +234,14 @@ def _trace_signs(cost: Array, back: Integers) -> Array:
 
 @compiled(error_model="numpy")
 def _prior_of_frame(
-    size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array, lengths: Array
+    size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array
 ) -> tuple[Array, Array]:
     """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
     mean, depth = np.zeros((_JOINTS, 3)), np.zeros(_JOINTS)
     share = np.empty(vectors.shape[0])
     for joint in _ORDER:
         is_seen = np.isfinite(deviation[joint])
-        own = deviation[joint] if is_seen else lengths[joint]
+        own = deviation[joint] if is_seen else _LENGTHS_M[joint]
         signed = sign[joint] * size[joint]
         width = _KERNEL_M * _KERNEL_M + own * own
         most = -np.inf

@@ -23,6 +23,7 @@ from pasdedeux.reconstruction.reconstruct import (
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
+_STRIDE = 5
 _FLOOR_WEIGHT = 0.05
 """Cost of a metre that standing feet leave the floor by, against a metre of misfit."""
 _MAX_FLOOR_M = 0.1
@@ -91,14 +92,11 @@ def choose_pitch(
     databases: Iterable[Searcher],
     tracks: Sequence[Track],
     options: ReconstructionOptions | None = None,
-    *,
-    stride: int = 5,
-    floor_weight: float = _FLOOR_WEIGHT,
 ) -> PitchEstimate:
     """Return the pitch at which searchers (one per camera pitch) suit the tracks of a sequence best.
 
-    A camera does not change its pitch within a sequence, so every `stride`-th frame of all tracks decides together: by
-    the sum over tracks of the mean distance of the matches and `floor_weight` times how far the lower ankle leaves its
+    A camera does not change its pitch within a sequence, so every fifth frame of all tracks decides together: by
+    the sum over tracks of the mean distance of the matches and `_FLOOR_WEIGHT` times how far the lower ankle leaves its
     median height, up to a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch, and
     under a wrong focal length, of which the best counts where it is not known; who stays at one depth does neither, and
     the matches alone decide.  An ankle that is not seen has no say, nor has the other where it is the higher one.
@@ -111,9 +109,9 @@ def choose_pitch(
     thinned = [
         replace(
             track,
-            keypoints_px=track.keypoints_px[::stride],
-            confidence=track.confidence[::stride],
-            rate_hz=track.rate_hz / stride,
+            keypoints_px=track.keypoints_px[::_STRIDE],
+            confidence=track.confidence[::_STRIDE],
+            rate_hz=track.rate_hz / _STRIDE,
         )
         for track in tracks
     ]
@@ -121,11 +119,8 @@ def choose_pitch(
     for searcher in databases:
         pitches.append(searcher.database.camera.pitch_rad)
         judged.append([one for track in thinned if (one := _judge(searcher, track, options)) is not None])
-    costs = np.array([sum(one.cost(floor_weight) for one in own) for own in judged])
-    parts = [
-        np.array([sum(one.without(part).cost(floor_weight) for one in own) for own in judged])
-        for part in range(_NUM_PARTS)
-    ]
+    costs = np.array([sum(one.cost() for one in own) for own in judged])
+    parts = [np.array([sum(one.without(part).cost() for one in own) for own in judged]) for part in range(_NUM_PARTS)]
     pitch, *others = (_least(np.array(pitches), cost) for cost in (costs, *parts))
     spread = np.sqrt((_NUM_PARTS - 1) * np.var(others))
     between = 0.5 * (pitches[-1] - pitches[0]) if len(pitches) < _NUM_OF_PARABOLA else 0.0
@@ -149,13 +144,13 @@ def _least(pitches: Array, cost: Array) -> float:
     return float(np.clip(-0.5 * slope / curve, pitches[max(best - 1, 0)], pitches[min(best + 1, len(pitches) - 1)]))
 
 
-def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera | None = None) -> Array:
+def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera) -> Array:
     """Return what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
 
     The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
     along the upright axis of the pitched camera, camera axes.
     """
-    upright = np.eye(3) if camera is None else np.asarray(camera.camera_from_upright_rotmat)
+    upright = np.asarray(camera.camera_from_upright_rotmat)
     points = [found.positions_m @ upright for found in reconstructions]  # camera axes to upright axes: the transpose
     floor = min(float(np.min(one[:, _ANKLES, 1])) for one in points)
     start = np.mean([mid_hip(one[0]) for one in points], axis=0)
@@ -173,12 +168,7 @@ def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height
         found: Reconstruction, camera axes, camera at the origin.
         camera: The database's camera, whose pitch says where up is.
         camera_height_m: Height of the camera over the floor, metres.
-
-    Raises:
-        InputError: The height is not positive.
     """
-    if not (np.isfinite(camera_height_m) and camera_height_m > 0):
-        raise InputError(f"the height of the camera over the floor is {camera_height_m} m; it must be positive")
     upright = found.positions_m @ np.asarray(camera.camera_from_upright_rotmat)
     lowest = upright[~found.is_bridged][:, _ANKLES, 1].min(axis=1)
     if not len(lowest):
@@ -202,11 +192,11 @@ class _Judged:
     distance_m: Array
     height_m: Array
 
-    def cost(self, floor_weight: float) -> float:
+    def cost(self) -> float:
         is_known = np.isfinite(self.distance_m)
         if not is_known.any():
             return 0.0
-        return float(self.distance_m[is_known].mean()) + floor_weight * min(self._off_m(), _MAX_FLOOR_M)
+        return float(self.distance_m[is_known].mean()) + _FLOOR_WEIGHT * min(self._off_m(), _MAX_FLOOR_M)
 
     def _off_m(self) -> float:
         """Return how far the ankle leaves its median height under the lens that suits best; 0 where none is seen."""

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, flatten_image, image_noise
+from pasdedeux.fitting.observed_pose import fit_observed, flatten_image, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
@@ -78,9 +78,7 @@ class ReconstructionOptions(Settings):
     metres_per_pixel: float | None = Field(
         None, gt=0, description="Scale of the image at the person where it is known (a measured camera)"
     )
-    fit: ObservedFitSettings = Field(
-        ObservedFitSettings(min_noise_m=_MODEL_ERROR_M), description="What the fit believes of image and time"
-    )
+    min_noise_m: float = Field(_MODEL_ERROR_M, gt=0, description="The image is never believed better than this")
     trust_per_misfit: float = Field(
         2.0, gt=0, description="A retrieved bone is trusted to this many times the misfit of the retrieval"
     )
@@ -327,15 +325,8 @@ def _fit(
         if np.abs(flat - before)[is_seen].max() < _SAME_IMAGE_M:
             break
         observed = retarget_image(_smooth_seen(flat, is_seen, window), found.proportions)
-        vectors, depths = decode_depths(
-            observed,
-            is_seen,
-            candidates,
-            misfit,
-            REFERENCE_LENGTHS_M,
-            noise_m=max(_SMOOTHED_NOISE * noise, options.fit.min_noise_m),
-            rate_hz=track.rate_hz,
-        )
+        left = max(_SMOOTHED_NOISE * noise, options.min_noise_m)
+        vectors, depths = decode_depths(observed, candidates, misfit, noise_m=left, rate_hz=track.rate_hz)
         start = place_depths(np.where(is_seen[..., None], flat, retrieved[..., :2]), depths * found.proportions)
         start[..., 2] -= mid_hip(start)[:, None, 2]
         positions = fit_observed(
@@ -348,7 +339,7 @@ def _fit(
             trust,
             rate_hz=track.rate_hz,
             distance_m=distance,
-            settings=options.fit,
+            min_noise_m=options.min_noise_m,
         )
         positions = positions - mid_hip(positions)[:, None]
     return positions

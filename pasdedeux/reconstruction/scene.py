@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
+from pasdedeux.errors import check_positive
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import conjugate, rotate
@@ -355,8 +355,8 @@ def estimate_scene(
     Raises:
         InputError: The height is not positive.
     """
-    if camera_height_m is not None and not (np.isfinite(camera_height_m) and camera_height_m > 0):
-        raise InputError(f"the height of the camera over the floor is {camera_height_m} m; it must be positive")
+    if camera_height_m is not None:
+        check_positive(camera_height_m, "the height of the camera over the floor")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m, is_lens_known=is_lens_known)
     x, variance = solve(problem, robust=_ROBUST, variance_of=_PITCH)
     return SceneEstimate(

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_positive
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
 
@@ -88,8 +88,7 @@ class Track:
                 f"track: keypoints {self.keypoints_px.shape} and confidences {self.confidence.shape}; "
                 f"expected (frames, {joints}, 2) and (frames, {joints}) with at least one frame"
             )
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise InputError(f"track: the frame rate is {self.rate_hz}, it must be positive")
+        check_positive(self.rate_hz, "track: the frame rate")
         confidence = np.where(np.isfinite(self.keypoints_px).all(axis=-1), np.nan_to_num(self.confidence), 0.0)
         if (confidence < 0).any():
             raise InputError("track: a confidence is negative; 0 means not seen")

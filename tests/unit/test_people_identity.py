@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.errors import InputError
 from pasdedeux.people.identity import FollowedRows, body_size_px, follow_people, identity_switches
 from pasdedeux.people.identity_kernels import match_costs, predict_joints, update_joints
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
@@ -151,15 +150,11 @@ def test_junk_joints_of_low_confidence_split_nobody(confidence: float) -> None:
         assert switches(spoilt, found) == 0
 
 
-def test_nothing_seen_gives_nothing_and_bad_input_is_named() -> None:
+def test_nothing_seen_gives_nothing() -> None:
     empty = follow_people(np.zeros(0, np.int64), np.zeros((0, 14, 2)), np.zeros((0, 14)), rate_hz=30.0)
     assert len(empty.track_id) == 0
     blind = follow_people(np.arange(3), np.full((3, 14, 2), np.nan), np.ones((3, 14)), rate_hz=30.0)
     assert blind.track_id.tolist() == [-1, -1, -1]
-    with pytest.raises(InputError, match=r"expected \(rows, 14, 2\)"):
-        follow_people(np.arange(3), np.zeros((3, 17, 2)), np.ones((3, 17)), rate_hz=30.0)
-    with pytest.raises(InputError, match="rate is 0"):
-        follow_people(np.arange(3), np.zeros((3, 14, 2)), np.ones((3, 14)), rate_hz=0.0)
     assert np.isnan(body_size_px(np.zeros((14, 2)), np.zeros(14)))
 
 
@@ -168,19 +163,19 @@ def test_costs_and_updates_of_one_person_are_what_their_formulas_say() -> None:
     place, speed = rng.normal(0, 100, (14, 2)), rng.normal(0, 30, (14, 2))
     known, trust = rng.uniform(size=14) < 0.8, rng.uniform(size=(3, 14)).clip(0.2) - 0.2
     seen = trust > 0
-    points = place + rng.normal(0, 20, (3, 14, 2))
+    points = place + rng.normal(0, 200, (3, 14, 2))
     body = np.median(speed[known], axis=0)
     predicted = place + 0.1 * body + 0.05 * (speed - body)
     np.testing.assert_allclose(predict_joints(place, speed, known, 0.1, 0.05), predicted)
     size = np.array([300.0, 330.0, 200.0])
-    cost = match_costs(predicted, known, 310.0, points, trust, size, 0.08, 0.2)
+    cost = match_costs(predicted, known, 310.0, points, trust, size)
     for at in range(3):
         both = seen[at] & known
-        apart = np.minimum(np.linalg.norm(points[at] - predicted, axis=-1) / 310.0, 0.08)
+        apart = np.minimum(np.linalg.norm(points[at] - predicted, axis=-1) / 310.0, 0.75)
         way = np.average(apart[both], weights=trust[at, both])
         assert cost[at] == pytest.approx(way + 0.2 * abs(np.log(size[at] / 310.0)))
     new_place, new_speed, new_known = place.copy(), speed.copy(), known.copy()
-    update_joints(new_place, new_speed, new_known, predicted, points[0], trust[0], 0.04, 0.8, 0.7, 0.25)
+    update_joints(new_place, new_speed, new_known, predicted, points[0], trust[0], 0.04, 0.8)
     off = np.where((seen[0] & known)[:, None], trust[0][:, None] * (points[0] - predicted), 0.0)
     np.testing.assert_allclose(new_place, np.where((seen[0] & ~known)[:, None], points[0], predicted + 0.7 * off))
     np.testing.assert_allclose(new_speed, speed * np.where(seen[0], 1.0, 0.8)[:, None] + 0.25 / 0.04 * off)

@@ -112,7 +112,7 @@ def test_signs_of_depth_are_those_of_the_candidates() -> None:
     candidates = truth[:, None] + rng.normal(0, 0.03, (40, 10, 14, 3))
     seen = np.ones((40, 14), dtype=bool)
     _, depths = decode_depths(
-        truth[..., :2], seen, candidates, np.zeros((40, 10)), REFERENCE_LENGTHS_M, noise_m=1e-4, rate_hz=24.0
+        np.where(seen[..., None], truth[..., :2], np.nan), candidates, np.zeros((40, 10)), noise_m=1e-4, rate_hz=24.0
     )
     np.testing.assert_allclose(depths, bone_vectors(truth)[..., 2], atol=0.03)
     assert errors(place_depths(truth[..., :2], depths), truth) < 0.005
@@ -126,10 +126,8 @@ def test_bones_that_are_not_seen_take_the_depth_of_the_candidates() -> None:
     images[:, OP14.index("left_elbow")] = np.nan
     vectors, depths = decode_depths(
         images,
-        seen,
         np.repeat(pose[:, None], 6, axis=0),
         np.zeros((6, 1)),
-        REFERENCE_LENGTHS_M,
         noise_m=1e-3,
         rate_hz=24.0,
     )

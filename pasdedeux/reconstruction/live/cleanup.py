@@ -14,8 +14,10 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.floor import StandingSettings
-from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg
+from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg, facing_of
 from pasdedeux.skeletons import OP14
+
+Flags = npt.NDArray[np.bool_]
 
 _LEGS = np.array(OP14.legs)
 _UP, _AWAY = 1, 2
@@ -99,7 +101,7 @@ class LiveCleanUp:
         self._shift_m = np.zeros(3)
 
     @property
-    def is_planted(self) -> npt.NDArray[np.bool_]:
+    def is_planted(self) -> Flags:
         """Tell whether the left and the right foot are planted now (2,)."""
         return self._is_planted.copy()
 
@@ -126,18 +128,11 @@ def _low_quantile(values: Array, share: float) -> float:
 
 @compiled(error_model="numpy")
 def _clean_pose(
-    positions: Array,
-    passed: float,
-    floor: float,
-    is_planted: npt.NDArray[np.bool_],
-    raw: Array,
-    anchor: Array,
-    offset: Array,
-    shift: Array,
+    pose: Array, passed: float, floor: float, is_planted: Flags, raw: Array, anchor: Array, offset: Array, shift: Array
 ) -> Array:
     """Return the cleaned pose (14, 3) and bring the state of both feet and of the path up to it."""
     legs, up = _LEGS, _UP
-    lower = min(positions[legs[0, 2], up], positions[legs[1, 2], up])
+    lower = min(pose[legs[0, 2], up], pose[legs[1, 2], up])
     wanted = np.zeros(3)
     count = 0
     for foot in range(2):
@@ -147,36 +142,36 @@ def _clean_pose(
         if passed > 0.0:
             squared = 0.0
             for axis in range(3):
-                part = (positions[ankle, axis] - raw[foot, axis]) / passed
+                part = (pose[ankle, axis] - raw[foot, axis]) / passed
                 if axis == _AWAY:
                     part *= _AWAY_SHARE
                 squared += part * part
             is_slow = squared < (slack * _CONTACT_SPEED_M_S) ** 2
-        height = positions[ankle, up]
+        height = pose[ankle, up]
         reach = slack * _CONTACT_HEIGHT_M
         stays = is_slow and height < lower + reach and height < floor + 2.0 * reach
         if stays and is_planted[foot]:
             drift = 0.0
             for axis in range(3):
-                drift += (anchor[foot, axis] - positions[ankle, axis] - shift[axis]) ** 2
+                drift += (anchor[foot, axis] - pose[ankle, axis] - shift[axis]) ** 2
             stays = drift < _MAX_DRIFT_M**2
         if stays and not is_planted[foot]:
             for axis in range(3):
-                anchor[foot, axis] = positions[ankle, axis] + shift[axis] + offset[foot, axis]
+                anchor[foot, axis] = pose[ankle, axis] + shift[axis] + offset[foot, axis]
             anchor[foot, up] = max(anchor[foot, up], floor)
         is_planted[foot] = stays
         for axis in range(3):
-            raw[foot, axis] = positions[ankle, axis]
+            raw[foot, axis] = pose[ankle, axis]
             if stays:
-                wanted[axis] += anchor[foot, axis] - positions[ankle, axis]
+                wanted[axis] += anchor[foot, axis] - pose[ankle, axis]
         count += stays
     for axis in range(3):
         if count > 0:
             shift[axis] += (1.0 - np.exp(-passed / _SHIFT_S)) * (wanted[axis] / count - shift[axis])
         else:
             shift[axis] *= np.exp(-passed / _HOLD_S)
-    cleaned = positions + shift
-    facing = _facing(cleaned)
+    cleaned = pose + shift
+    facing = facing_of(cleaned)
     for foot in range(2):
         hip, knee, ankle = legs[foot, 0], legs[foot, 1], legs[foot, 2]
         if is_planted[foot]:
@@ -194,12 +189,3 @@ def _clean_pose(
             cleaned[hip], cleaned[knee].copy(), cleaned[ankle].copy(), target, facing
         )
     return cleaned
-
-
-@compiled(error_model="numpy")
-def _facing(positions: Array) -> Array:
-    """Return where the body faces (3,), level."""
-    across = positions[_LEGS[0, 0]] - positions[_LEGS[1, 0]]
-    facing = np.array([-across[2], 0.0, across[0]])
-    length = np.sqrt((facing**2).sum())
-    return facing / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
-from pasdedeux.fitting.observed_pose import BoneVectorTerm, flatten_image, image_noise, image_term
+from pasdedeux.fitting.observed_pose import ACCELERATION_M_S2, BoneVectorTerm, flatten_image, image_noise, image_term
 from pasdedeux.fitting.terms import AccelerationTerm
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.reconstruction.depth import SignStep, bones_by_votes, place_depths, trace_signs, vote_on_signs
@@ -42,8 +42,6 @@ MIN_NOISE_M = 0.02
 """The image is never believed better than this."""
 MAX_AHEAD = 6
 """Frames after the one that is due which are fitted with it, at most."""
-ACCELERATION_M_S2 = 8.0
-"""Standard deviation of a joint's acceleration."""
 TRUST_PER_MISFIT = 2.0
 """A bone is trusted to this many times the match's misfit."""
 STOP = FitSettings(max_iterations=1, tolerance=3e-3)
@@ -126,7 +124,6 @@ class WindowFit:
         step = vote_on_signs(
             None if before is None else before.step,
             retarget_image(flatten_image(image, new.candidates_m[0], distance), proportions),
-            REFERENCE_LENGTHS_M,
             new.candidates_m,
             new.match_m - new.match_m[0],
             noise_m=max(self._noise_m, self._min_noise_m),
@@ -156,7 +153,7 @@ class WindowFit:
             is_kept.append(one.sign is not None and np.array_equal(one.sign, signs[at]))
             if not is_kept[at]:
                 one.sign = signs[at]
-                one.mean_m, one.depth_m = bones_by_votes(one.step, one.sign, REFERENCE_LENGTHS_M)
+                one.mean_m, one.depth_m = bones_by_votes(one.step, one.sign)
                 one.fitted_m = _first_guess(one, proportions[:, None] * followed, proportions * one.depth_m)
             guess_m[at] = one.fitted_m
             bones[at] = proportions[:, None] * (share * followed + (1.0 - share) * one.mean_m)

@@ -20,7 +20,9 @@ from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, inner_kernel, mix, row_of, subtract
-from pasdedeux.skeletons import Skeleton
+from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.skeletons.humanoid import t_pose
+from pasdedeux.skeletons.layouts import LAYOUTS
 
 Indices = npt.NDArray[np.int64]
 
@@ -186,7 +188,7 @@ def _penetrations(people: Array, radii: Array, parents: Indices, within: Indices
 
 @lru_cache(maxsize=8)
 def capsule_model(skeleton: Skeleton) -> CapsuleModel:
-    """Return the default capsules of a skeleton whose joint names are those of pair17 or body22."""
+    """Return the default capsules of pair17, op14 or body22."""
     bones = [child for _, child in skeleton.bones]
     radii = np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
     stand = _standing(skeleton)
@@ -216,29 +218,6 @@ def _bones_on_paths(skeleton: Skeleton) -> Array:
 
 
 def _standing(skeleton: Skeleton) -> Array:
-    """A person of stature 1 who stands with the arms half out, joint positions after Drillis and Contini (1966)."""
-    middle = {
-        "pelvis": 0.56,
-        "spine": 0.65,
-        "chest": 0.75,
-        "spine1": 0.61,
-        "spine2": 0.68,
-        "spine3": 0.75,
-        "neck": 0.84,
-        "head": 0.92,
-    }
-    sided = {
-        "collar": (0.02, 0.80),
-        "shoulder": (0.115, 0.818),
-        "elbow": (0.246, 0.687),
-        "wrist": (0.349, 0.584),
-        "hip": (0.055, 0.530),
-        "knee": (0.060, 0.285),
-        "ankle": (0.060, 0.039),
-        "toe": (0.060, 0.0),
-    }
-    place = {name: (0.0, height, 0.0) for name, height in middle.items()}
-    for name, (out, height) in sided.items():
-        forward = 0.1 if name == "toe" else 0.0
-        place[f"left_{name}"], place[f"right_{name}"] = (out, height, forward), (-out, height, forward)
-    return np.array([place[name] for name in skeleton.joint_names])
+    """Return a person of stature 1 in the T-pose (J, 3) on pair17, op14 or body22; the nose lies where the head does."""
+    places = np.array([t_pose(joint) for joint in (*BODY22.joint_names, "head")])
+    return LAYOUTS[BODY22.name].joint_map(skeleton.name).positions(places, (*BODY22.joint_names, "nose"))

@@ -218,6 +218,6 @@ def _bones_on_paths(skeleton: Skeleton) -> Array:
 
 
 def _standing(skeleton: Skeleton) -> Array:
-    """Return a person of stature 1 in the T-pose (J, 3) on pair17, op14 or body22; the nose lies where the head does."""
+    """Return a person of stature 1 in the T-pose (J, 3) of pair17, op14 or body22; its nose is its head."""
     places = np.array([t_pose(joint) for joint in (*BODY22.joint_names, "head")])
     return LAYOUTS[BODY22.name].joint_map(skeleton.name).positions(places, (*BODY22.joint_names, "nose"))

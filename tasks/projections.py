@@ -13,7 +13,9 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
 from pasdedeux.projections.camera import CameraModel, DatabaseCamera, cameras_of
+from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
+from pasdedeux.projections.published import Clusters, cluster_projections
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
 from pasdedeux.reconstruction.body import (
@@ -27,8 +29,19 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import DrawFacts, ProjectionFacts, TakeFacts, VariantFacts
-from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
+from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, VariantFacts
+from tasks.stage import (
+    EarlyPlan,
+    Parameters,
+    Shard,
+    Stage,
+    StageInputs,
+    StageName,
+    commit,
+    followed,
+    merge_takes,
+    stream,
+)
 from tasks.takes import read_motion, read_rest
 
 PROJECTIONS = StageName("projections", 6)
@@ -100,6 +113,12 @@ class ProjectionsParameters(CameraSettings):
         description="Poses of the variants enter the database; to search 14 million projections a worker needs 4.5 GB "
         "(--worker-memory 6)",
     )
+    num_clusters: int = Field(
+        0,
+        ge=0,
+        description="Clusters of the database's projections, for the method `published` of [reconstruction] (500 in "
+        "the paper); 0: none",
+    )
 
     @property
     def views(self) -> ViewsOfPoses:
@@ -115,7 +134,23 @@ class PoseShard(Parameters):
     views: ViewsOfPoses
 
 
+class ClusterShard(Parameters):
+    """The parameters of the shard that clusters the projections of all others."""
+
+    num_clusters: int
+
+
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
+    """Plan a shard per source of poses, and one that clusters the projections of all where clusters are asked for."""
+    shards = plan_poses(inputs, parameters)
+    if shards and parameters.num_clusters:
+        options = ClusterShard(num_clusters=parameters.num_clusters)
+        after = tuple(shard.key for shard in shards)
+        shards.append(PROJECTIONS.shard(inputs, "clusters", "clusters", options, after=after))
+    return shards
+
+
+def plan_poses(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan a shard per take that is not held out, per artifact of draws and per artifact of variants."""
     shards = []
     wanted: list[tuple[Literal["take", "draw", "variant"], str]] = [("take", "poses")]
@@ -143,7 +178,7 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
 
 def _plan_early(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan the shards of some artifacts alone: not draws that enter only where there are no takes."""
-    return [] if parameters.include_draws is None else plan(inputs, parameters)
+    return [] if parameters.include_draws is None else plan_poses(inputs, parameters)
 
 
 def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:
@@ -155,6 +190,28 @@ def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Make a part of the database, or the clusters of all its projections."""
+    return (_cluster if isinstance(shard.parameters, ClusterShard) else _project)(shard, store)
+
+
+def _cluster(shard: Shard, store: Store) -> ArtifactRef:
+    """Cluster the projections of all parts of the database, as its level camera sees them, and commit the clusters."""
+    parts = followed(shard, store)
+    clusters = Clusters(np.zeros(0, dtype=np.int64), ())
+    if any(part.tables["projections"].rows for part in parts):
+        database, _, _ = read_database(store, [part.ref for part in parts])
+        rng = stream(shard.seed, PROJECTIONS.name, "clusters")
+        clusters = cluster_projections(database, shard.options(ClusterShard).num_clusters, rng)
+    columns = {"representative": clusters.representative, "members": list(clusters.members)}
+    return commit(
+        shard,
+        store,
+        tables={"projection_clusters": columns},
+        facts=Facts(kind="clusters", takes=merge_takes(*parts)),
+    )
+
+
+def _project(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
     options = shard.options(PoseShard)
     ref = shard.ref("poses")
@@ -198,6 +255,47 @@ def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
     if any(views != stated[0] for views in stated):
         raise InputError("parts of the projection database differ in yaw steps or camera; build them with one study")
     return ViewsOfPoses(**stated[0])
+
+
+def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, np.ndarray, np.ndarray]:
+    """Return the database of all parts as its level camera sees it, take ids and frames, in the order of the plan.
+
+    Raises:
+        InputError: There is no pose, or parts differ in how they are seen.
+    """
+    manifests = [store.manifest(ref) for ref in refs]
+    columns = ["op14_m", "body22_unitquat", "is_sequence_start", "take_id", "frame"]
+    parts = [store.read(ref, "projections", columns=columns) for ref in refs]
+    views = read_views(manifests)
+    database = Database(
+        np.concatenate([np.asarray(part["op14_m"]) for part in parts]),
+        np.concatenate([np.asarray(part["is_sequence_start"]) for part in parts]),
+        num_yaws=views.num_yaws,
+        rate_hz=ProjectionFacts.of(manifests[0]).rate_hz,
+        camera=views.level_camera,
+        body22_unitquat=np.concatenate([np.asarray(part["body22_unitquat"]) for part in parts]),
+    )
+    return (
+        database,
+        np.concatenate([np.array(list(part["take_id"]), dtype=object) for part in parts]),
+        np.concatenate([np.asarray(part["frame"]) for part in parts]),
+    )
+
+
+def clusters_of(inputs: StageInputs, parts: Sequence[Manifest]) -> tuple[list[Manifest], list[Manifest]]:
+    """Return the clusters of a database of exactly these parts, none where there are none, and the parts in order."""
+    own = {part.ref: part for part in parts}
+    for clusters in inputs.of("projection_clusters"):
+        if set(clusters.inputs) == set(own):
+            return [clusters], [own[ref] for ref in clusters.inputs]
+    return [], list(parts)
+
+
+def read_clusters(store: Store, ref: ArtifactRef) -> Clusters:
+    """Return the clusters of a database's projections."""
+    table = store.read(ref, "projection_clusters")
+    members = tuple(np.asarray(own, dtype=np.int64) for own in table["members"])
+    return Clusters(np.asarray(table["representative"], dtype=np.int64), members)
 
 
 def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | None = None) -> np.ndarray:
@@ -306,7 +404,7 @@ _READERS = {"take": _of_take, "draw": _of_draws, "variant": _of_variants}
 STAGE = Stage(
     *PROJECTIONS,
     reads=("poses", "draws", "variants"),
-    writes=("projections",),
+    writes=("projections", "projection_clusters"),
     parameters=ProjectionsParameters,
     plan=plan,
     run_shard=run_shard,

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
-from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import (
+    HOW_TO_CLUSTER,
     Method,
     Reconstruction,
     ReconstructionOptions,
@@ -26,8 +27,8 @@ from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, lef
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import MotionFacts, ProjectionFacts, SequenceFacts
-from tasks.projections import read_pairs, read_views
+from tasks.facts import MotionFacts, SequenceFacts
+from tasks.projections import clusters_of, read_clusters, read_database, read_pairs, read_views
 from tasks.stage import (
     Parameters,
     Shard,
@@ -96,8 +97,27 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
         for sequence_id in SequenceFacts.of(manifest).sequence_ids:
             own = parameters.part(SequenceShard, sequence_id=sequence_id)
             read = {"annotations": [manifest], "projections": allowed}
+            if Method.PUBLISHED in parameters.methods and allowed:
+                clusters, parts = clusters_of(inputs, allowed)
+                if not clusters:
+                    raise InputError(
+                        f"{sequence_id}: the projection database without its own take has no clusters; "
+                        f"{HOW_TO_CLUSTER}, and hold the take out (ingest.held_out)"
+                    )
+                read |= {"clusters": clusters, "projections": parts}
             shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, own, read))
     return shards
+
+
+def check_study(sections: Mapping[str, Any]) -> None:
+    """Refuse the method `published` over a database without clusters.
+
+    Raises:
+        InputError: Says what to set.
+    """
+    projections = sections.get("projections")
+    if Method.PUBLISHED in sections["reconstruction"].methods and projections and not projections.num_clusters:
+        raise InputError(f"the projection database has no clusters; {HOW_TO_CLUSTER}")
 
 
 def _is_wanted(manifest: Manifest, sequences: str) -> bool:
@@ -127,7 +147,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     if not database_refs:
         facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
     elif people:
-        rows, attachments, judged = _reconstruct(store, database_refs, people, parameters, facts, shard.seed)
+        rows, attachments, judged = _reconstruct(
+            store, database_refs, people, parameters, facts, shard.seed, clusters=shard.refs("clusters")
+        )
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
     return commit(
         shard,
@@ -180,6 +202,8 @@ def _reconstruct(
     parameters: SequenceShard,
     facts: dict[str, Any],
     seed: int,
+    *,
+    clusters: Sequence[ArtifactRef],
 ) -> tuple[list[dict[str, Any]], dict[str, bytes], dict[str, Verdict]]:
     """Return the rows of `motions` of every method and person, and of each person files and how good it is."""
     sequence_id = parameters.sequence_id
@@ -192,7 +216,7 @@ def _reconstruct(
     databases = [replace(level, camera=camera) for camera in views.cameras]
     pitch = choose_camera(databases, people, options)
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
-    chosen = Searcher.of(suited)
+    chosen = Searcher.of(suited, *(read_clusters(store, ref) for ref in clusters))
     is_paired = parameters.has_pairs and len(people) > 1
     found = reconstruct_people(
         chosen,
@@ -235,31 +259,6 @@ def _reconstruct(
     return rows, attachments, judged
 
 
-def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, np.ndarray, np.ndarray]:
-    """Return the database of all parts as its level camera sees it, take ids and frames, in the order of the plan.
-
-    Raises:
-        InputError: There is no pose, or parts differ in how they are seen.
-    """
-    manifests = [store.manifest(ref) for ref in refs]
-    columns = ["op14_m", "body22_unitquat", "is_sequence_start", "take_id", "frame"]
-    parts = [store.read(ref, "projections", columns=columns) for ref in refs]
-    views = read_views(manifests)
-    database = Database(
-        np.concatenate([np.asarray(part["op14_m"]) for part in parts]),
-        np.concatenate([np.asarray(part["is_sequence_start"]) for part in parts]),
-        num_yaws=views.num_yaws,
-        rate_hz=ProjectionFacts.of(manifests[0]).rate_hz,
-        camera=views.level_camera,
-        body22_unitquat=np.concatenate([np.asarray(part["body22_unitquat"]) for part in parts]),
-    )
-    return (
-        database,
-        np.concatenate([np.array(list(part["take_id"]), dtype=object) for part in parts]),
-        np.concatenate([np.asarray(part["frame"]) for part in parts]),
-    )
-
-
 def _rows_of(
     sequence_id: str,
     method: str,
@@ -295,11 +294,12 @@ def _rows_of(
 
 STAGE = Stage(
     *RECONSTRUCTION,
-    reads=("annotations", "projections"),
+    reads=("annotations", "projections", "projection_clusters"),
     writes=("motions",),
     parameters=ReconstructionParameters,
     plan=plan,
     run_shard=run_shard,
+    check_study=check_study,
     meaning="Reconstructs 3D motions of annotated people from the projection database",
     needs="videos ([[ingest.annotations]], or ingest.virtual_video.num_videos of takes that "
     "ingest.held_out names; reconstruction.sequences), and projections of other takes or of "

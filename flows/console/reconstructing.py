@@ -34,8 +34,8 @@ from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.parameters import AnnotationOptions
-from tasks.projections import read_pairs, read_views
-from tasks.reconstruction import MAX_PAIRS, read_database
+from tasks.projections import read_database, read_pairs, read_views
+from tasks.reconstruction import MAX_PAIRS
 
 _LIVE_PITCH_DEG = 10.0
 _HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")

@@ -29,7 +29,11 @@ _METHODS = {
     "action2motion_like": ("Action2motion, adapted", "a recurrent network conditioned on classes of scales, likewise"),
     "nearest": ("nearest pose", "frame by frame the pose of the database whose image is nearest: the baseline"),
     "viterbi": ("best path", "the most likely sequence of candidates over all frames"),
-    "window": ("window rule", "the published rule: the candidate that fits a window of frames"),
+    "published": (
+        "published search",
+        "the published way: 10 projections of each of 5 clusters, then the window rule, on the database's own body",
+    ),
+    "window": ("window rule", "the published rule over the exact search: the candidate that fits four frames before"),
     "fit": ("fit to the image", "the best path, then optimised until its image is the given one"),
     "live": ("live", "online, with a latency of six frames"),
     "best_of_50": ("best of 50", "the best of the 50 nearest candidates, chosen by ground truth: a bound"),

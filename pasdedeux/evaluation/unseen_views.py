@@ -21,7 +21,6 @@ from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson
 from pasdedeux.reconstruction.pitch import floor_offset
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
-    Method,
     ReconstructionOptions,
     Searcher,
     match_track,
@@ -31,6 +30,8 @@ from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
 BEST = "best_of_50"
+STILL = "standing_still"
+"""The mean true pose of the motion in every frame: how much the person moves."""
 LIVE = "live"
 """Frame by frame, each pose a few frames after its image."""
 CLEAN = "_clean"
@@ -145,8 +146,15 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
     camera = searcher.database.camera
     track = seen.track
     found = match_track(searcher, track, _KNOWN_BODY)
-    made = {method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found) for method in Method}
-    motions = {BEST: best_candidates(searcher, found, seen.truth_m)}
+    made = {
+        method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found)
+        for method in searcher.methods
+    }
+    centred = seen.truth_m - mid_hip(seen.truth_m)[:, None]
+    motions = {
+        BEST: best_candidates(searcher, found, seen.truth_m),
+        STILL: np.broadcast_to(centred.mean(axis=0), centred.shape),
+    }
     motions |= {name: one.positions_m for name, one in made.items()}
     if not has_clean_up:
         return motions

@@ -15,6 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import fit_observed, flatten_image, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.published import Clusters, PublishedIndex
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
 from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
@@ -61,10 +62,14 @@ _BRIDGED_MISFIT_M = 0.05
 """Misfit that bridged frames are given: their bones are interpolated."""
 
 
+HOW_TO_CLUSTER = "method 'published' needs them: set num_clusters (500 in the paper) of [projections]"
+
+
 class Method(StrEnum):
     """How one candidate a frame is chosen, and what is done with it."""
 
     NEAREST = "nearest"
+    PUBLISHED = "published"
     WINDOW = "window"
     VITERBI = "viterbi"
     FIT = "fit"
@@ -91,16 +96,27 @@ class Searcher:
     database: Database
     index: ProjectionIndex
     reference: ScaleReference
+    published: PublishedIndex | None = None
+    """Index of the method `published`; None where the database has no clusters."""
 
     @classmethod
-    def of(cls, database: Database) -> Searcher:
-        """Build index and scale reference."""
-        return cls(database, build_index(database), ScaleReference.of(database))
+    def of(cls, database: Database, clusters: Clusters | None = None) -> Searcher:
+        """Build index and scale reference; with the clusters of the database also the published index."""
+        published = None if clusters is None else PublishedIndex(database, clusters)
+        return cls(database, build_index(database), ScaleReference.of(database), published)
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """The methods that the database is made ready for."""
+        return tuple(method for method in Method if method is not Method.PUBLISHED or self.published is not None)
 
     def pitched(self, pitch_rad: float) -> Searcher:
         """Return the same poses before a camera of this pitch."""
         camera = replace(self.database.camera, pitch_rad=pitch_rad)
-        return self if camera == self.database.camera else Searcher.of(replace(self.database, camera=camera))
+        if camera == self.database.camera:
+            return self
+        clusters = None if self.published is None else self.published.clusters
+        return Searcher.of(replace(self.database, camera=camera), clusters)
 
 
 @dataclass(frozen=True)
@@ -235,20 +251,24 @@ def reconstruct_track(
         searcher: Database made ready.
         track: The keypoints.
         method: `nearest` takes each frame's best match as it is (the baseline); `window` and `viterbi` choose over time
-            and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths); `fit` goes on from
-            `viterbi` to the image itself.
+            and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths); `published` is
+            `window` over what the published search finds, on the database's own body; `fit` goes on from `viterbi` to
+            the image itself.
         options: How.
         matches: Result of `match_track` for this track, where it is at hand.
 
     Raises:
-        InputError: Nothing to search for; see `match_track`.
+        InputError: Nothing to search for; see `match_track`.  Or the method is `published` and the database has no
+            clusters.
     """
     options = options or ReconstructionOptions()
     found = matches or match_track(searcher, track, options)
+    if method is Method.PUBLISHED:
+        found = _published_matches(searcher, found)
     database, neighbours = searcher.database, found.neighbours
     if method is Method.NEAREST:
         ranks = choose_nearest(neighbours)
-    elif method is Method.WINDOW:
+    elif method in (Method.WINDOW, Method.PUBLISHED):
         ranks = choose_window(database, neighbours, yaw_steps=found.yaw_steps)
     else:
         ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, yaw_steps=found.yaw_steps)
@@ -280,6 +300,25 @@ def reconstruct_track(
         metres_per_pixel=placement.metres_per_pixel,
         correction_m=_mean_distance_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),
         noise_m=image_noise(found.query_m, found.weights > 0),
+    )
+
+
+def _published_matches(searcher: Searcher, found: Matches) -> Matches:
+    """Return what the published search finds for a track: yaws and proportions are the database's.
+
+    Raises:
+        InputError: The database has no clusters.
+    """
+    if searcher.published is None:
+        raise InputError(f"the projection database has no clusters; {HOW_TO_CLUSTER}")
+    hips = mid_hip(found.query_m)
+    about_hips = found.query_m - np.where(np.isfinite(hips), hips, 0.0)[:, None]
+    neighbours = searcher.published.search(about_hips, found.weights)
+    return replace(
+        found,
+        neighbours=neighbours,
+        proportions=np.ones(OP14.num_joints),
+        yaw_steps=neighbours.yaw_index.astype(np.float64),
     )
 
 

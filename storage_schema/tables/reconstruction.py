@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pyarrow as pa
+
 from storage_schema.columns import Table, array, boolean, float64, integer, text
 from storage_schema.tables.common import FRAME, PERSON, PERSON_ID, SEQUENCE_ID, TAKE_ID, TIME_S, positions, unitquats
 
@@ -42,6 +44,16 @@ PROJECTIONS = Table(
     ),
 )
 
+PROJECTION_CLUSTERS = Table(
+    name="projection_clusters",
+    meaning="One row per cluster of the database's projections, for the search of Yiannakides et al. 2019; projections "
+    "are numbered through all parts of the database, in the order in which the manifest names them.",
+    columns=(
+        integer("representative", "Number of the projection nearest to the cluster's centroid"),
+        array("members", "Numbers of the cluster's projections, ascending", dtype=pa.int32()),
+    ),
+)
+
 MOTIONS = Table(
     name="motions",
     meaning="One row per sequence, method, person and frame: the reconstructed motions.",
@@ -51,7 +63,7 @@ MOTIONS = Table(
         PERSON_ID,
         FRAME,
         TIME_S,
-        text("method", "How the motion was found: nearest, window, viterbi or fit"),
+        text("method", "How the motion was found: nearest, published, window, viterbi or fit"),
         positions(
             "op14",
             "Positions, camera axes (x right, y up, z towards the camera); the origin lies under the people of the "

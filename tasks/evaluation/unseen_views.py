@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.reconstruction_metrics import (
     foot_slide_m,
@@ -17,10 +18,12 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_centred_error_m,
     root_removed_error_m,
 )
+from pasdedeux.evaluation.score_tables import TextTable, format_value
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.unseen_views import (
     BEST,
     CONDITIONS,
+    STILL,
     Condition,
     UnseenMotion,
     reconstruct_seen,
@@ -35,13 +38,20 @@ from storage_schema import Store
 from tasks.evaluation.reconstruction import reconstruction_player
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import Facts, TakeFacts
-from tasks.reconstruction import read_database
+from tasks.projections import clusters_of, read_clusters, read_database
 from tasks.stage import Parameters, Shard, StageInputs, merge_takes, stream
 from tasks.takes import read_motion
 
-_BASELINES = (Method.NEAREST.value, BEST, "truth")
+_BASELINES = (Method.NEAREST.value, BEST, STILL, "truth")
 """Methods that others are compared with, bounds among them."""
 _ALL_VIEWS = "mean of views"
+_STATED = {
+    _ALL_VIEWS: ("9.4 cm", "-"),
+    "75 degrees apart": ("6.8 cm", "15.2 cm"),
+    "135 degrees apart": ("12.6 cm", "16.4 cm"),
+}
+"""What Yiannakides et al. 2019, section 6.2, state of their method and of VNect, by the end of an item."""
+_COMPARED = ("published", "published_clean", "nearest", "window", "viterbi", "fit", "fit_clean", "live", STILL)
 
 
 class UnseenViewsSettings(Parameters):
@@ -70,6 +80,7 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
         parts = [part for part in inputs.of("projections") if take_id not in Facts.of(part).takes]
         if not (TakeFacts.of(take).is_held_out and parts):
             continue
+        clusters, parts = clusters_of(inputs, parts)
         shards += [
             PARALLEL_VIEWS.shard(
                 inputs,
@@ -77,6 +88,7 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
                 settings.part(TakeParameters, take_id=take_id, condition=number),
                 take=[take],
                 parts=parts,
+                clusters=clusters,
             )
             for number in range(len(CONDITIONS))
         ]
@@ -127,7 +139,7 @@ def unseen_view_scores(
         for method, positions in reconstruct_seen(searcher, seen, has_clean_up=True).items():
             errors[method] = root_centred_error_m(positions, seen.truth_m)
             motions.setdefault(method, []).append(positions)
-            slide_hz = motion.rate_hz if method != BEST else None
+            slide_hz = motion.rate_hz if method not in (BEST, STILL) else None
             for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
                 figures.setdefault((metric, method), []).append(value)
         parts.append(Items(errors, [motion.item] * len(times_s), times_s))
@@ -148,6 +160,27 @@ def unseen_view_scores(
             label = f"{item}, views {abs(yaw - motion.yaws_deg[0]):g} degrees apart"
             scores += scores_of(differs, method, "m", split=condition.name, item=label, count=count)
     return scores, Items.joined(parts)
+
+
+def paper_table(scores: Sequence[Score]) -> list[TextTable]:
+    """Return the figures that the paper states beside ours, and VNect's as the paper has them; none without scores."""
+    shown = {(score.item, score.metric, score.method): score.value for score in scores if score.split == "clean"}
+    methods = [method for method in _COMPARED if any(method == found for _, _, found in shown)]
+    rows = [
+        (
+            item,
+            *next(stated for end, stated in _STATED.items() if item.endswith(end)),
+            *(format_value(shown.get((item, metric, method), float("nan")), "m") for method in methods),
+        )
+        for item, metric in dict.fromkeys((item, metric) for item, metric, _ in shown)
+        if metric in ("error_root_kept", "two_views_differ") and item.endswith(tuple(_STATED))
+    ]
+    caption = (
+        "Clean images: mean joint error with the root kept, and how far two views differ with the root removed, beside "
+        "the figures of Yiannakides et al. (2019, section 6.2), on other motions, and of VNect as that paper gives "
+        "them; standing still is the same from everywhere."
+    )
+    return [TextTable(caption, ("motion", "paper", "VNect", *map(in_words, methods)), tuple(rows))] if rows else []
 
 
 def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
@@ -174,7 +207,8 @@ def _database(shard: Shard, store: Store) -> Searcher:
     refuse_overlap("the projection database", merge_takes(*map(store.manifest, parts)), [take_id])
     database, _, _ = read_database(store, parts)
     # To compare with the paper, parallel rays see the database too, whatever the study's camera.
-    return Searcher.of(replace(database, camera=DatabaseCamera()))
+    clusters = (read_clusters(store, ref) for ref in shard.refs("clusters"))
+    return Searcher.of(replace(database, camera=DatabaseCamera()), *clusters)
 
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
@@ -212,9 +246,10 @@ PARALLEL_VIEWS = Topic(
     "method, and how far reconstructions from two views differ (root rotation removed), as in the paper on such "
     "databases. `_clean` is the method with the clean-up after it; `live` leaves frame by frame, six frames after its "
     "image.",
-    reads=("poses", "projections"),
+    reads=("poses", "projections", "projection_clusters"),
     plan=_plan,
     run=_run,
     settings=UnseenViewsSettings,
+    tables=lambda scores: paper_table(scores.get("parallel_views", ())),
     criteria=(Criterion("error_root_kept", "mean joint error", "m", "poses", (Method.FIT.value,)),),
 )

@@ -331,3 +331,36 @@ def test_parts_of_other_views_or_of_none_make_no_database(store: Store, monkeypa
         projections.read_views([*built, *other])
     with pytest.raises(InputError, match="run its study again"):
         projections.read_views([put_take(store, "c")])
+
+
+def test_clusters_come_where_a_study_asks_for_them_and_the_published_method_needs_them(store: Store) -> None:
+    takes, (video, truth) = [put_take(store, name) for name in "ba"], put_video(store, "film", ["held"])
+    *parts, clusters = build(store, takes, settings={"num_clusters": 20, "pitches_deg": (0.0,), "heights_m": ()})
+    assert [part.ref for part in build(store, takes, settings={"pitches_deg": (0.0,), "heights_m": ()})] == [
+        part.ref for part in parts
+    ], "a database is the same with clusters and without"
+    assert clusters.facts["takes"] == ["a", "b"]
+    found = projections.read_clusters(store, clusters.ref)
+    assert sorted(np.concatenate(found.members).tolist()) == list(range(30 * 4 * 72))
+    inputs = {"annotations": [video], "projections": parts[::-1], "projection_clusters": [clusters]}
+    parameters = reconstruction.ReconstructionParameters(methods=("nearest", "published"))
+    (shard,) = reconstruction.plan(StageInputs(inputs, seed=0), parameters)
+    assert shard.refs("projections") == tuple(part.ref for part in parts), "projections are numbered in this order"
+    table = store.read(reconstruction.run_shard(shard, store), "motions")
+    for person in range(2):
+        is_mine = (np.array(table["method"]) == "published") & (np.asarray(table["person_id"]) == person)
+        error = root_centred_error_m(np.asarray(table["op14_m"], dtype=float)[is_mine], truth[person])
+        assert error.mean() < 0.2
+    for lacking in ({"projections": parts[:1]}, {"projection_clusters": []}):
+        with pytest.raises(InputError, match=r"film: .* has no clusters; .* set num_clusters \(500 in the paper\)"):
+            reconstruction.plan(StageInputs(inputs | lacking, seed=0), parameters)
+
+
+def test_a_study_of_the_published_method_without_clusters_is_refused_before_any_work() -> None:
+    sections: dict[str, Any] = {
+        "projections": projections.ProjectionsParameters(),
+        "reconstruction": reconstruction.ReconstructionParameters(methods=("published",)),
+    }
+    with pytest.raises(InputError, match=r"set num_clusters \(500 in the paper\) of \[projections\]"):
+        reconstruction.check_study(sections)
+    reconstruction.check_study(sections | {"projections": projections.ProjectionsParameters(num_clusters=500)})

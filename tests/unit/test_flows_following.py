@@ -23,7 +23,7 @@ from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import Store
-from tasks.reconstruction import read_database
+from tasks.projections import read_database
 from tests.builders.walkers_on_video import build_store, reference, write_walkers
 
 FRAMES = 75

@@ -24,7 +24,7 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store
 from storage_schema.errors import SchemaError
-from tasks.reconstruction import read_database
+from tasks.projections import read_database
 from tests.builders.walkers import reconstruction, walk
 from tests.builders.walkers_on_video import FRAMES, LAYOUT, build_store, openpose, reference, write_walkers
 

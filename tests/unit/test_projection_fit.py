@@ -44,7 +44,7 @@ def errors(found: np.ndarray, truth: np.ndarray) -> float:
 def test_the_fit_is_nearer_than_retrieval_and_as_smooth_as_the_truth(searcher: Searcher) -> None:
     track, truth = parallel_track(walk(80, seed=11))
     matches = match_track(searcher, track)
-    found = {method: reconstruct_track(searcher, track, method, matches=matches) for method in Method}
+    found = {method: reconstruct_track(searcher, track, method, matches=matches) for method in searcher.methods}
     error = {method: errors(one.positions_m, truth) for method, one in found.items()}
     # The database holds walks of the same kind, so retrieval alone is within a centimetre.
     assert error[Method.FIT] < 0.75 * error[Method.VITERBI]

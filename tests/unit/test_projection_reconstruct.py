@@ -69,7 +69,7 @@ def film(
 def test_a_new_walk_is_reconstructed_near_the_truth_in_place_and_size(searcher: Searcher, yaw: float) -> None:
     world = walk(80, seed=11)
     track, truth = film(world, yaw=yaw)
-    found = {method: reconstruct_track(searcher, track, method) for method in Method}
+    found = {method: reconstruct_track(searcher, track, method) for method in searcher.methods}
     for one in found.values():
         assert root_centred_error_m(one.positions_m, truth).mean() < 0.09
         assert np.linalg.norm(one.root_m - mid_hip(truth), axis=-1).mean() < 0.25

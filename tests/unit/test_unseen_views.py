@@ -71,7 +71,7 @@ def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(se
             if condition.name == "clean":
                 assert found["error_root_kept", "live", view] < 0.05
                 assert ("error_root_kept", "live_clean", view) in found
-            for method in Method:
+            for method in searcher.methods:
                 assert ("foot_slide", f"{method}_clean", view) in found
         assert found["two_views_differ", "fit", "walk, views 75 degrees apart"] > 0.0
 
@@ -117,7 +117,7 @@ def test_the_fit_is_never_worse_than_retrieval_where_the_image_is_poor(
     for yaw in (0.0, 75.0):
         seen = see(world, condition, yaw_deg=yaw, seed=[1, int(yaw)])
         made = reconstruct_seen(searcher, seen, has_clean_up=False)
-        errors = {method: root_centred_error_m(made[method], seen.truth_m).mean() for method in Method}
+        errors = {method: root_centred_error_m(made[method], seen.truth_m).mean() for method in searcher.methods}
         assert errors[Method.FIT] <= errors[Method.NEAREST]
         # Half a centimetre: the fit may lose on one draw of the noise what retrieval won by luck.
         assert errors[Method.FIT] <= errors[Method.VITERBI] + 0.005

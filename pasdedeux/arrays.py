@@ -1,7 +1,8 @@
-"""The arrays that nearly everything is about."""
+"""The arrays that nearly everything is about; docstrings say the axes."""
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-"""Double precision; docstrings say the axes."""
+Integers = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]

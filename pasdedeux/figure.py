@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Integers
 from pasdedeux.verdict import Level
 
 Limits = Mapping[str, tuple[float, float]]
@@ -62,7 +62,7 @@ class Figure:
         """What its scores are called, but for mean, worst and the like."""
         return self.name.removesuffix("_m")
 
-    def num_past(self, value: Any, limits: tuple[float, float]) -> npt.NDArray[np.int64]:
+    def num_past(self, value: Any, limits: tuple[float, float]) -> Integers:
         """Return how many limits a value, or each of an array, is past; none where it is NaN or None."""
         sign = -1.0 if self.better == "larger" else 1.0
         warned, failed = (sign * np.asarray(value, dtype=np.float64) > sign * limit for limit in limits)

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.quality import FRAME_LIMITS, FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
@@ -55,7 +54,7 @@ class Variant:
     positions_m: Array
     quality: Quality
     frames: FrameQuality
-    frame_verdicts: npt.NDArray[np.int64]
+    frame_verdicts: Integers
     energy: float
     energy_fk: float
     estimated_gap_m: float | None
@@ -85,7 +84,8 @@ class Augmenter:
         if self.settings.floor_m is not None:
             source = replace(source, ground_m=self.settings.floor_m)
         self.source = source
-        self._windows = plan_windows(source.num_frames, source.rate_hz, self._longest_s(source.rate_hz))
+        longest_s = min(LONGEST_S, max(_LONGEST_FRAMES / source.rate_hz, 2.0 * OVERLAP_S))
+        self._windows = plan_windows(source.num_frames, source.rate_hz, longest_s)
         check_contacts(
             user_contacts,
             name=source.name,
@@ -94,7 +94,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
-        self._meter = QualityMeter(source, user_contacts=user_contacts)
+        self._meter = QualityMeter(source, user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
@@ -120,7 +120,7 @@ class Augmenter:
                     points[window] += share[:, None, None] * part.positions[index]
                     laplacian[window] += share * part.squared_residual[index]
                 points = project_to_bones(points[None], lengths[index : index + 1])[0]
-            measured = self._meter.measure(
+            quality, frames = self._meter.measure(
                 points,
                 reference=points_of(reference_motion(self.source, bone_scale[index : index + 1]))[0],
                 bone_scale=bone_scale[index],
@@ -128,14 +128,14 @@ class Augmenter:
                 squared_residual=laplacian,
             )
             solver = max((part.solvers[index] for part in parts), key=SOLVERS.index)
-            frame_verdicts = measured.frames.judge(FRAME_LIMITS)
+            frame_verdicts = frames.judge(FRAME_LIMITS)
             variants.append(
                 Variant(
                     variation=variation,
                     bone_scale=bone_scale[index],
                     positions_m=points.reshape(self.source.positions_m.shape),
-                    quality=measured.quality,
-                    frames=measured.frames,
+                    quality=quality,
+                    frames=frames,
                     frame_verdicts=frame_verdicts,
                     energy=float(sum(part.energy[index] for part in parts)),
                     energy_fk=float(sum(part.energy_fk[index] for part in parts)),
@@ -144,7 +144,7 @@ class Augmenter:
                     ),
                     solver=solver,
                     num_iterations=max(part.num_iterations[index] for part in parts),
-                    verdict=self._judge(measured.quality, frame_verdicts, solver),
+                    verdict=self._judge(quality, frame_verdicts, solver),
                 )
             )
         return variants
@@ -156,17 +156,14 @@ class Augmenter:
             bone_scale: The scales it is for (P, 22), the root's included.
             positions_m: The motion (T, P, 22, 3), metres.
         """
-        measured = self._meter.measure(
+        quality, frames = self._meter.measure(
             points_of(positions_m),
             reference=points_of(reference_motion(self.source, bone_scale[None]))[0],
             bone_scale=bone_scale,
             lengths_m=scaled_lengths(self.source, bone_scale[None])[0],
             squared_residual=np.zeros(self.source.num_frames),
         )
-        return self._judge(measured.quality, measured.frames.judge(FRAME_LIMITS), "")
-
-    def _longest_s(self, rate_hz: float) -> float:
-        return min(LONGEST_S, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
+        return self._judge(quality, frames.judge(FRAME_LIMITS), "")
 
     def _solver(self, number: int) -> WindowSolver:
         if number not in self._ready:
@@ -178,7 +175,7 @@ class Augmenter:
             self._ready[number] = WindowSolver(source, self.settings, contacts)
         return self._ready[number]
 
-    def _judge(self, quality: Quality, frame_verdicts: npt.NDArray[np.int64], solver: str) -> Verdict:
+    def _judge(self, quality: Quality, frame_verdicts: Integers, solver: str) -> Verdict:
         verdict = quality.judge(self.settings.limits, is_alone=self.source.num_people == 1)
         level, reasons = verdict.level, [verdict.reason] if verdict.reason else []
         if solver == "plain_fk":

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.augmentation.bulk_kernels import (
     Batch,
     Form,
@@ -117,7 +117,7 @@ class BulkResult:
 
     positions: Array
     estimated_gap_m: Array
-    num_iterations: npt.NDArray[np.int64]
+    num_iterations: Integers
 
 
 class _Level:
@@ -159,8 +159,8 @@ class _Level:
 
     def _pairs(
         self,
-        is_used: npt.NDArray[np.bool_],
-        points: npt.NDArray[np.int64],
+        is_used: Flags,
+        points: Integers,
         shares: Array,
         weights: Array,
         normals: Array | None = None,
@@ -231,7 +231,7 @@ class _Level:
         return self._narrow(np.moveaxis(values, 0, -1))
 
     @property
-    def _edge_rows(self) -> npt.NDArray[np.int64]:
+    def _edge_rows(self) -> Integers:
         """Rows of the edges (T, edge)."""
         return np.asarray(self.form.first[:-1, None] + np.arange(self.num_edges))
 
@@ -259,7 +259,7 @@ class _Level:
         return now.offsets[: self.problem.num_frames][..., variants], now.state[self._edge_rows][..., variants]
 
 
-def _pair_vectors(pairs: Pairs, frame: npt.NDArray[np.int64], x: AnyFloat) -> AnyFloat:
+def _pair_vectors(pairs: Pairs, frame: Integers, x: AnyFloat) -> AnyFloat:
     """Return the vector of each pair (pair, 3, variant) of x (T, point, 3, variant)."""
     parts = [pairs.shares[:, corner, None, None] * x[frame, pairs.points[:, corner]] for corner in range(4)]
     return (parts[0] + parts[1]) + (parts[2] + parts[3])
@@ -372,7 +372,7 @@ class _Ended:
     offsets: AnyFloat
     edges: AnyFloat
     change_m: Array
-    num_iterations: npt.NDArray[np.int64]
+    num_iterations: Integers
 
 
 def _settle(
@@ -414,13 +414,13 @@ def _settle(
 
 
 @lru_cache(maxsize=8)
-def _edges(num_people: int) -> tuple[npt.NDArray[np.int64], int]:
+def _edges(num_people: int) -> tuple[Integers, int]:
     """Return everybody's bones, then girdle pairs (edge, 2), and how many bones there are."""
     bones = np.concatenate([np.array(BODY22.bones) + person * BODY22.num_joints for person in range(num_people)])
     return np.ascontiguousarray(np.concatenate([bones, girdle_pairs(num_people)])), len(bones)
 
 
-def _edge_penalties(problem: Problem, edges: npt.NDArray[np.int64]) -> Array:
+def _edge_penalties(problem: Problem, edges: Integers) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.zeros((problem.num_frames, problem.source.num_points))
     at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)

@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 
 AnyFloat = npt.NDArray[np.floating]
-Indices = npt.NDArray[np.int64]
 
 
 class Pairs(NamedTuple):
@@ -34,8 +33,8 @@ class Pairs(NamedTuple):
         normals: Directions out of each other (pair, 3); of near bones.
     """
 
-    first: Indices
-    points: Indices
+    first: Integers
+    points: Integers
     shares: AnyFloat
     weights: AnyFloat
     normals: AnyFloat
@@ -55,8 +54,8 @@ class Form(NamedTuple):
         constants: Relaxation, penalty of near bones per weight, weight of the girdle, what divisors are kept above.
     """
 
-    first: Indices
-    edges: Indices
+    first: Integers
+    edges: Integers
     num_bones: int
     penalties: AnyFloat
     near: Pairs
@@ -386,7 +385,7 @@ def _solve_shares(gram: Array, pulls: Array, used: int, ridge: float, lower: Arr
 
 
 @compiled(error_model="numpy")
-def mean_change(values: AnyFloat, first: Indices, num_rows: int) -> Array:
+def mean_change(values: AnyFloat, first: Integers, num_rows: int) -> Array:
     """Return the mean over frames of the root mean square of a frame's first rows of `values` (row, 3, variant)."""
     count, frames = values.shape[2], len(first) - 1
     total, part = np.zeros(count), np.zeros(count, values.dtype)
@@ -403,7 +402,7 @@ def mean_change(values: AnyFloat, first: Indices, num_rows: int) -> Array:
 
 
 @compiled(error_model="numpy")
-def add_stencils(points: Indices, shares: Array, weights: Array, matrix: Array) -> None:
+def add_stencils(points: Integers, shares: Array, weights: Array, matrix: Array) -> None:
     """Add sum w B^T B to `matrix` (T, n, n)."""
     frames, num_pairs, size = points.shape
     for t in range(frames):

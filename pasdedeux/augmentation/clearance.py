@@ -15,16 +15,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged, packer, stencil_vectors
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
-
-Indices = npt.NDArray[np.int64]
 
 _SMALLEST_WEIGHT = 1e-2
 """Pairs that weigh less than this share of the full weight are dropped."""
@@ -52,12 +49,12 @@ class Clearance:
         is_within: Both bones are of one person (T, M).
     """
 
-    points: Indices
+    points: Integers
     shares: Array
     normals: Array
     limits_m: Array
     weights: Array
-    is_within: npt.NDArray[np.bool_]
+    is_within: Flags
 
 
 def find_clearance(source: Source, weight_between: float, weight_within: float) -> Clearance:

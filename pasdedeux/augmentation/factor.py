@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Integers
 from pasdedeux.compiled import compiled, intrinsic
 
 Array = npt.NDArray[np.floating]
-Indices = npt.NDArray[np.int64]
 
 _COLUMNS, _ROWS = 16, 4
 """Right-hand sides and rows of one tile of the product: it stays in registers, and its sums hide the delay of one."""
@@ -180,7 +180,7 @@ def _multiply(matrix: Array, right: Array, product: Array) -> None:
 
 
 @compiled(error_model="numpy")
-def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Indices) -> None:
+def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers) -> None:
     blocks, size, _, count = rhs.shape
     work = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)
     product = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)
@@ -206,7 +206,7 @@ def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Indices) 
                             rhs[k, i, axis, v] -= product[i, shift + v]
 
 
-def solve(factor: Factor, rhs: Array, axes: Indices) -> None:
+def solve(factor: Factor, rhs: Array, axes: Integers) -> None:
     """Solve in place for some of the axes of right-hand sides (block, 88, axis, count), of the factor's precision.
 
     A column is the same to the last bit whatever the others are and wherever it stands among them.

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged
 from pasdedeux.skeletons import BODY22
@@ -43,7 +43,7 @@ class InteractionMesh:
         return np.asarray(np.eye(len(person)) * cross.sum(axis=-1)[:, None, :] - cross)
 
 
-def delaunay_edges(points: Array) -> npt.NDArray[np.bool_]:
+def delaunay_edges(points: Array) -> Flags:
     """Return which of the points (n, 3) share a Delaunay tetrahedron (n, n).
 
     Points that lie in a plane have no tetrahedra, and of points that coincide all but one are dropped; such sets are
@@ -85,7 +85,7 @@ def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
     return InteractionMesh(weights)
 
 
-def _adjacency(simplices: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.bool_]:
+def _adjacency(simplices: npt.NDArray[np.int32], count: int) -> Flags:
     is_edge = np.zeros((count, count), dtype=bool)
     for i, j in combinations(range(simplices.shape[1]), 2):
         is_edge[simplices[:, i], simplices[:, j]] = True

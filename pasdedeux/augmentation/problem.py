@@ -7,9 +7,8 @@ from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import Clearance
 from pasdedeux.augmentation.mesh import InteractionMesh
@@ -34,7 +33,7 @@ _GIRDLE_NAMES = (
 
 
 @lru_cache(maxsize=8)
-def girdle_pairs(num_people: int) -> npt.NDArray[np.int64]:
+def girdle_pairs(num_people: int) -> Integers:
     """Return pairs of points (pair, 2) whose distance stays that of the new skeleton, everybody's."""
     own = np.array([BODY22.indices(pair) for pair in _GIRDLE_NAMES])
     return np.concatenate([own + person * BODY22.num_joints for person in range(num_people)])

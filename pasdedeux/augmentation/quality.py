@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.figure import Limits, complaints, figure, figures_of, limits_of
@@ -106,7 +105,7 @@ class FrameQuality:
     Limits are wider than those of a variant, which are of means and percentiles of them.
     """
 
-    num_contact_pairs: npt.NDArray[np.int64] = figure("Contacts of points of bones in the source")
+    num_contact_pairs: Integers = figure("Contacts of points of bones in the source")
     bone_error_m: Array = figure()
     contact_drift_m: Array = figure(
         "Mean change of the distance of the surfaces of contacts; NaN without one", (0.02, 0.06)
@@ -123,7 +122,7 @@ class FrameQuality:
         "Root mean square jerk over the greater of the source's there and over the take", (2.0, 5.0)
     )
 
-    def judge(self, limits: Limits) -> npt.NDArray[np.int64]:
+    def judge(self, limits: Limits) -> Integers:
         """Return the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
         verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
         for name, both in limits.items():
@@ -135,23 +134,10 @@ FRAME_FIGURES = figures_of(FrameQuality, FIGURES)
 FRAME_LIMITS = limits_of(FRAME_FIGURES)
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Figures of one variant, as a whole and of each frame."""
-
-    quality: Quality
-    frames: FrameQuality
-
-
 class QualityMeter:
     """Measures variants of one take; what belongs to the source is measured once."""
 
-    def __init__(
-        self,
-        source: Source,
-        *,
-        user_contacts: Sequence[UserContact] = (),
-    ) -> None:
+    def __init__(self, source: Source, user_contacts: Sequence[UserContact] = ()) -> None:
         points = points_of(source.positions_m)
         self._num_frames = len(points)
         self._source = source
@@ -176,8 +162,8 @@ class QualityMeter:
 
     def measure(
         self, points: Array, *, reference: Array, bone_scale: Array, lengths_m: Array, squared_residual: Array
-    ) -> Measured:
-        """Measure a variant.
+    ) -> tuple[Quality, FrameQuality]:
+        """Return the figures of a variant, as a whole and of each frame.
 
         Args:
             points: Positions (T, n, 3), metres.
@@ -232,7 +218,7 @@ class QualityMeter:
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
             jerk_ratio=jerk / self._jerk if self._jerk > _STILL_M else 1.0 + jerk,
         )
-        return Measured(quality=quality, frames=frames)
+        return quality, frames
 
     def _people(self, points: Array) -> Array:
         return points.reshape(-1, *self._source.positions_m.shape[1:])
@@ -270,7 +256,7 @@ def _jerk(points: Array) -> tuple[float, Array]:
     return float(np.sqrt(squared.mean())), np.pad(np.sqrt(squared), (1, 2), mode="edge")
 
 
-def _stances(stands: npt.NDArray[np.bool_]) -> list[tuple[int, slice]]:
+def _stances(stands: Flags) -> list[tuple[int, slice]]:
     """Return joint and frames of every stance, of which joints stand when (T, n)."""
     edges = np.diff(np.pad(stands, ((1, 1), (0, 0))).astype(np.int8), axis=0)
     found = []

@@ -8,9 +8,8 @@ from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError, check_positive
 from pasdedeux.interaction.contacts import Contacts, find_contacts
@@ -167,7 +166,7 @@ class Source:
 
 
 @cache
-def _own_touch() -> npt.NDArray[np.int64]:
+def _own_touch() -> Integers:
     """Return the pairs of bones of one person that may touch: forearms, and what is far enough along the body."""
     return np.array([pair for pair in capsule_model(BODY22).within if set(pair) & set(_WRISTS)])
 

@@ -128,18 +128,14 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
 
     A take without the persons named has none.
     """
-    found: list[Variation] = []
-    for kind in settings.kinds:
-        for who in dict.fromkeys(_letters(persons, num_people) for persons in settings.persons):
-            match kind:
-                case _ if not who:
-                    pass
-                case "uniform":
-                    found += uniform_variations(settings.scales, [who], num_people)
-                case "groups":
-                    found += group_variations(settings.scales, [who], settings.groups, num_people)
-                case "bones":
-                    found += bone_variations(settings.scales, [who], num_people)
+    letters = ("".join(ascii_uppercase[one] for one in persons_of(who, num_people)) for who in settings.persons)
+    persons, scales = list(dict.fromkeys(filter(None, letters))), settings.scales
+    made = {
+        "uniform": lambda: uniform_variations(scales, persons, num_people),
+        "groups": lambda: group_variations(scales, persons, settings.groups, num_people),
+        "bones": lambda: bone_variations(scales, persons, num_people),
+    }
+    found = [variation for kind in settings.kinds for variation in made[kind]()]
     return list({variation.variant_id: variation for variation in found}.values())
 
 
@@ -154,11 +150,7 @@ def leg_ratio(bone_scale: Array, lengths_m: Array, skeleton: Skeleton = BODY22) 
 def uniform_variations(
     scales: Sequence[float], persons: Sequence[str] = ("A",), num_people: int = 2
 ) -> list[Variation]:
-    """Scale all bones of one person alike, or of several (`AB`), each by every scale.
-
-    Raises:
-        InputError: A scale that is not allowed.
-    """
+    """Scale all bones of one person alike, or of several (`AB`), each by every scale."""
     return _scaled({"uniform": BODY22.joint_names}, scales, persons, num_people)
 
 
@@ -168,11 +160,7 @@ def group_variations(
     groups: Sequence[Group] = tuple(LIMB_GROUPS),
     num_people: int = 2,
 ) -> list[Variation]:
-    """Scale one group of limbs (`LIMB_GROUPS`) at a time; the root height follows the legs.
-
-    Raises:
-        InputError: A scale that is not allowed.
-    """
+    """Scale one group of limbs (`LIMB_GROUPS`) at a time; the root height follows the legs."""
     return _scaled({group: LIMB_GROUPS[group] for group in groups}, scales, persons, num_people)
 
 
@@ -184,10 +172,6 @@ def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",), nu
             mirrored = BODY22.joint_names[BODY22.mirror[index]]
             bones[name.removeprefix("left_")] = (name,) if name == mirrored else (name, mirrored)
     return _scaled(bones, scales, persons, num_people)
-
-
-def _letters(who: str, num_people: int) -> str:
-    return "".join(ascii_uppercase[person] for person in persons_of(who, num_people))
 
 
 def _scaled(
@@ -202,12 +186,8 @@ def _scaled(
                 for person in persons_of(who, num_people):
                     bone_scale[person, BODY22.indices(names)] = scale
                 if kind != "uniform":
-                    bone_scale[:, BODY22.root] = _root_scale(bone_scale)
+                    # Before the source's lengths are known, the root's height follows thigh and shin in equal parts.
+                    bone_scale[:, BODY22.root] = bone_scale[:, BODY22.indices(_LEG_BONES)].mean(axis=-1)
                 shown = f"{scale:.2f}" if round(scale, 2) == scale else f"{scale:g}"
                 variations.append(Variation(f"{who}-{kind}-{shown}", bone_scale))
     return variations
-
-
-def _root_scale(bone_scale: Array) -> Array:
-    """Scale of the root height before the source's lengths are known: thigh and shin in equal parts."""
-    return np.asarray(bone_scale[:, BODY22.indices(_LEG_BONES)].mean(axis=-1))

@@ -34,21 +34,16 @@ def plan_windows(num_frames: int, rate_hz: float, longest_s: float, *, overlap_s
     return [slice(int(start), int(start) + size) for start in starts]
 
 
-def quintic(t: Array) -> Array:
-    """Return 6t^5 - 15t^4 + 10t^3: from 0 at 0 to 1 at 1, where velocity and acceleration are 0."""
-    return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
-
-
 def blend_weights(windows: list[slice]) -> list[Array]:
     """Return the share of each window in each of its frames; over all windows they add up to 1 in every frame.
 
-    Shares rise by a quintic.
+    Shares rise by 6t^5 - 15t^4 + 10t^3, from 0 at 0 to 1 at 1, where velocity and acceleration are 0.
     """
     shares = [np.ones(window.stop - window.start) for window in windows]
     for index, (before, after) in enumerate(pairwise(windows)):
         overlap = before.stop - after.start
         t = np.clip((np.arange(overlap) + 0.5) / overlap * 3.0 - 1.0, 0.0, 1.0)
-        rise = quintic(t)
+        rise = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
         shares[index][-overlap:] *= 1.0 - rise
         shares[index + 1][:overlap] *= rise
     return shares

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, check_positive
 
 
@@ -60,11 +59,6 @@ class PinholeCamera:
         if min(self.image_size_px) < 1:
             raise InputError(f"camera: the image is {self.image_size_px} px, both sides must be at least 1")
 
-    @property
-    def direction(self) -> Array:
-        """World direction (3,) from the scene towards the camera: the camera's own z axis."""
-        return np.asarray(self.camera_from_world_rotmat[2])
-
     def camera_from_world(self, points: Array) -> Array:
         """Return world points (*batch, 3) in camera axes, metres; z is negative in front of the camera."""
         return np.asarray((points - self.position_m) @ self.camera_from_world_rotmat.T)
@@ -79,7 +73,7 @@ class PinholeCamera:
         y = self.principal_point_px[1] - scale * seen[..., 1]
         return Projection(px=np.stack([x, y], axis=-1), depth_m=depth)
 
-    def is_inside(self, px: Array) -> npt.NDArray[np.bool_]:
+    def is_inside(self, px: Array) -> Flags:
         """Tell which pixels (*batch, 2) lie inside the image; NaN does not."""
         width, height = self.image_size_px
         return np.asarray((px >= 0).all(axis=-1) & (px[..., 0] < width) & (px[..., 1] < height))

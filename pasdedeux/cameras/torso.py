@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import best_rotation, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec
@@ -73,7 +72,7 @@ class LiftedTorsos:
     metres_per_pixel: Array
     root_px: Array
     log_scale_deviation: Array
-    is_lifted: npt.NDArray[np.bool_]
+    is_lifted: Flags
 
     @property
     def backbones(self) -> Array:
@@ -243,12 +242,9 @@ class _Fit:
         """The pelvis in the centred image of extent 1, (n, twin, 2)."""
         return np.asarray(self._centred(self.torso())[:, :, 0, :2] * np.exp(self.log_scale)[..., None])
 
-    def _image_residual(self) -> Array:
-        seen = self._centred(self.torso())[..., :2] * np.exp(self.log_scale)[..., None, None]
-        return np.asarray(seen - self.image)
-
     def cost(self) -> Array:
-        weighted = self._image_residual() * self.root_weight
+        seen = self._centred(self.torso())[..., :2] * np.exp(self.log_scale)[..., None, None]
+        weighted = (seen - self.image) * self.root_weight
         deviation = self.coefficients / np.maximum(self.basis.standard_deviation_m, 1e-6)
         return np.asarray(0.5 * ((weighted**2).sum(axis=(-1, -2)) + (deviation**2).sum(axis=-1)))
 
@@ -268,7 +264,8 @@ class _Fit:
         zero = np.zeros_like(x)
         # d(rotation) = w x torso: the image columns of (w_x, w_y, w_z).
         turn = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1)], axis=-2)
-        bent = self._centred_components()
+        turned = np.einsum("ntij,kqj->ntqik", self.rotmat[..., :2, :], self.basis.components_m)
+        bent = turned - np.einsum("nq,ntqik->ntik", self.share, turned)[:, :, None]
         columns = (
             np.concatenate([turn, torso[..., :2, None], bent], axis=-1) * scale[..., None] * self.root_weight[..., None]
         )
@@ -281,10 +278,6 @@ class _Fit:
             [residual.reshape(*residual.shape[:2], flat.shape[2]), self.coefficients / deviation], axis=-1
         )
         return all_residuals, jacobian
-
-    def _centred_components(self) -> Array:
-        turned = np.einsum("ntij,kqj->ntqik", self.rotmat[..., :2, :], self.basis.components_m)
-        return np.asarray(turned - np.einsum("nq,ntqik->ntik", self.share, turned)[:, :, None])
 
 
 def _own_axes(torsos: Array) -> Array:

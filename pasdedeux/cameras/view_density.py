@@ -12,14 +12,7 @@ VIEW_DEVIATION_RAD = 0.5
 """sigma_v of lift eq. 5, radians."""
 
 
-def draw_views(
-    rng: np.random.Generator,
-    directions: Array,
-    weights: Array,
-    count: int,
-    *,
-    deviation_rad: float = VIEW_DEVIATION_RAD,
-) -> Array:
+def draw_views(rng: np.random.Generator, directions: Array, weights: Array, count: int) -> Array:
     """Draw views (count, 3) from the smoothed density over some: one of them by weight, then round it.
 
     Von Mises-Fisher with concentration 1 / deviation^2, near its centre the normal of that deviation, which
@@ -30,10 +23,9 @@ def draw_views(
         directions: Views in the local frame, (n, 3).
         weights: Weight of each view, (n,), such as hypothesis weight x trust; one at least is positive.
         count: Views drawn.
-        deviation_rad: Width of the density round each view.
     """
     centres = normalise(directions[rng.choice(len(directions), size=count, p=weights / weights.sum())])
-    kappa = 1.0 / deviation_rad**2
+    kappa = 1.0 / VIEW_DEVIATION_RAD**2
     # The cosine to the centre has a closed inverse distribution in three dimensions (Ulrich 1984).
     cosine = 1.0 + np.log1p(rng.random(count) * np.expm1(-2.0 * kappa)) / kappa
     turn = rng.uniform(0.0, 2.0 * np.pi, size=count)

@@ -21,16 +21,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.cameras.frames import angles_of_direction, local_frame
 from pasdedeux.cameras.orthographic import metres_from_pixels
 from pasdedeux.cameras.torso import TORSO_INDICES, TorsoBasis, lift_torsos
 from pasdedeux.settings import Settings
-
-Indices = npt.NDArray[np.int64]
 
 DEPTH_RULES = ("zero", "contact_near", "contact_far", "size", "near", "far")
 _ZERO, _CONTACT_NEAR, _CONTACT_FAR, _SIZE, _NEAR, _FAR = range(6)
@@ -94,19 +91,19 @@ class ViewEstimates:
         size_ratio: Size of person A over person B that was found and used.
     """
 
-    annotation: Indices
-    hypothesis: Indices
-    depth_rule: Indices
-    flip: Indices
+    annotation: Integers
+    hypothesis: Integers
+    depth_rule: Integers
+    flip: Integers
     root_depth_m: Array
     direction: Array
     weight: Array
     metres_per_pixel: Array
     trust: Array
-    is_lifted: npt.NDArray[np.bool_]
+    is_lifted: Flags
     size_ratio: float
 
-    def best(self) -> Indices:
+    def best(self) -> Integers:
         """Return the rows of the likeliest hypotheses, one per annotation that has any."""
         return np.flatnonzero(self.hypothesis == 0)
 
@@ -120,7 +117,7 @@ def estimate_views(
     basis: TorsoBasis,
     *,
     confidence: Array | None = None,
-    camera_index: Indices | None = None,
+    camera_index: Integers | None = None,
     options: ViewOptions | None = None,
 ) -> ViewEstimates:
     """Estimate the views of annotated pairs.
@@ -152,10 +149,10 @@ def estimate_views(
         )
     )
     cameras = np.arange(count) if camera_index is None else np.asarray(camera_index)
-    sizes = _size_ratio(twins, cameras[rows], options)
+    log_ratio, size_variance = _size_ratio(twins, cameras[rows], options)
     # True sizes: half of the ratio to each, so that the mean size stays that of the basis.
-    twins = replace(twins, metres_per_pixel=twins.metres_per_pixel * np.exp(np.array([0.5, -0.5]) * sizes.log_ratio))
-    made = _hypotheses(twins, sizes.variance, options)
+    twins = replace(twins, metres_per_pixel=twins.metres_per_pixel * np.exp(np.array([0.5, -0.5]) * log_ratio))
+    made = _hypotheses(twins, size_variance, options)
     each_rule = (len(rows), len(_FLIPS) * len(DEPTH_RULES))
     log_weight, direction = made.log_weight.reshape(each_rule), made.direction.reshape(*each_rule, 3)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
@@ -179,7 +176,7 @@ def estimate_views(
         metres_per_pixel=twins.metres_per_pixel[each, column // len(DEPTH_RULES)],
         trust=np.minimum(trust, 1.0),
         is_lifted=is_lifted,
-        size_ratio=float(np.exp(sizes.log_ratio)),
+        size_ratio=float(np.exp(log_ratio)),
     )
 
 
@@ -223,22 +220,16 @@ class _Hypotheses:
     log_weight: Array
 
 
-@dataclass(frozen=True)
-class _Sizes:
-    """Logarithm of the size of person A over person B, and its variance."""
+def _size_ratio(twins: _Twins, cameras: Integers, options: ViewOptions) -> tuple[float, float]:
+    """Return the logarithm of the size of person A over person B, and its variance.
 
-    log_ratio: float
-    variance: float
-
-
-def _size_ratio(twins: _Twins, cameras: Indices, options: ViewOptions) -> _Sizes:
-    """Estimate the ratio of body sizes: weighted median over cameras of the apparent one, drawn to 1 by the prior.
+    It is the weighted median over cameras of the apparent one, drawn to 0 by the prior.
 
     A camera in front of which person B stays on one side of A may have B always nearer, and counts as much as a single
     frame; the more evenly the two change sides, the more their depths balance.
     """
     if not len(cameras):
-        return _Sizes(0.0, BODY_DEVIATION**2)
+        return 0.0, BODY_DEVIATION**2
     scale, x = twins.metres_per_pixel[:, _SAME_TWIN], twins.root_px[..., 0][:, _SAME_TWIN]
     # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
     apparent = np.log(scale[..., 1] / scale[..., 0]).mean(axis=-1)
@@ -258,7 +249,7 @@ def _size_ratio(twins: _Twins, cameras: Indices, options: ViewOptions) -> _Sizes
     median = 0.5 * (ratio[order[lower]] + ratio[order[upper]])
     # However many cameras there are, the smallest error stays.
     total = min(float(cumulative[-1]), 1.0 / MIN_CALIBRATION_DEVIATION**2) + 1.0 / BODY_DEVIATION**2
-    return _Sizes(log_ratio=median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), variance=1.0 / total)
+    return median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), 1.0 / total
 
 
 def _hypotheses(twins: _Twins, size_variance: float, options: ViewOptions) -> _Hypotheses:

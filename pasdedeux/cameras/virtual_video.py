@@ -32,14 +32,6 @@ _MAX_TURN_RAD, _MAX_AWAY_M = np.pi / 6.0, 0.6
 
 
 @dataclass(frozen=True)
-class ViewAngles:
-    """Azimuth about +Y (0 on +Z) and elevation above the horizontal of n cameras, each (n,), radians."""
-
-    yaw_rad: Array
-    pitch_rad: Array
-
-
-@dataclass(frozen=True)
 class VirtualView:
     """A virtual camera with the numbers it was made from."""
 
@@ -63,18 +55,20 @@ def sample_views(
     *,
     pitch_mean_rad: float = float(np.deg2rad(10.0)),
     pitch_deviation_rad: float = float(np.deg2rad(10.0)),
-) -> ViewAngles:
-    """Draw the angles of `count` views: any yaw, pitch normal, folded back at the ends of -15 to 60 degrees.
+) -> tuple[Array, Array]:
+    """Draw azimuths about +Y (0 on +Z) and elevations (count,), radians, of views.
+
+    Any azimuth; elevations are normal, folded back at the ends of -15 to 60 degrees.
 
     The default is about eye level or slightly above, as people film people.  A deviation of infinity draws directions
     uniform on the band of the sphere between the two ends.
     """
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     if np.isinf(pitch_deviation_rad):
-        return ViewAngles(yaw, np.arcsin(rng.uniform(np.sin(_MIN_PITCH_RAD), np.sin(_MAX_PITCH_RAD), size=count)))
+        return yaw, np.arcsin(rng.uniform(np.sin(_MIN_PITCH_RAD), np.sin(_MAX_PITCH_RAD), size=count))
     span = _MAX_PITCH_RAD - _MIN_PITCH_RAD
     folded = np.mod(rng.normal(pitch_mean_rad, pitch_deviation_rad, size=count) - _MIN_PITCH_RAD, 2 * span)
-    return ViewAngles(yaw, _MIN_PITCH_RAD + np.minimum(folded, 2 * span - folded))
+    return yaw, _MIN_PITCH_RAD + np.minimum(folded, 2 * span - folded)
 
 
 def look_at_camera(

@@ -19,6 +19,7 @@ from pasdedeux.choreography.trio import Trio
 from pasdedeux.choreography.waltz import Waltz
 from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.settings import first_problem
 from pasdedeux.skeletons.layouts import LAYOUTS
 
 DUETS: dict[str, type[Dance]] = {
@@ -86,10 +87,7 @@ def style_of(name: str, **style: object) -> Dance:
     try:
         return DUETS[name].model_validate(style)
     except ValidationError as error:
-        first = error.errors()[0]
-        place, message = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
-        found = f"{place} is {first['input']}: " if place else ""
-        raise InputError(f"duet '{name}': {found}{message}") from None
+        raise InputError(f"duet '{name}': {first_problem(error)}") from None
 
 
 @lru_cache

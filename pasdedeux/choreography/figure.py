@@ -13,6 +13,7 @@ from pasdedeux.choreography.steps import FootPath
 from pasdedeux.kinematics import Motion, local_from_world
 from pasdedeux.kinematics.rotations import (
     conjugate,
+    continuous_signs,
     identity_unitquat,
     multiply,
     normalise,
@@ -132,14 +133,11 @@ class Figure:
         """Return the motion: local rotations, continuous in sign, and the pelvis as root."""
         local = local_from_world(BODY22, self.unitquat)
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
-        is_flipped = np.sum(local[1:] * local[:-1], axis=-1) < 0
-        signs = np.cumprod(np.where(is_flipped, -1.0, 1.0), axis=0)
-        local[1:] *= signs[..., None]
         return Motion(
             skeleton=BODY22,
             rest_offsets_m=self.body.rest_offsets_m,
             root_translation_m=self.positions_m[:, BODY22.root].copy(),
-            local_unitquat=local,
+            local_unitquat=continuous_signs(local),
             rate_hz=rate_hz,
         )
 

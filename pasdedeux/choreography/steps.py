@@ -11,14 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import blend, bump, curve_through
 from pasdedeux.choreography.geometry import SIDES, Part, on_floor, turn
 from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.skeletons import BODY22
-
-Flags = npt.NDArray[np.bool_]
 
 _PEEL = 0.22
 """Share of a swing during which the heel rises over the ball of the foot that still stands."""

@@ -243,13 +243,13 @@ class ModelMeter:
         found: dict[str, dict[str, float]] = {}
         for name, motion in {**predicted_m, SOLVER: true_m}.items():
             points = points_of(motion)
-            quality = self._quality.measure(
+            quality, _ = self._quality.measure(
                 points,
                 reference=reference,
                 bone_scale=scales[0],
                 lengths_m=lengths,
                 squared_residual=np.zeros(len(points)),
-            ).quality
+            )
             errors = {} if name == SOLVER else model_errors(motion, true_m, self.keys)
             drift = np.abs(self._distances(points) - before)
             found[name] = errors | {

@@ -15,9 +15,8 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.skeletons import PAIR17, Skeleton
 
@@ -236,7 +235,7 @@ def image_panel(title: str, skeleton: Skeleton, people_px: Array, size_px: tuple
     return replace(people_panel(title, skeleton, placed(people_px), None, placed(edge)), is_flat=True)
 
 
-def shown_frames(num_frames: int, rate_hz: float) -> tuple[npt.NDArray[np.int64], float]:
+def shown_frames(num_frames: int, rate_hz: float) -> tuple[Integers, float]:
     """Return the frames of a motion that are shown, some seconds from its middle, thinned, and their rate.
 
     >>> shown_frames(300, 30.0)[0][:3], shown_frames(300, 30.0)[1]

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import Skeleton
-
-Indices = npt.NDArray[np.int64]
 
 _TINY = 1e-12
 
@@ -41,15 +38,15 @@ class Topology:
         unknown_columns: Which of its point's unknowns each one is (n,), 0 to 2.
     """
 
-    parents: Indices
-    order: Indices
-    roots: Indices
-    starts: Indices
+    parents: Integers
+    order: Integers
+    roots: Integers
+    starts: Integers
     carries: Array
-    related: Indices
-    further: Indices
-    unknown_points: Indices
-    unknown_columns: Indices
+    related: Integers
+    further: Integers
+    unknown_points: Integers
+    unknown_columns: Integers
 
 
 @lru_cache(maxsize=64)
@@ -132,7 +129,7 @@ class BoneForest:
 
 
 @compiled(error_model="numpy")
-def _directions(positions: Array, parents: Indices) -> Array:
+def _directions(positions: Array, parents: Integers) -> Array:
     """Return the unit vector of each bone; up for roots and where there is none."""
     directions = np.empty(positions.shape)
     for t in range(positions.shape[0]):
@@ -152,7 +149,7 @@ def _directions(positions: Array, parents: Indices) -> Array:
 
 @compiled(error_model="numpy")
 def _place(
-    roots_m: Array, directions: Array, lengths: Array, parents: Indices, order: Indices, roots: Indices
+    roots_m: Array, directions: Array, lengths: Array, parents: Integers, order: Integers, roots: Integers
 ) -> Array:
     """Return positions: each point a bone's length from its parent."""
     positions = np.empty(directions.shape)
@@ -185,7 +182,7 @@ def _tangents(directions: Array) -> Array:
 
 
 @compiled(error_model="numpy")
-def _turn(directions: Array, tangents: Array, step: Array, parents: Indices, starts: Indices) -> Array:
+def _turn(directions: Array, tangents: Array, step: Array, parents: Integers, starts: Integers) -> Array:
     """Return the directions of bones after a step along their tangents; roots' as they were."""
     turned = directions.copy()
     for t in range(directions.shape[0]):

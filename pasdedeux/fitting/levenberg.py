@@ -11,16 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest, BoneState
 from pasdedeux.fitting.terms import AXES, Normal, Term, total_energy
-
-Indices = npt.NDArray[np.int64]
 
 _SMALLEST_CURVATURE = 1e-9
 """Added to the diagonal so that a bone of length zero, which moves nothing, has a step of zero."""
@@ -173,7 +170,7 @@ def _reduce(
 
 
 @compiled()
-def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices, diagonal: Array) -> None:
+def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Integers, diagonal: Array) -> None:
     _, frames, points, _ = carried.shape
     for t in range(frames):
         for g in range(points):
@@ -193,13 +190,13 @@ def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices
 
 @compiled()
 def _add_stencils(
-    points: Indices,
+    points: Integers,
     shares: Array,
     weights: Array,
     units: Array,
     carries: Array,
     basis: Array,
-    starts: Indices,
+    starts: Integers,
     diagonal: Array,
 ) -> None:
     """Add sum w r' r: r is how far each unknown moves a combination of points along its unit vector; most do not."""
@@ -232,7 +229,7 @@ def _add_stencils(
 
 @compiled()
 def _reduce_between(
-    summed: Array, basis: Array, related: Indices, further: Indices, starts: Indices, lag: int, below: Array
+    summed: Array, basis: Array, related: Integers, further: Integers, starts: Integers, lag: int, below: Array
 ) -> None:
     frames = summed.shape[1]
     for t in range(frames):

@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.fitting.bones import BoneForest, topology_of
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import AccelerationTerm, Normal, PointTerm, Term
@@ -80,7 +79,7 @@ class BoneVectorTerm(Term):
         return (parents == np.arange(len(parents))[:, None]).astype(np.float64)
 
 
-def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_]) -> float:
+def image_noise(observed_m: Array, is_seen: Flags) -> float:
     """Return the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
 
     The third difference of white noise has 20 times its variance, and little of a motion; the median of its size over

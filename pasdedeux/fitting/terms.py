@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 
 AXES = 3
 
@@ -36,7 +35,7 @@ class Normal:
     matrix: Array
     lag1: Array
     lag2: Array
-    stencils: list[tuple[npt.NDArray[np.int64], Array, Array, Array]] = field(default_factory=list)
+    stencils: list[tuple[Integers, Array, Array, Array]] = field(default_factory=list)
 
     @classmethod
     def zeros(cls, num_frames: int, num_points: int) -> Normal:
@@ -199,7 +198,7 @@ class DistanceTerm(Term):
         weights: (T, m) or what broadcasts to it.
     """
 
-    pairs: npt.NDArray[np.int64]
+    pairs: Integers
     lengths_m: Array
     weights: Array
 
@@ -248,7 +247,7 @@ class HalfSpaceTerm(Term):
     """
 
     origin_m: Array
-    points: npt.NDArray[np.int64]
+    points: Integers
     shares: Array
     normals: Array
     limits_m: Array

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
@@ -87,8 +86,8 @@ class AnnotatedFrames:
 
     layout: str
     sequence_id: tuple[str, ...]
-    frame: npt.NDArray[np.int64]
-    person_id: npt.NDArray[np.int64]
+    frame: Integers
+    person_id: Integers
     keypoints_px: Array
     confidence: Array
     image_size_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
@@ -122,7 +121,7 @@ class AnnotatedFrames:
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
-    def rows(self, chosen: npt.NDArray[np.bool_]) -> AnnotatedFrames:
+    def rows(self, chosen: Flags) -> AnnotatedFrames:
         """Return some of the rows, chosen by a mask (row,)."""
         return replace(
             self,

@@ -89,10 +89,7 @@ def read_bvh(data: bytes | str) -> SourceMotion:
         FormatError: The file is mangled: truncated, a wrong number of values in a frame, NaN, unknown channels,
             two roots, unbalanced braces, absurd numbers.  The line is named.
     """
-    with Lines(data, "BVH file") as lines:
-        hierarchy = _read_hierarchy(lines)
-        rate_hz, values = _read_frames(lines, hierarchy)
-    return hierarchy.motion(values, rate_hz)
+    return BvhHierarchy.motion(*_read(data))
 
 
 def read_bvh_head(data: bytes | str) -> MotionHead:
@@ -101,9 +98,7 @@ def read_bvh_head(data: bytes | str) -> MotionHead:
     Raises:
         FormatError: As `read_bvh`, but for joints that move against their parent.
     """
-    with Lines(data, "BVH file") as lines:
-        hierarchy = _read_hierarchy(lines)
-        rate_hz, values = _read_frames(lines, hierarchy)
+    hierarchy, values, rate_hz = _read(data)
     return MotionHead(SourceMotion.at_rest(hierarchy.skeleton, hierarchy.rest_offsets, rate_hz=rate_hz), len(values))
 
 
@@ -268,12 +263,14 @@ def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
     )
 
 
-def _read_frames(lines: Lines, hierarchy: BvhHierarchy) -> tuple[float, Array]:
-    """Return the frame rate, and the numbers of the frames (frame, sum of channels)."""
-    num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames", 1)
-    frame_time = _stated(lines, "Frame Time:")
-    parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
-    return rate_from_frame_time(frame_time), hierarchy.read_rows(lines, num_frames)
+def _read(data: bytes | str) -> tuple[BvhHierarchy, Array, float]:
+    """Return the joints, the numbers of the frames (frame, sum of channels), and the frame rate."""
+    with Lines(data, "BVH file") as lines:
+        hierarchy = _read_hierarchy(lines)
+        num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames", 1)
+        frame_time = _stated(lines, "Frame Time:")
+        parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
+        return hierarchy, hierarchy.read_rows(lines, num_frames), rate_from_frame_time(frame_time)
 
 
 def _stated(lines: Lines, label: str) -> str:

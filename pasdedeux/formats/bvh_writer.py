@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import euler_from_unitquat
 from pasdedeux.kinematics import Motion
 
+_ROTATION_ORDER = "ZXY"
+"""Rotation channels of every joint, outermost first."""
 
-def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, rotation_order: str = "ZXY", decimals: int = 6) -> str:
+
+def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, decimals: int = 6) -> str:
     """Return a motion as BVH text: lengths in file units (centimetres by default), angles in degrees, Y up, true rate.
 
     A leaf whose name ends in `_end` and that never turns is written as an End Site; every other leaf gets an End Site
@@ -18,18 +20,12 @@ def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, rotation_order:
     Args:
         motion: The motion to write.
         units_per_metre: 100 for centimetres, 1 for metres.
-        rotation_order: Channels of every joint, outermost first; a permutation of XYZ.
         decimals: Digits after the point.
-
-    Raises:
-        InputError: `rotation_order` is no permutation of XYZ.
     """
-    if sorted(rotation_order) != ["X", "Y", "Z"]:
-        raise InputError(f"rotation order '{rotation_order}' is not allowed; it is a permutation of XYZ")
     skeleton = motion.skeleton
     offsets = motion.rest_offsets_m * units_per_metre
     names = [name.replace("{", "(").replace("}", ")") for name in skeleton.joint_names]
-    channels = " ".join(f"{axis}rotation" for axis in rotation_order)
+    channels = " ".join(f"{axis}rotation" for axis in _ROTATION_ORDER)
     lines = ["HIERARCHY"]
     columns: list[int] = []
 
@@ -70,7 +66,7 @@ def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, rotation_order:
         stack.append((-1, depth))
         stack.extend((child, depth + 1) for child in reversed(children))
 
-    angles = np.rad2deg(np.unwrap(euler_from_unitquat(motion.local_unitquat[:, columns], rotation_order), axis=0))
+    angles = np.rad2deg(np.unwrap(euler_from_unitquat(motion.local_unitquat[:, columns], _ROTATION_ORDER), axis=0))
     values = np.concatenate(
         [motion.root_translation_m * units_per_metre, angles.reshape(motion.num_frames, -1)], axis=1
     )

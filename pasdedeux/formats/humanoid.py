@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Flags
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.kinematics import Motion
@@ -32,7 +32,7 @@ class HumanoidMotion:
 
     motion: Motion
     first_frame: int
-    is_seen: npt.NDArray[np.bool_]
+    is_seen: Flags
 
     def bvh(self, units: str = "cm") -> str:
         """Return it as BVH text, lengths in `cm` or `m`."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.kinematics.alignment import best_rotation
 from pasdedeux.kinematics.rotations import (
     conjugate,
@@ -139,7 +138,7 @@ def _refine_rotation(start: Array, rest: Array, posed: Array) -> Array:
     return unitquat_from_rotmat(best_rotation(source, target))
 
 
-def _ends_of(skeleton: Skeleton) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _ends_of(skeleton: Skeleton) -> tuple[Integers, Integers]:
     """Return parents and children of all bones."""
     parents, children = np.array(skeleton.bones, np.int64).reshape(-1, 2).T
     return parents, children

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, check_positive
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.kinematics.rotations import identity_unitquat, slerp
 from pasdedeux.skeletons import Skeleton
-
-Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ class Motion:
         )
 
 
-def frames_at_rate(num_frames: int, *, from_hz: float, to_hz: float) -> tuple[Indices, Indices, Array]:
+def frames_at_rate(num_frames: int, *, from_hz: float, to_hz: float) -> tuple[Integers, Integers, Array]:
     """Return where the frames of another rate lie, from the first on: between which two frames, and how far, 0 to 1."""
     count = int(np.floor((num_frames - 1) * to_hz / from_hz + 1e-9)) + 1
     at = np.arange(count) * (from_hz / to_hz)

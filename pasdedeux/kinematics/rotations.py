@@ -52,6 +52,14 @@ def rotate(unitquat: Array, vector: Array) -> Array:
     return np.asarray(vector + w * twice + np.cross(axis, twice))
 
 
+def continuous_signs(unitquat: Array) -> Array:
+    """Return the same rotations (frame, *batch, 4) with signs chosen so that neighbours lie on the same half-sphere."""
+    dots = np.sum(unitquat[1:] * unitquat[:-1], axis=-1)
+    signs = np.ones(unitquat.shape[:-1])
+    signs[1:] = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
+    return unitquat * signs[..., None]
+
+
 def rotmat_from_unitquat(unitquat: Array) -> Array:
     """Return rotation matrices (*batch, 3, 3) of unit quaternions (*batch, 4)."""
     x, y, z, w = np.moveaxis(unitquat, -1, 0)

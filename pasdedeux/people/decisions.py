@@ -21,12 +21,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from pasdedeux.arrays import Integers
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.text import Lines, parse_integer, shorten
-
-Integers = npt.NDArray[np.int64]
 
 COLUMNS = ("sequence", "first_frame", "last_frame", "person", "is")
 NOBODY = "nobody"

@@ -17,15 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.identity_kernels import MIN_TRUST
 from pasdedeux.skeletons import OP14
-
-Booleans = npt.NDArray[np.bool_]
-Integers = npt.NDArray[np.int64]
 
 _ARMS, _LEGS = OP14.arms[0], OP14.legs[0]
 _EXCHANGED_LIMBS = tuple(limb[1:] for limb in OP14.limbs)
@@ -66,20 +62,20 @@ class RepairedCrowd:
     confidence: Array
     source_person: Integers
     source_joint: Integers
-    is_masked: Booleans
+    is_masked: Flags
 
     @property
-    def is_swapped(self) -> Booleans:
+    def is_swapped(self) -> Flags:
         """Joints whose label was put right within a person (person, frame, 14)."""
         return np.asarray(self.source_joint != np.arange(OP14.num_joints))
 
     @property
-    def is_exchanged(self) -> Booleans:
+    def is_exchanged(self) -> Flags:
         """Joints that were given back to the person they belong to (person, frame, 14)."""
         return np.asarray(self.source_person != np.arange(len(self.source_person))[:, None, None])
 
     @property
-    def is_touched(self) -> Booleans:
+    def is_touched(self) -> Flags:
         """Joints that are not as they were given (person, frame, 14)."""
         return self.is_swapped | self.is_exchanged | self.is_masked
 
@@ -146,7 +142,7 @@ def repair_sides(keypoints_px: Array, *, rate_hz: float) -> Integers:
     return np.asarray(sources[path], dtype=np.int64)
 
 
-def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Booleans:
+def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Flags:
     """Tell which joints of two people (2, frame, 14, 2) were given to the wrong one (frame, 14), limb by limb."""
     exchanged = np.zeros(pair_px.shape[1:3], dtype=bool)
     size = np.nanmax([track_size_px(pair_px[0]), track_size_px(pair_px[1])], axis=0)
@@ -161,7 +157,7 @@ def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Booleans:
     return exchanged
 
 
-def wild_joints(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> Booleans:
+def wild_joints(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> Flags:
     """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone that is too long."""
     size = track_size_px(_trusted(keypoints_px, confidence))
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
@@ -176,7 +172,7 @@ def wild_joints(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> Bo
     return is_wild
 
 
-def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_hz: float) -> Booleans:
+def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_hz: float) -> Flags:
     """Tell which keypoints of a person (frame, K) are where they cannot have got to.
 
     Per keypoint the cheapest chain of kept frames: dropping a frame costs `_MASK_COST` times the trust in it, going
@@ -204,7 +200,7 @@ def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_
     return is_wild
 
 
-def _span(is_there: Booleans) -> slice:
+def _span(is_there: Flags) -> slice:
     """Return the frames from the first to the last in which a person is seen; empty for who is never seen."""
     frames = np.flatnonzero(is_there)
     return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) else slice(0, 0)
@@ -273,7 +269,7 @@ def _hold(states: Array, longest: int) -> Array:
     return held
 
 
-def _kept(frames: Integers, places: Array, free_distance: float, reach: int, mask_cost: Array) -> Booleans:
+def _kept(frames: Integers, places: Array, free_distance: float, reach: int, mask_cost: Array) -> Flags:
     """Return which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
     count = len(frames)
     cost = np.zeros(count)

@@ -11,12 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.people.identity_kernels import GATE, clean_detections, match_costs, predict_joints, update_joints
-
-Integers = npt.NDArray[np.int64]
 
 _SIZE_GAIN = 0.1
 _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
@@ -73,7 +70,7 @@ class _Person:
     track_id: int
     place_px: Array
     speed_px_s: Array
-    is_known: npt.NDArray[np.bool_]
+    is_known: Flags
     size_px: float
     last_time_s: float
     given_id: int
@@ -236,9 +233,7 @@ def _faded(passed_s: float, fade_s: float) -> float:
     return fade_s * (1.0 - float(np.exp(-passed_s / fade_s)))
 
 
-def _twin(
-    index: int, matched: dict[int, _Person], points: Array, is_seen: npt.NDArray[np.bool_], size: Array
-) -> int | None:
+def _twin(index: int, matched: dict[int, _Person], points: Array, is_seen: Flags, size: Array) -> int | None:
     """Return the matched detection that this one is a double of, None where it is somebody of its own."""
     for other in matched:
         both = is_seen[index] & is_seen[other]
@@ -259,7 +254,7 @@ def _update(person: _Person, time_s: float, points: Array, trust: Array, size_px
     person.last_time_s = time_s
 
 
-def _ghosts(frame: Integers, track_id: Integers, rate_hz: float) -> npt.NDArray[np.bool_]:
+def _ghosts(frame: Integers, track_id: Integers, rate_hz: float) -> Flags:
     """Tell the rows of tracks that were seen too shortly to be people."""
     length = int(np.ptp(frame)) + 1 if len(frame) else 0
     min_count = min(round(_GHOST_S * rate_hz), length // 4)

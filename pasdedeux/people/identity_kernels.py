@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import OP14
-
-Flags = npt.NDArray[np.bool_]
 
 _TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))
 MIN_TRUST = 0.3
@@ -65,7 +62,7 @@ def size_in_image(points: Array, is_seen: Flags) -> float:
 
 
 @compiled(error_model="numpy")
-def _diagonal(points: Array, is_seen: Flags, joints: npt.NDArray[np.int64]) -> tuple[float, int]:
+def _diagonal(points: Array, is_seen: Flags, joints: Integers) -> tuple[float, int]:
     """Return the diagonal of the box of the seen joints, and how many they are."""
     count = 0
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf

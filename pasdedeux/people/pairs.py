@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.people.identity import body_size_px
-
-Integers = npt.NDArray[np.int64]
-
 
 _NEAR = 2.0
 """Two people are near in a frame whose middles are less than so many body heights apart."""

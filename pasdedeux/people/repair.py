@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.people.faults import repair_faults, track_size_px, wild_points
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
-
-Integers = npt.NDArray[np.int64]
 
 _MOVES_WITH = {
     **dict.fromkeys(("big_toe", "small_toe", "heel"), "ankle"),

@@ -7,10 +7,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import Decision, decide, spans_of
@@ -22,8 +21,6 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
-
-Integers = npt.NDArray[np.int64]
 
 
 class PeopleSettings(Settings):
@@ -121,7 +118,7 @@ class SequenceRows:
     confidence: Array
     source_row: Integers
 
-    def chosen(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> SequenceRows:
+    def chosen(self, rows: Integers | Flags) -> SequenceRows:
         """Return some of the rows."""
         return SequenceRows(*(getattr(self, one.name)[rows] for one in fields(self)))
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import MAX_ABSENT_S, MIN_JOINTS, body_size_px
 from pasdedeux.spread import evenly_spread
-
-Integers = npt.NDArray[np.int64]
 
 _SHORT_SPAN = 1000
 """Up to so many frames gaps cost nothing, so any are bridged."""

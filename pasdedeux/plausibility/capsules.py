@@ -14,17 +14,14 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, inner_kernel, mix, row_of, subtract
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import LAYOUTS
-
-Indices = npt.NDArray[np.int64]
 
 LEG_PER_HEIGHT = 0.491
 """Length of thigh and shank together, as a share of the stature (Drillis and Contini 1966: 0.245 + 0.246)."""
@@ -73,11 +70,11 @@ class CapsuleModel:
     """
 
     skeleton: Skeleton
-    bones: Indices
-    parents: Indices
+    bones: Integers
+    parents: Integers
     radius_per_height: Array
-    within: Indices
-    between: Indices
+    within: Integers
+    between: Integers
 
     def radii_m(self, height_m: Array | float) -> Array:
         """Return radii (*batch, J) in metres of people of stature (*batch,)."""
@@ -144,7 +141,7 @@ def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child
 
 @compiled(error_model="numpy")
 def pair_penetration(
-    people: Array, radii: Array, parents: Indices, within: Indices, between: Indices, out: Array
+    people: Array, radii: Array, parents: Integers, within: Integers, between: Integers, out: Array
 ) -> float:
     """Return the sum of penetration depths of a pair, or of any number of people, metres.
 
@@ -179,7 +176,7 @@ def pair_penetration(
 
 
 @compiled(error_model="numpy")
-def _penetrations(people: Array, radii: Array, parents: Indices, within: Indices, between: Indices) -> Array:
+def _penetrations(people: Array, radii: Array, parents: Integers, within: Integers, between: Integers) -> Array:
     sums = np.empty((people.shape[0], people.shape[1] + 1))
     for row in range(people.shape[0]):
         pair_penetration(people[row], radii[row], parents, within, between, sums[row])

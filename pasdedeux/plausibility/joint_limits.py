@@ -25,15 +25,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits_kernel import measure_poses, move_poses
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, ANGLES, MARGIN_DEG, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
-
-Flags = npt.NDArray[np.bool_]
 
 MAX_INVALID_ANGLES = 8
 """A pair with more invalid angles than this is impossible (Yin et al. 2018, section 4.1)."""
@@ -54,7 +51,7 @@ class NearestValid:
     """
 
     positions: Array
-    num_invalid: npt.NDArray[np.int64]
+    num_invalid: Integers
     squared_distance_m2: Array
 
 
@@ -116,7 +113,7 @@ class JointLimits:
                 source[index] = f"{self.source[index]} + {name}"
         return JointLimits(lower_rad=lower, upper_rad=upper, source=tuple(source))
 
-    def num_invalid(self, pair17_m: Array) -> npt.NDArray[np.int64]:
+    def num_invalid(self, pair17_m: Array) -> Integers:
         """Count the angles out of range of poses (*batch, joint=17, 3), (*batch,)."""
         return np.asarray(self.invalid_angles(pair17_m).sum(axis=-1))
 

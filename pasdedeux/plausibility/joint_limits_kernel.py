@@ -9,9 +9,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     carry,
@@ -28,7 +27,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
-Integers = npt.NDArray[np.int64]
 Vector = Any  # (x, y, z); numba infers the tuple type
 
 (

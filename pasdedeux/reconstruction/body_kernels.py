@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     Quaternion,
@@ -30,8 +29,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.reconstruction.bones import REST_DIRECTIONS
 from pasdedeux.reconstruction.cleanup import bend_one_leg
 from pasdedeux.skeletons import BODY22, OP14
-
-Indices = npt.NDArray[np.int64]
 
 _NECK, _NOSE = OP14.root, OP14.index("head")
 _HIPS_AT = np.array(OP14.indices(["left_hip", "right_hip"]))
@@ -227,7 +224,7 @@ def _face(
 
 @compiled(error_model="numpy")
 def _reach(
-    pose: Array, wanted: Indices, bent: Array, limb: Indices, world: Array, points: Array, offsets: Array, above: int
+    pose: Array, wanted: Integers, bent: Array, limb: Integers, world: Array, points: Array, offsets: Array, above: int
 ) -> None:
     """Turn a limb (its joint, hinge and end) that hangs on `above` until it is where the pose has it."""
     start, hinge, end = limb

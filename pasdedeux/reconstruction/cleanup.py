@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
@@ -25,8 +24,6 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import retarget_proportions
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.skeletons import OP14
-
-Booleans = npt.NDArray[np.bool_]
 
 _LEGS = OP14.legs
 _ANKLES = np.array([leg[2] for leg in _LEGS])
@@ -68,12 +65,12 @@ class CleanedMotion:
     """
 
     positions_m: Array
-    is_planted: Booleans
+    is_planted: Flags
     shift_m: Array
     floor_m: float
 
 
-def clean_up(positions_m: Array, *, rate_hz: float, is_present: Booleans | None = None) -> CleanedMotion:
+def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = None) -> CleanedMotion:
     """Clean the motion of a person, or of all people of a video, up.
 
     All stand on one floor; who stands on nothing, see `interaction.floor`, is not put on it.  People who touch each
@@ -116,7 +113,7 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Booleans | None 
     )
 
 
-def _drop_short(is_planted: Booleans, num_frames: int) -> None:
+def _drop_short(is_planted: Flags, num_frames: int) -> None:
     """Take contacts (frame, person, foot) of fewer frames away."""
     for person, side in np.ndindex(is_planted.shape[1:]):
         for first, last in _runs(is_planted[:, person, side]):
@@ -124,7 +121,7 @@ def _drop_short(is_planted: Booleans, num_frames: int) -> None:
                 is_planted[first:last, person, side] = False
 
 
-def _touching(positions: Array, present: Booleans) -> list[tuple[int, int, Booleans]]:
+def _touching(positions: Array, present: Flags) -> list[tuple[int, int, Flags]]:
     """Return who touches whom in which frames (frame,)."""
     radii = capsule_model(OP14).radii_of(positions)
     touching = []
@@ -177,9 +174,7 @@ def facing_of(pose: Array) -> Array:
     return facing / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
-def _correct_paths(
-    feet: Array, is_planted: Booleans, touching: Sequence[tuple[int, int, Booleans]], floor: float
-) -> Array:
+def _correct_paths(feet: Array, is_planted: Flags, touching: Sequence[tuple[int, int, Flags]], floor: float) -> Array:
     """Return the corrections of the paths (frame, person, 3): squared steps of planted feet + stiffness + hold, least.
 
     Two people who touch are also held to the same correction, and upwards planted feet are drawn to the floor.
@@ -222,7 +217,7 @@ def _correct_paths(
     return shift
 
 
-def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float) -> Array:
+def _targets(ankle: Array, is_planted: Flags, floor: float, rate_hz: float) -> Array:
     """Return where a foot goes (frame, 3): still while planted, blended in and out, never below the floor."""
     frames = len(ankle)
     blend = max(1, round(BLEND_S * rate_hz))
@@ -251,7 +246,7 @@ def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float) -
     return np.asarray(target)
 
 
-def _runs(values: Booleans) -> list[tuple[int, int]]:
+def _runs(values: Flags) -> list[tuple[int, int]]:
     """Return first and last + 1 of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], values, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
@@ -23,8 +23,6 @@ from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import Matches, Reconstruction
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
 
 _NUM_CANDIDATES = 20
 """Pairs that are compared per frame."""

@@ -13,14 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
 
 _PARENTS = np.array([max(parent, 0) for parent in OP14.parents])
 _SIGN_GROUPS = tuple(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
 from pasdedeux.kinematics.forward import bone_lengths
@@ -129,7 +129,6 @@ def reconstruct_people(
             pairs=[] if pairs_m is None else pair_depths(pairs_m, searcher.database, couples),
             statures_m=known,
             camera_height_m=camera_height_m,
-            is_lens_known=all(one.track.lens.is_known for one in people),
         )
         if not pitch.is_given:
             pitch = PitchEstimate(pitch.index, scene.pitch_rad, scene.pitch_deviation_rad)
@@ -169,9 +168,7 @@ def _motions(made: MethodMotions) -> dict[int, HumanoidMotion]:
     return {track.person_id: one for track, one in zip(tracks, found, strict=True)}
 
 
-def motions_together(
-    people: Sequence[tuple[int, EmbodiedMotion, npt.NDArray[np.bool_]]], *, rate_hz: float
-) -> list[HumanoidMotion]:
+def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rate_hz: float) -> list[HumanoidMotion]:
     """Return people of one video with soles at y = 0, all from the first frame with anybody to the last.
 
     Args:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import fit_observed, flatten_image, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
@@ -165,8 +165,8 @@ class Reconstruction:
     root_m: Array
     yaw_rad: Array
     score_m: Array
-    row: npt.NDArray[np.int64]
-    is_bridged: npt.NDArray[np.bool_]
+    row: Integers
+    is_bridged: Flags
     metres_per_pixel: Array
     correction_m: Array
     noise_m: float
@@ -177,7 +177,7 @@ class Reconstruction:
         return bone_rotations(self.positions_m)
 
     @property
-    def num_joints_seen(self) -> npt.NDArray[np.int64]:
+    def num_joints_seen(self) -> Integers:
         """Joints seen in each frame (frame,)."""
         return np.asarray((self.track.confidence > 0).sum(axis=1))
 
@@ -332,7 +332,7 @@ def _fit(
     searcher: Searcher,
     found: Matches,
     retrieved: Array,
-    is_known: npt.NDArray[np.bool_],
+    is_known: Flags,
     track: Track,
     options: ReconstructionOptions,
 ) -> Array:
@@ -398,7 +398,7 @@ def share_of_followed(noise_m: float) -> float:
     return noise_m**2 / (noise_m**2 + _NOISE_OF_EQUAL_SHARES_M**2)
 
 
-def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_steps: Array) -> Array:
+def _before_camera(database: Database, row: Integers, yaw_steps: Array) -> Array:
     """Return database poses (*batch, 14, 3) at these yaws in the axes of the database's camera."""
     turned = database.turned(row, yaw_steps)
     return np.asarray(np.einsum("ij,...nj->...ni", database.camera.camera_from_upright_rotmat, turned))
@@ -414,7 +414,7 @@ def _smooth_path(path: Array, window: int) -> Array:
     return np.asarray(savgol_filter(path, length, _SMOOTHING_ORDER, axis=0))
 
 
-def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> Array:
+def _smooth_seen(points: Array, is_seen: Flags, window: int) -> Array:
     """Smooth each joint's path (frame, 14, 2) over time across its gaps; NaN stays where it was not seen."""
     frames = np.arange(len(points))
     smooth = np.full(points.shape, np.nan)
@@ -442,7 +442,7 @@ def _projection_of(database: Database, neighbours: Neighbours) -> Array:
 
 
 def _root_before_camera(
-    placement: Placement, towards_camera: Array, track: Track, is_known: npt.NDArray[np.bool_]
+    placement: Placement, towards_camera: Array, track: Track, is_known: Flags
 ) -> tuple[Array, Array]:
     """Return mid-hip (frame, 3) and direction to camera (frame, 3) by weak perspective; unknown frames interpolated.
 

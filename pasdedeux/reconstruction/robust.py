@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
-
-Integers = npt.NDArray[np.int64]
+from pasdedeux.arrays import Array, Flags, Integers
 
 _STEP = 1e-6
 _NUM_STEPS, _NUM_DAMPINGS = 25, 8
@@ -35,7 +32,7 @@ class Term:
 
     value: Array
     stencil: Integers
-    is_robust: npt.NDArray[np.bool_] | bool = False
+    is_robust: Flags | bool = False
     weight: float = 1.0
 
 
@@ -102,7 +99,7 @@ class _Joined:
     """All terms in a row: values, robustness and weights (n,), the stencils (n, at most 3), -1 where there is none."""
 
     value: Array
-    is_robust: npt.NDArray[np.bool_]
+    is_robust: Flags
     weight: Array
     stencil: Integers
 

@@ -24,9 +24,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import check_positive
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
@@ -38,8 +37,6 @@ from pasdedeux.reconstruction.rays import camera_turns
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.robust import Term, solve
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
 
 _ANKLES = np.array([leg[2] for leg in OP14.legs])
 _ANKLE_HEIGHT = 0.04
@@ -161,10 +158,9 @@ class _Problem:
         pairs: Sequence[PairDepth],
         statures_m: Mapping[int, float],
         camera_height_m: float | None,
-        *,
-        is_lens_known: bool,
     ) -> None:
         self.people, self.pairs, self.pitch = people, pairs, pitch
+        is_lens_known = all(one.track.lens.is_known for one in people)
         self.lens_deviation = _KNOWN_DEVIATION if is_lens_known else _LENS_DEVIATION
         self.log_height = float(np.log(camera_height_m or _CAMERA_HEIGHT_M))
         self.height_deviation = _HEIGHT_DEVIATION if camera_height_m is None else _KNOWN_DEVIATION
@@ -208,7 +204,7 @@ class _Problem:
         speed = np.linalg.norm(np.gradient(ankles, axis=0), axis=-1) * one.track.rate_hz
         return np.where(one.is_bridged[:, None], 0.0, 1.0 / (1.0 + (speed / _STILL_M_S) ** 4))
 
-    def _touching(self, first: int, second: int, one_at: Integers, other_at: Integers) -> npt.NDArray[np.bool_]:
+    def _touching(self, first: int, second: int, one_at: Integers, other_at: Integers) -> Flags:
         """Return on which bones of the other each hand (frame, A's two and B's two, bone) keeps its place in the image.
 
         A hand that only passes before the other, or dances there, moves along the bone.
@@ -340,7 +336,6 @@ def estimate_scene(
     pairs: Sequence[PairDepth] = (),
     statures_m: Mapping[int, float] | None = None,
     camera_height_m: float | None = None,
-    is_lens_known: bool = False,
 ) -> SceneEstimate:
     """Jointly estimate camera, body sizes and root paths.
 
@@ -350,14 +345,13 @@ def estimate_scene(
         pairs: What pairs of a database say of couples, by their numbers in `people`.
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.
-        is_lens_known: The focal length was stated, not assumed.
 
     Raises:
         InputError: The height is not positive.
     """
     if camera_height_m is not None:
         check_positive(camera_height_m, "the height of the camera over the floor")
-    problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m, is_lens_known=is_lens_known)
+    problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
     x, variance = solve(problem, robust=_ROBUST, variance_of=_PITCH)
     return SceneEstimate(
         float(x[_PITCH]),

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotation_kernels import (
@@ -23,16 +22,8 @@ from pasdedeux.kinematics.rotation_kernels import (
     unitquat_from_rotvec,
     unitquat_of,
 )
-from pasdedeux.kinematics.rotations import normalise, slerp
+from pasdedeux.kinematics.rotations import continuous_signs, normalise, slerp
 from pasdedeux.settings import Settings
-
-
-def _continuous_signs(unitquat: Array) -> Array:
-    """Return the same rotations (frame, *batch, 4) with signs chosen so that neighbours lie on the same half-sphere."""
-    dots = np.sum(unitquat[1:] * unitquat[:-1], axis=-1)
-    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
-    signs = np.concatenate([np.ones((1, *dots.shape[1:])), flips]) if len(unitquat) else np.ones(unitquat.shape[:-1])
-    return np.asarray(unitquat * signs[..., None])
 
 
 def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 2) -> Array:
@@ -51,7 +42,7 @@ def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 
         return np.array(unitquat)
     from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
 
-    return normalise(savgol_filter(_continuous_signs(unitquat), window, order, axis=0, mode="interp"))
+    return normalise(savgol_filter(continuous_signs(unitquat), window, order, axis=0, mode="interp"))
 
 
 class OneEuro(Settings):
@@ -119,7 +110,7 @@ def _filter(
     return smooth, pace
 
 
-def bridge_gaps(unitquat: Array, is_known: npt.NDArray[np.bool_]) -> Array:
+def bridge_gaps(unitquat: Array, is_known: Flags) -> Array:
     """Fill frames that are not known on the short arc between their neighbours; the ends repeat the nearest known one.
 
     Args:

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, check_positive
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
-
 
 _FOCAL_OVER_WIDTH = 0.72
 """Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours, prepare_query
@@ -86,7 +86,7 @@ def _refine(
     query: Array,
     weight: Array,
     poses: npt.NDArray[np.float32],
-    row: npt.NDArray[np.int64],
+    row: Integers,
     step: float,
     rays: Array,
     yaw: Array,

@@ -8,9 +8,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.reconstruction_metrics import (
@@ -52,7 +51,7 @@ class Reconstructed:
     item: str
     truth_m: Array
     found_m: Mapping[str, Array]
-    frames: npt.NDArray[np.int64]
+    frames: Integers
     person_id: int = 0
     takes: Sequence[str] = ()
     times_s: Sequence[float] = ()

@@ -70,7 +70,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)
     faults = stream(shard.seed, "ingest", take_id, "detector")
     deviation = parameters.pitch_deviation_deg
-    angles = sample_views(
+    yaw_rad, pitch_rad = sample_views(
         rng,
         count,
         pitch_mean_rad=float(np.deg2rad(parameters.pitch_mean_deg)),
@@ -90,8 +90,8 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
             pair17[frames],
             pair17[frames][..., PAIR17.root, :],
             distance_m=parameters.distance_m,
-            yaw_rad=float(angles.yaw_rad[index]),
-            pitch_rad=float(angles.pitch_rad[index]),
+            yaw_rad=float(yaw_rad[index]),
+            pitch_rad=float(pitch_rad[index]),
         )
         exact = _see(view, pair17[frames], op14[frames])
         shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))

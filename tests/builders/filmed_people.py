@@ -70,12 +70,12 @@ def film(
 
     A person is about 600 of 1080 lines tall, and the noise is in pixels of that image.
     """
-    angles = sample_views(rng, 1)
+    yaws, pitches = sample_views(rng, 1)
     camera = look_at_camera(
         mid_hip(couple).mean(axis=(0, 1)),
         distance_m=_DISTANCE_M,
-        yaw_rad=float(angles.yaw_rad[0]) if yaw_rad is None else yaw_rad,
-        pitch_rad=float(angles.pitch_rad[0]),
+        yaw_rad=float(yaws[0]) if yaw_rad is None else yaw_rad,
+        pitch_rad=float(pitches[0]),
         focal_px=_PERSON_SHARE * lines * _DISTANCE_M / PERSON_HEIGHT_M,
         image_size_px=(lines * 16 // 9, lines),
     )

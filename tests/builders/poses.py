@@ -81,9 +81,9 @@ def dancers(seed: int, count: int) -> np.ndarray:
 
 def filmed(pairs: np.ndarray, seed: int, distance_m: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (n, 2, 17, 2) and true views (n, 3) from random cameras."""
-    angles = sample_views(np.random.default_rng(seed), len(pairs))
+    yaws, pitches = sample_views(np.random.default_rng(seed), len(pairs))
     px, truth = [], []
-    for pair, yaw, pitch in zip(pairs, angles.yaw_rad, angles.pitch_rad, strict=True):
+    for pair, yaw, pitch in zip(pairs, yaws, pitches, strict=True):
         view = frame_take(pair, pair[:, 0], distance_m=distance_m, yaw_rad=yaw, pitch_rad=pitch)
         px.append(view.camera.project(pair).px)
         truth.append(true_direction(pair, view.camera))

@@ -42,14 +42,15 @@ def put_take(
 def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manifest, dict[str, np.ndarray]]:
     """Return 30 annotated frames from random views, each with a neighbour kept for velocity, and the true views."""
     count, rows, truth = 30, [], {}
-    pairs, angles = dancers(8, count), sample_views(np.random.default_rng(8), count)
+    pairs = dancers(8, count)
+    yaws, pitches = sample_views(np.random.default_rng(8), count)
     for index in range(count):
         view = frame_take(
             pairs[index],
             pairs[index][:, 0],
             distance_m=4.0,
-            yaw_rad=angles.yaw_rad[index],
-            pitch_rad=angles.pitch_rad[index],
+            yaw_rad=yaws[index],
+            pitch_rad=pitches[index],
         )
         sequence_id = f"{name}.view{index:03d}"
         truth[sequence_id] = true_direction(pairs[index], view.camera)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.quality import FIGURES, FRAME_LIMITS, Measured, QualityMeter
+from pasdedeux.augmentation.quality import FIGURES, FRAME_LIMITS, FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.figure import limits_of
 from pasdedeux.skeletons import BODY22
@@ -16,7 +16,7 @@ from tests.builders.moving_pairs import swaying_pair
 FRAMES = 20
 
 
-def _measure(source: Source, pair: np.ndarray) -> Measured:
+def _measure(source: Source, pair: np.ndarray) -> tuple[Quality, FrameQuality]:
     return QualityMeter(source).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
@@ -52,14 +52,14 @@ def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
 
 def test_the_source_itself_passes_in_every_frame() -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
-    measured = _measure(source, source.positions_m)
-    assert not measured.frames.judge(FRAME_LIMITS).any()
-    assert measured.frames.jerk_ratio.max() <= 1.0
+    _, frames = _measure(source, source.positions_m)
+    assert not frames.judge(FRAME_LIMITS).any()
+    assert frames.jerk_ratio.max() <= 1.0
 
 
 def test_a_figure_beyond_its_limits_is_a_warning_or_a_failure_and_named() -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
-    quality = _measure(source, source.positions_m).quality
+    quality, _ = _measure(source, source.positions_m)
     limits = limits_of(FIGURES)
     assert quality.judge(limits).level is Level.PASS
     for name, (warn, fail) in limits.items():
@@ -85,7 +85,7 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
     source = Source(swaying_pair(FRAMES), 30.0)
     pair = np.array(source.positions_m)
     pair[10, 0, BODY22.index(joint)] += moved_m
-    frames = _measure(source, pair).frames
+    _, frames = _measure(source, pair)
     values = getattr(frames, figure)
     assert values[10] > FRAME_LIMITS[figure][1]
     verdicts = frames.judge(FRAME_LIMITS)
@@ -95,6 +95,6 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
 
 def test_a_take_of_one_frame_has_figures() -> None:
     source = Source(swaying_pair(1), 30.0)
-    frames = _measure(source, source.positions_m).frames
+    _, frames = _measure(source, source.positions_m)
     assert frames.jerk_ratio.tolist() == [1.0]
     assert frames.stance_excursion_m.tolist() == [0.0]

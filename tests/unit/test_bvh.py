@@ -11,7 +11,8 @@ import pybvh
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import FormatError
+from pasdedeux.formats import bvh_writer
 from pasdedeux.formats.bvh import rate_from_frame_time, read_bvh, read_bvh_head
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.euler import euler_from_unitquat, unitquat_from_euler
@@ -150,9 +151,10 @@ def test_a_file_cut_anywhere_is_refused_unless_only_digits_of_the_last_number_ar
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_reading_is_the_inverse_of_writing(order: str) -> None:
+def test_reading_is_the_inverse_of_writing(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
     motion = figure_motion(num_frames=20, rate_hz=60.0)
-    again = read_bvh(write_bvh(motion, rotation_order=order))
+    monkeypatch.setattr(bvh_writer, "_ROTATION_ORDER", order)
+    again = read_bvh(write_bvh(motion))
     assert again.rate_hz == 60.0
     place = [again.skeleton.index(name) for name in motion.skeleton.joint_names]
     positions, unitquat = again.to_motion(metres_per_unit=0.01, rate_hz=60.0).world()
@@ -168,11 +170,6 @@ def test_what_was_written_and_read_is_written_the_same_again() -> None:
     second = read_bvh(write_bvh(again))
     assert second.skeleton == read_bvh(first).skeleton
     np.testing.assert_allclose(second.root_translation, read_bvh(first).root_translation, atol=1e-6)
-
-
-def test_writing_refuses_an_order_that_is_no_permutation() -> None:
-    with pytest.raises(InputError, match="permutation of XYZ"):
-        write_bvh(figure_motion(), rotation_order="XYX")
 
 
 @pytest.mark.parametrize(("axis", "matrix"), [

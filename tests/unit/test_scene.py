@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,13 +38,15 @@ def seen_and_true(name: str) -> tuple[list[Reconstruction], np.ndarray, float]:
         noise = np.convolve(rng.normal(0.0, 0.25, len(truth) + 60), window, "valid")
         root = mid_hip(truth[:, person])
         positions = (root * (size * np.exp(noise))[:, None])[:, None] + (truth[:, person] - root[:, None]) * size
-        people.append(reconstruction(positions, rate_hz=RATE_HZ, person_id=person))
+        found = reconstruction(positions, rate_hz=RATE_HZ, person_id=person)
+        track = replace(found.track, lens=replace(found.track.lens, is_known=True))
+        people.append(replace(found, track=track))
     return people, truth, float(camera.position_m[1])
 
 
 def solved(people: list[Reconstruction], guess_deg: float = 18.0, **known: Any) -> tuple[SceneEstimate, np.ndarray]:
     guess = PitchEstimate(0, np.deg2rad(guess_deg), np.deg2rad(5.0))
-    scene = estimate_scene(people, guess, is_lens_known=True, **known)
+    scene = estimate_scene(people, guess, **known)
     return scene, np.stack([scene.placed(n, one).positions_m for n, one in enumerate(people)], axis=1)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from pasdedeux.cameras import view_density
 from pasdedeux.cameras.frames import angle_between_directions, true_direction
 from pasdedeux.cameras.orthographic import metres_from_pixels
 from pasdedeux.cameras.torso import TORSO_INDICES
@@ -214,11 +215,12 @@ def density_at(directions: np.ndarray, weights: np.ndarray, deviation_rad: float
     return norm * np.exp(kappa * (views @ directions.T - 1.0)) @ (weights / weights.sum())
 
 
-def test_drawn_views_follow_the_density() -> None:
+def test_drawn_views_follow_the_density(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     centres = direction_of_angles(np.array([0.3, 2.0, -1.0]), np.array([1.2, 1.6, 1.9]))
     weights = np.array([1.0, 2.0, 3.0])
-    draws = draw_views(rng, centres, weights, 20000, deviation_rad=0.25)
+    monkeypatch.setattr(view_density, "VIEW_DEVIATION_RAD", 0.25)
+    draws = draw_views(rng, centres, weights, 20000)
     np.testing.assert_allclose(np.linalg.norm(draws, axis=-1), 1.0)
     grid = _sphere(40000)
     share = density_at(centres, weights, 0.25, grid)

@@ -9,15 +9,12 @@ somebody near stands on nothing.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.floor import StandingSettings
 from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg, facing_of
 from pasdedeux.skeletons import OP14
-
-Flags = npt.NDArray[np.bool_]
 
 _LEGS = np.array(OP14.legs)
 _UP, _AWAY = 1, 2

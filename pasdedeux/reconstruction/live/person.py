@@ -17,7 +17,7 @@ from statistics import median
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import multiply, rotate
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
@@ -26,7 +26,7 @@ from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, be
 from pasdedeux.reconstruction.body_kernels import held_hips
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveFloor
-from pasdedeux.reconstruction.live.window_fit import MIN_NOISE_M, Integers, LiveFrame, WindowFit
+from pasdedeux.reconstruction.live.window_fit import MIN_NOISE_M, LiveFrame, WindowFit
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
 from pasdedeux.reconstruction.rays import camera_turns, straighten_rays
 from pasdedeux.reconstruction.reconstruct import MIN_JOINTS, Searcher

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.observed_pose import ACCELERATION_M_S2, BoneVectorTerm, flatten_image, image_noise, image_term
@@ -25,8 +24,6 @@ from pasdedeux.reconstruction.depth import SignStep, bones_by_votes, place_depth
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, bone_deviation_m, share_of_followed
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
 
 _POSE = (OP14.num_joints, 3)
 _NUM_HELD = 2

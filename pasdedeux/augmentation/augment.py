@@ -67,14 +67,6 @@ class Augmenter:
     """A take that is ready for any number of variants: mesh, terms and factor are computed once.
 
     A long take is solved in windows; then only the last few windows are kept ready.
-
-    Args:
-        source: The take.
-        settings: How variants are solved and judged.
-        user_contacts: Contacts that replace what is found.
-
-    Raises:
-        InputError: A contact is of frames that the take does not have.
     """
 
     def __init__(
@@ -98,11 +90,7 @@ class Augmenter:
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
-        """Solve a batch of variations; a few dozen at a time are fastest.
-
-        Raises:
-            InputError: Scales of the wrong shape, or not positive.
-        """
+        """Solve a batch of variations; a few dozen at a time are fastest."""
         if not variations:
             return []
         bone_scale = complete_scales(self.source, np.stack([variation.bone_scale for variation in variations]))

@@ -177,11 +177,7 @@ def points_of(people: Array) -> Array:
 
 
 def complete_scales(source: Source, bone_scale: Array) -> Array:
-    """Return scales (variant, P, 22) whose root entries are the leg ratios of the source's own legs.
-
-    Raises:
-        InputError: Wrong shape, or a scale that is not positive.
-    """
+    """Return scales (variant, P, 22) whose root entries are the leg ratios of the source's own legs."""
     skeleton = source.skeleton
     check_bone_scales(bone_scale, source.num_people, what=source.name, skeleton=skeleton)
     completed = np.array(bone_scale, dtype=np.float64)
@@ -229,9 +225,6 @@ def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, sour
         bone_scale: Scales of the variant (P, 22).
         positions_m: The variant (T, P, 22, 3), metres.
         source_world_unitquat: World rotations of the source from its rest pose (T, P, 22, 4), whose twist is kept.
-
-    Raises:
-        InputError: There is not a rest pose of 22 joints for everybody.
     """
     num_people = positions_m.shape[1]
     if rest_m.shape != (num_people, BODY22.num_joints, 3):

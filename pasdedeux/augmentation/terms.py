@@ -61,13 +61,7 @@ def build_problem(
     *,
     user_contacts: Sequence[UserContact] = (),
 ) -> Problem:
-    """Find the terms of a take and add them up to its quadratic form.
-
-    Args:
-        source: The template.
-        settings: Who is held fixed.
-        user_contacts: Contacts that replace what is found.
-    """
+    """Find the terms of a take and add them up to its quadratic form."""
     mesh = build_mesh(source, smoothing_s=_MESH_SMOOTHING_S)
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
@@ -142,11 +136,7 @@ def temporal_couplings(stance: Array, smoothness: float, frames: int) -> tuple[A
 
 
 def build_targets(problem: Problem, bone_scale: Array) -> Targets:
-    """Return the reference motion and the targets of a batch of variants (variant, P, 22).
-
-    Raises:
-        InputError: Scales of the wrong shape, or not positive.
-    """
+    """Return the reference motion and the targets of a batch of variants (variant, P, 22)."""
     source = problem.source
     bone_scale = complete_scales(source, bone_scale)
     reference = reference_motion(source, bone_scale)

@@ -70,9 +70,6 @@ class Variation:
     Args:
         variant_id: Name, unique in a take, e.g. `A-uniform-0.80`.
         bone_scale: Scale of each bone (P, 22), a bone named by its child joint; the root's entry is the root height's.
-
-    Raises:
-        InputError: Wrong shape, or a scale that is not a positive number.
     """
 
     variant_id: str

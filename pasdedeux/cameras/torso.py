@@ -85,9 +85,6 @@ def learn_torso_basis(pair17_m: Array) -> TorsoBasis:
 
     Each torso is scaled to the mean size (sum of its bone lengths, which does not change as a person moves) and turned
     onto the mean (Procrustes), so that neither size nor direction is learned.
-
-    Raises:
-        InputError: Fewer than 10 poses.
     """
     poses = np.asarray(pair17_m, dtype=np.float64).reshape(-1, PAIR17.num_joints, 3)
     if len(poses) < 10:

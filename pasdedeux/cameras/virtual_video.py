@@ -123,9 +123,6 @@ def frame_take(
             1 m to the image plane.  The focal length grows with it, so people keep their size.
         yaw_rad: Azimuth of the camera.
         pitch_rad: Elevation of the camera.
-
-    Raises:
-        InputError: There are no finite positions or roots.
     """
     points = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=-1)]
@@ -170,9 +167,6 @@ def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_p
     """Put `count` joints of each person in every frame anywhere in the image, with a confidence below 0.2.
 
     Detectors do so with joints that they do not find.  A person who is not seen at all gets none.
-
-    Raises:
-        InputError: More joints than there are.
     """
     num_joints = seen.confidence.shape[-1]
     if not 0 <= count <= num_joints:

@@ -76,11 +76,7 @@ class Body:
 
 
 def make_body(height_m: float) -> Body:
-    """Return a body of a height, with the proportions of Drillis and Contini.
-
-    Raises:
-        InputError: The height is outside `HEIGHT_LIMITS_M`.
-    """
+    """Return a body of a height, with the proportions of Drillis and Contini."""
     low, high = HEIGHT_LIMITS_M
     if not low <= height_m <= high:
         raise InputError(f"a body height of {height_m:g} m is outside what the duets are made for: {low} to {high} m")

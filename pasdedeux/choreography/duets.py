@@ -19,7 +19,6 @@ from pasdedeux.choreography.trio import Trio
 from pasdedeux.choreography.waltz import Waltz
 from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
-from pasdedeux.settings import first_problem
 from pasdedeux.skeletons.layouts import LAYOUTS
 
 DUETS: dict[str, type[Dance]] = {
@@ -43,10 +42,6 @@ DEFAULT_DUETS = ("waltz", "hug", "judo", "push_hands")
 
 def make_duet(name: str, **style: object) -> Duet:
     """Make a built-in duet by name.
-
-    Args:
-        name: One of `DUETS`.
-        **style: Fields of `DuetStyle`.
 
     Raises:
         InputError: The name is unknown (the nearest is given), or a value is not allowed.
@@ -75,11 +70,7 @@ def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> 
 
 
 def style_of(name: str, **style: object) -> Dance:
-    """Return the style of a built-in duet, with defaults for what is not stated.
-
-    Raises:
-        InputError: As `make_duet` does.
-    """
+    """Return the style of a built-in duet, with defaults for what is not stated."""
     if name not in DUETS:
         near = get_close_matches(name, DUETS, n=1)
         hint = f", did you mean '{near[0]}'?" if near else ""
@@ -87,7 +78,10 @@ def style_of(name: str, **style: object) -> Dance:
     try:
         return DUETS[name].model_validate(style)
     except ValidationError as error:
-        raise InputError(f"duet '{name}': {first_problem(error)}") from None
+        first = error.errors()[0]
+        place, message = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+        found = f"{place} is {first['input']}: " if place else ""
+        raise InputError(f"duet '{name}': {found}{message}") from None
 
 
 @lru_cache

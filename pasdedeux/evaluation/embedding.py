@@ -34,11 +34,7 @@ class PairMap:
 
     @classmethod
     def of(cls, pairs_m: Array) -> PairMap:
-        """Lay out real pairs (n, person=2, joint, 3), or images (..., 2), metres, at least three that differ.
-
-        Raises:
-            InputError: There are fewer than three, or all are the same.
-        """
+        """Lay out real pairs (n, person=2, joint, 3), or images (..., 2), metres, at least three that differ."""
         if len(pairs_m) < 3:
             raise InputError(f"a map needs at least 3 pairs, found {len(pairs_m)}")
         squared = _distances(pairs_m, pairs_m) ** 2

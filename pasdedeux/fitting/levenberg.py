@@ -69,9 +69,6 @@ def fit_bones(
         start: First guess.
         terms: Terms; together they should hold every unknown (a weak `PointTerm` does).
         settings: When to stop.
-
-    Raises:
-        InputError: The energy of the first guess is not finite.
     """
     settings = settings or FitSettings()
     state = start

@@ -120,9 +120,6 @@ def fit_observed(
         rate_hz: Frames per second.
         distance_m: Distance (T,) of z = 0 from a pinhole.
         min_noise_m: The image is never believed better than this.
-
-    Raises:
-        InputError: The first guess is not finite.
     """
     frames, joints = start_m.shape[:2]
     is_seen = np.isfinite(observed_m).all(axis=-1) & (confidence > 0)

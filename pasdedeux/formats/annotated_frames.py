@@ -79,9 +79,6 @@ class AnnotatedFrames:
         skipped: Names of files that could not be read.
         has_identities: Whether a person has the same number in every frame; a detector that does not follow people
             numbers them anew in each.
-
-    Raises:
-        FormatError: The name of a sequence is not allowed, or the same person is there twice in a frame.
     """
 
     layout: str
@@ -162,9 +159,6 @@ def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> A
     Args:
         frames: Annotations.
         min_confidence: Keypoints of less, as the source has it, are missing; None for `MIN_CONFIDENCE` after that.
-
-    Raises:
-        InputError: Nothing is left.
     """
     known = frames.confidence[frames.confidence > 0]
     scale = float(np.percentile(known, 95)) if len(known) else 1.0

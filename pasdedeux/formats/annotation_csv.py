@@ -37,9 +37,6 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
         data: The file.
         sequence_id: Name of the sequence where the file has no column for it.
         layout: Layout of the keypoints; "auto" takes the one the file states or the only one that has all its joints.
-
-    Raises:
-        FormatError: The file is mangled, or its layout is unclear; the line is named.
     """
     size = rate_hz = focal_px = None
     people: dict[tuple[str, int, int], dict[str, tuple[float, float, float]]] = {}

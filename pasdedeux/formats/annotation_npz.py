@@ -17,11 +17,7 @@ from pasdedeux.formats.text import MAX_COUNT, MAX_MAGNITUDE, check_range
 
 
 def read_annotation_npz(data: bytes, sequence_id: str = "sequence", layout: str = "auto") -> AnnotatedFrames:
-    """Read our npz of 2D annotations.
-
-    Raises:
-        FormatError: The archive is damaged, an array is missing or has a wrong shape or type, or a value is absurd.
-    """
+    """Read our npz of 2D annotations."""
     arrays = read_npz(data, "annotation archive")
     if layout == "auto":
         layout = str(get_array(arrays, "layout", "U", ()).item())

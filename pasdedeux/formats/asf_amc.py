@@ -119,11 +119,7 @@ class _Bone:
 
 
 def read_asf(data: bytes | str) -> AsfSkeleton:
-    """Read an ASF file.
-
-    Raises:
-        FormatError: The file is mangled: a missing section, an unknown bone, one without parent, NaN (line named).
-    """
+    """Read an ASF file."""
     with Lines(data, "ASF file") as lines:
         return _read_asf(lines)
 
@@ -205,12 +201,7 @@ def _read_asf(lines: Lines) -> AsfSkeleton:
 
 
 def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
-    """Read an AMC file over its skeleton.  AMC states no frame rate: `rate_hz` is None (CMU: 120 Hz, salsa 60 Hz).
-
-    Raises:
-        FormatError: The file is mangled or belongs to another skeleton: an unknown bone, a bone missing in a frame, a
-            wrong number of values, a frame number out of order, NaN.  The line is named.
-    """
+    """Read an AMC file over its skeleton.  AMC states no frame rate: `rate_hz` is None (CMU: 120 Hz, salsa 60 Hz)."""
     starts = np.cumsum([0, *map(len, asf.dof)]).tolist()
     values, is_degrees = _read_rows(data, dict(zip(asf.skeleton.joint_names, pairwise(starts), strict=True)))
     is_degrees = asf.is_degrees if is_degrees is None else is_degrees

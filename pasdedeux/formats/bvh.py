@@ -83,12 +83,7 @@ class BvhHierarchy:
 
 
 def read_bvh(data: bytes | str) -> SourceMotion:
-    """Read a BVH file.  An End Site without an offset says nothing and is dropped.
-
-    Raises:
-        FormatError: The file is mangled: truncated, a wrong number of values in a frame, NaN, unknown channels,
-            two roots, unbalanced braces, absurd numbers.  The line is named.
-    """
+    """Read a BVH file.  An End Site without an offset says nothing and is dropped."""
     return BvhHierarchy.motion(*_read(data))
 
 
@@ -107,10 +102,6 @@ def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion
 
     Each line is a frame: for every joint of the template in its order three Euler angles in degrees, in the order of
     the joint's rotation channels.  The root stays at the template's OFFSET.
-
-    Raises:
-        FormatError: The template is no BVH file with three rotations per joint, or a row has a wrong number of values
-            or a value that is no finite number; the line is named.
     """
     with Lines(template, "BVH template") as lines:
         hierarchy = _read_hierarchy(lines)

@@ -16,11 +16,6 @@ def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, decimals: int =
 
     A leaf whose name ends in `_end` and that never turns is written as an End Site; every other leaf gets an End Site
     without offset.  `read_bvh` gives the same motion back, to half a unit of the last decimal.
-
-    Args:
-        motion: The motion to write.
-        units_per_metre: 100 for centimetres, 1 for metres.
-        decimals: Digits after the point.
     """
     skeleton = motion.skeleton
     offsets = motion.rest_offsets_m * units_per_metre

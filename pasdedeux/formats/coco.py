@@ -49,11 +49,6 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str = "auto") -> Anno
     list of results the third number is a confidence, and `image_id` is the frame or the name of the image.  mmpose's
     own form has a list of frames with `instances`, whose keypoints and `keypoint_scores` stand apart.  People are
     numbered by `track_id` or AlphaPose's `idx` where everybody has one of their own, else by their order.
-
-    Raises:
-        FormatError: Not JSON, not COCO keypoints, a number of keypoints that no layout has, a visibility other than 0,
-            1, 2, an unknown image, or a value that is no finite number.
-        InputError: The file holds nobody.
     """
     content = parse_json(data, "COCO file")
     named = content if isinstance(content, dict) else {"instance_info": content}
@@ -86,9 +81,6 @@ def read_image_results(data: bytes) -> list[Detection]:
 
     mmpose writes such a list for each image, alone or as `instance_info` beside its `meta_info`; Ultralytics' results
     give it by `to_json`, with objects that are no people among them.
-
-    Raises:
-        FormatError: It is no such list, or a value is no number; the person is named.
     """
     content = parse_json(data, "JSON file")
     people = content.get("instance_info") if isinstance(content, dict) else content
@@ -151,11 +143,7 @@ def _people(listed: list[Any]) -> Iterator[_Item]:
 
 
 def _keypoint_table(content: dict[str, Any], where: str) -> Array:
-    """Return the keypoints (K, 3) of a person: triples end to end, or points or lists x and y with scores apart.
-
-    Raises:
-        FormatError: Neither of these, or a value that is no number; `where` is put in front.
-    """
+    """Return the keypoints (K, 3) of a person: triples end to end, or points or lists x and y with scores apart."""
     numbers, scores = content["keypoints"], content.get("keypoint_scores")
     if isinstance(numbers, dict):
         x, y, scores = (numbers.get(key) for key in ("x", "y", "visible"))

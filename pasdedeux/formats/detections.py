@@ -81,10 +81,6 @@ def join_detections(
         sizes_px: Image size by video, where it is known.
         rate_hz: Frames per second, where the file says.
         skipped: Files that were skipped.
-
-    Raises:
-        FormatError: A number of keypoints that no layout has, or two in one source; a confidence out of range.
-        InputError: Nobody was detected, or the layout asked for has another number of keypoints.
     """
     if not detections:
         raise InputError(f"sequence '{sequence_id}': nobody was detected in any frame")
@@ -169,9 +165,6 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     Folders that all names share say nothing.  A single video has no name.  Names of which one
     has no number, or whose videos would mostly have one frame, are single images: frames of one sequence, in the order
     of the names.
-
-    Raises:
-        FormatError: Two names are the same frame of the same video.
     """
     folders = {name: name.replace("\\", "/").split("/")[:-1] for name in dict.fromkeys(names)}
     shared = len(list(takewhile(lambda parts: len(set(parts)) == 1, zip(*folders.values(), strict=False))))
@@ -195,11 +188,7 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
 
 
 def known_footage(content: object) -> Footage:
-    """Return size and rate that a JSON object states under the usual keys, itself or in an object inside it.
-
-    Raises:
-        FormatError: A rate or size that is no sensible number.
-    """
+    """Return size and rate that a JSON object states under the usual keys, itself or in an object inside it."""
     inside = [content, *content.values()] if isinstance(content, dict) else []
     parts = [part for part in inside if isinstance(part, dict)]
     size = next(filter(None, (image_size(part, keys) for part in parts for keys in _SIZE_KEYS)), None)

@@ -21,11 +21,7 @@ _LOOKED_AT_BYTES = 200_000
 
 
 class FileStart:
-    """What formats are recognised by: the beginning of a file, inspected once for all of them.
-
-    Args:
-        data: The file.
-    """
+    """What formats are recognised by: the beginning of a file, inspected once for all of them."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -164,10 +160,6 @@ class AnnotationFormat(FileFormat):
             sequence_id: Name of the sequence where the files do not name any.
             layout: Keypoint layout asked for; "auto" takes what the files say or what their keypoints show.
             skip_unreadable: Skip frames whose file is damaged, and name the file, instead of refusing.
-
-        Raises:
-            FormatError: A file is mangled; says the file, the line, the frame or the entry, and what is wrong.
-            InputError: The files are not of the layout asked for, or hold nobody.
         """
         if self.read_people is None:
             assert self.read_file is not None

@@ -42,10 +42,6 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str = "auto") ->
     """Read landmarks, whose coordinates may be shares of the image; what is missing or at (0, 0) is not detected.
 
     Without a number of its own, a frame is where it stands.  Points in order may be another detector's.
-
-    Raises:
-        FormatError: The file is mangled, or is none of these forms; says the line or the frame.
-        InputError: It holds nobody.
     """
     what = "file of landmarks"
     footage = UNKNOWN

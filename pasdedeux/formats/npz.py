@@ -61,9 +61,6 @@ def get_array(
         name: Its name.
         kinds: Letters of its numpy types, a key of `_KINDS`.
         shape: Its shape; None is any length.
-
-    Raises:
-        FormatError: It is not there, or another one.
     """
     array = arrays.get(name)
     sizes = () if array is None else array.shape

@@ -14,11 +14,7 @@ MAX_PEOPLE = 1000
 
 
 def read_people(data: bytes | str) -> list[Detection]:
-    """Read the JSON of one frame, versions 1.0 to 1.7.  (0, 0) and confidence 0 both mean not detected.
-
-    Raises:
-        FormatError: Not JSON, not OpenPose, a number of keypoints that no layout has, or a value that is no number.
-    """
+    """Read the JSON of one frame, versions 1.0 to 1.7.  (0, 0) and confidence 0 both mean not detected."""
     content = parse_json(data, "OpenPose file")
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list):

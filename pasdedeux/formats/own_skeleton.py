@@ -88,11 +88,7 @@ class BodyMap:
 
 
 def body_map(layout: Layout, skeleton: Skeleton, rest_offsets_m: Array) -> BodyMap:
-    """Return how a layout derives body22 from a source's joints.
-
-    Raises:
-        InputError: The layout names a joint that the source does not have.
-    """
+    """Return how a layout derives body22 from a source's joints."""
     table = layout.joint_map(BODY22.name)
     points = {point.name: point for point in layout.points}
     weight = np.zeros((BODY22.num_joints, skeleton.num_joints))
@@ -178,9 +174,6 @@ class OwnSkeleton:
             body22_m: Where body22 is wanted (frame, 22, 3), metres.
             bone_scale: Scale of each bone (22,).
             meets_tips: False when limbs shall have the directions of body22 instead, wherever they then end.
-
-        Raises:
-            InputError: There are other than the motion's frames.
         """
         source, skeleton = self.motion, self.motion.skeleton
         if body22_m.shape != (source.num_frames, BODY22.num_joints, 3):

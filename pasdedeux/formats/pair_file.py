@@ -109,10 +109,6 @@ def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
     """Read what `write_pair_json` wrote, edited or not.
 
     `made_from`, `takes` and `sources` are optional; so are joints where `is_partial`: NaN when missing or null.
-
-    Raises:
-        FormatError: It is no such file, a joint is missing, unknown or not three finite numbers, or a bone has a length
-            that no person's has; names the person and the joint.
     """
     try:
         tree = _Tree.model_validate(parse_json(data, "pair"))
@@ -145,10 +141,6 @@ def pair_from_bvh(
     """Read one frame of two BVH files, those of person A and person B, as a pair.
 
     Joints are those of `pair17` where the file has them all, as one that was written here; else a known layout.
-
-    Raises:
-        FormatError: A file is mangled, has no such frame, fits no known layout, or a bone has a length that no
-            person's has; names the person.
     """
     pair = np.array(
         [_posed(name, data, frame, metres_per_unit) for name, data in zip(_PERSONS, (first, second), strict=True)]

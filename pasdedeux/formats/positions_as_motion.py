@@ -21,9 +21,6 @@ def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float
 
     The rest pose has the median bone lengths and the directions of the first frame.  Where bone lengths vary the
     motion's joints differ from the positions by that much.
-
-    Raises:
-        InputError: A value is not finite; the frame and joint are named.
     """
     for frame, joint in np.argwhere(~np.isfinite(positions_m).all(axis=-1)):
         raise InputError(f"frame {frame}: the position of '{skeleton.joint_names[joint]}' is not finite")
@@ -50,9 +47,6 @@ def exact_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Moti
     A joint turns all its children together, so children that move against each other - hips against the spine - would
     be off by that much.  Between such a joint and each of its children stands one more joint, `<child>_base`, at
     offset zero and with a rotation of its own, as in the CMU files at hips and shoulders.
-
-    Raises:
-        InputError: A value is not finite; the frame and joint are named.
     """
     rigid = motion_from_positions(skeleton, positions_m, rate_hz)
     world = rigid.world()[1]

@@ -21,13 +21,7 @@ _MAX_JOINTS = 1000
 
 
 def read_positions_npz(data: bytes, companion: bytes = b"") -> SourceMotion:
-    """Read an npz of 3D positions as a motion whose rotations are swings only, in metres.
-
-    Raises:
-        FormatError: The archive is damaged, an array is missing or wrong, or a position is not finite (frame and joint
-            are named).
-        InputError: The joints form no tree.
-    """
+    """Read an npz of 3D positions as a motion whose rotations are swings only, in metres."""
     arrays = read_npz(data, "archive of positions")
     positions = get_array(arrays, "positions_m", "f", (None, None, 3)).astype(np.float64)
     num_frames, num_joints, _ = positions.shape

@@ -29,11 +29,7 @@ ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
 
 
 def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
-    """Return the format of a file by its content, never by its name.
-
-    Raises:
-        FormatError: It is empty, or none of them; the message says what each is recognised by.
-    """
+    """Return the format of a file by its content, never by its name."""
     if not data.strip():
         raise FormatError("this file is empty")
     start = FileStart(data)
@@ -56,16 +52,7 @@ def is_companion(data: bytes) -> bool:
 
 
 def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
-    """Return the format of this name, or for "auto" the one that a file's content shows.
-
-    Args:
-        known: `MOTION_FORMATS` or `ANNOTATION_FORMATS`: what the file must be.
-        name: Name of one of them, or "auto".
-        data: The file.
-
-    Raises:
-        FormatError: The file is of no format, or of none of these.
-    """
+    """Return the format of this name, or for "auto" the one that a file's content shows."""
     if name != "auto":
         return known[name]
     found = recognise_format(data).name

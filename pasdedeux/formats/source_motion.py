@@ -75,9 +75,6 @@ class SourceMotion:
             metres_per_unit: Length of the file's unit, metres.
             rate_hz: True frame rate.
             up_axis: Axis of the file that points up: x, y or z.  The axes are turned, never mirrored.
-
-        Raises:
-            InputError: An unknown axis, a scale that is not positive, or values that are not finite.
         """
         world_from_file = upright_from_file(up_axis)
         check_positive(metres_per_unit, "the length of the file's unit in metres")
@@ -101,11 +98,7 @@ class SourceMotion:
 
 
 def upright_from_file(up_axis: str) -> Array:
-    """Return the rotation (4,) from the axes of a file, of which this one points up, to Y up.
-
-    Raises:
-        InputError: An unknown axis.
-    """
+    """Return the rotation (4,) from the axes of a file, of which this one points up, to Y up."""
     if up_axis not in UP_AXES:
         raise InputError(f"the up axis is '{up_axis}'; allowed: {', '.join(UP_AXES)}")
     return unitquat_from_rotvec(np.array(UP_AXES[up_axis]))

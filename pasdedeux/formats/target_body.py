@@ -100,10 +100,6 @@ def read_body(name: str, data: bytes) -> TargetBody:
     The table has the columns `from`, `to`, `distance_m`.  An npz has `positions_m` (joint, 3) or (frame, joint, 3) and
     `joint_names`, and may have `parents`; a JSON object the same keys, or a joint's name with its three numbers each.
     Joints have the names of body22 or of SMPL; distances of frames are their medians.
-
-    Raises:
-        FormatError: The file is mangled, a joint that is needed is missing or not known, its tree is another one, or a
-            distance is no person's.
     """
     with named(name):
         if is_npz(data):
@@ -126,9 +122,6 @@ def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: 
         lengths_m: The person's bones (22,), metres.
         layout: Layout of the person's joints.
         who: Who it is, for messages.
-
-    Raises:
-        InputError: The body is more than three times, or less than a third of, the person's size.
     """
     directions = bone_directions(BODY22, standing(own).rest_body22_m)
     asked = target.of(layout)

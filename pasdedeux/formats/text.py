@@ -34,10 +34,6 @@ class Lines:
     Traceback (most recent call last):
     pasdedeux.errors.FormatError: line 1: 'a' is not known
 
-    Args:
-        data: The file.
-        what: What it is, for messages.
-
     Raises:
         FormatError: The data is empty or binary.
     """
@@ -79,9 +75,6 @@ class Lines:
         Args:
             needed: Columns that must be there.
             known: Columns that may be there, with those; any where empty.
-
-        Raises:
-            FormatError: It is not valid CSV, a column is missing, unknown or double, a row has too few or many values.
         """
         for _ in self.notes():
             pass
@@ -99,11 +92,7 @@ class Lines:
         return columns, (dict(zip(columns, _fitting(row, columns), strict=True)) for row in rows)
 
     def numbers(self, columns: Sequence[str], num_rows: int | None = None) -> npt.NDArray[np.float64]:
-        """Return the numbers (row, column) that the lines left are; blank ones are skipped.
-
-        Raises:
-            FormatError: There are not `num_rows`, one has other than a number for each column, or an absurd one.
-        """
+        """Return the numbers (row, column) that the lines left are; blank ones are skipped."""
         start, rows = self.number, [text for text in self if text.strip()]
         if rows and len(rows) == (num_rows or len(rows)):
             try:
@@ -141,11 +130,7 @@ def _fitting(values: list[str], columns: Sequence[str]) -> list[str]:
 
 
 def decode(data: bytes | str, what: str) -> str:
-    """Return the text of `data`: UTF-8 with or without a byte order mark, else Latin-1.
-
-    Raises:
-        FormatError: The data is empty or binary.
-    """
+    """Return the text of `data`: UTF-8 with or without a byte order mark, else Latin-1."""
     if isinstance(data, str):
         text = data
     else:
@@ -167,11 +152,7 @@ def shorten(token: object) -> str:
 
 
 def parse_number(token: str, what: str, low: float = -MAX_MAGNITUDE, high: float = MAX_MAGNITUDE) -> float:
-    """Return the finite number that a token spells.
-
-    Raises:
-        FormatError: It spells none, or one out of range; `what` it is stands in front.
-    """
+    """Return the finite number that a token spells."""
     try:
         if "_" in token or not token.isascii():
             raise ValueError
@@ -184,11 +165,7 @@ def parse_number(token: str, what: str, low: float = -MAX_MAGNITUDE, high: float
 
 
 def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) -> int:
-    """Return the whole number that a token spells.
-
-    Raises:
-        FormatError: It spells none, or one out of range; `what` it is stands in front.
-    """
+    """Return the whole number that a token spells."""
     digits = token.removeprefix("-")
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
         raise FormatError(f"{what}: '{shorten(token)}' is not a whole number")
@@ -196,48 +173,28 @@ def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) ->
 
 
 def check_range(value: N, what: str, low: float, high: float) -> N:
-    """Return a value that lies in a range.
-
-    Raises:
-        FormatError: It does not; says what it is, and the range.
-    """
+    """Return a value that lies in a range."""
     if not low <= value <= high:
         raise FormatError(f"{what} is {value:.10g}; allowed: {low:.10g} to {high:.10g}")
     return value
 
 
 def parse_numbers(tokens: Sequence[str], what: str, count: int) -> list[float]:
-    """Return so many finite numbers.
-
-    Raises:
-        FormatError: There are more or fewer, or as `parse_number`.
-    """
+    """Return so many finite numbers."""
     if len(tokens) != count:
         raise FormatError(f"{what} needs {count} numbers, found {len(tokens)}")
     return [parse_number(token, what) for token in tokens]
 
 
 def parse_triples(numbers: list[Any], what: str) -> npt.NDArray[np.float64]:
-    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN is how some write "not detected".
-
-    Raises:
-        FormatError: A value is no number or absurdly large; `what` it is of stands in front.
-    """
+    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN is how some write "not detected"."""
     if not all(isinstance(n, int | float) and not isinstance(n, bool) and not abs(n) > MAX_MAGNITUDE for n in numbers):
         raise FormatError(f"{what} holds a value that is no number or absurdly large")
     return np.array(numbers, dtype=np.float64).reshape(-1, 3)
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
-    """Return the value of a JSON text; of what JSON does not know NaN may be there, as some detectors write it.
-
-    Args:
-        data: The text.
-        what: What it is, for messages.
-
-    Raises:
-        FormatError: The text is empty, truncated, nested too deeply or otherwise not JSON; the line is named.
-    """
+    """Return the value of a JSON text; of what JSON does not know NaN may be there, as some detectors write it."""
     text = decode(data, what)
 
     def refuse(constant: str) -> float:

@@ -37,11 +37,7 @@ class WorkingPoses:
 
 
 def derive_working_poses(motion: Motion, layout: Layout) -> WorkingPoses:
-    """Derive the working skeletons of a motion through a layout.
-
-    Raises:
-        InputError: The layout names a joint that the motion does not have, or a working bone has no length.
-    """
+    """Derive the working skeletons of a motion through a layout."""
     extended = _with_points(motion, layout)
     names = extended.skeleton.joint_names
     positions, world_unitquat = extended.world()
@@ -58,11 +54,7 @@ def derive_working_poses(motion: Motion, layout: Layout) -> WorkingPoses:
 
 
 def check_layout(motion: Motion, layout: Layout) -> None:
-    """Refuse a layout that does not fit a motion: needs the rest pose only.
-
-    Raises:
-        InputError: A joint of the layout is not in the motion, or a bone of a working skeleton has no length at rest.
-    """
+    """Refuse a layout that does not fit a motion: needs the rest pose only."""
     extended = _with_points(motion, layout)
     source_rest = extended.rest_positions_m()
     for skeleton in (PAIR17, OP14, BODY22):

@@ -24,9 +24,6 @@ class Motion:
         root_translation_m: World position of the root, (frame, 3).
         local_unitquat: Local rotations, (frame, J, 4), x, y, z, w.
         rate_hz: Frames per second.
-
-    Raises:
-        InputError: Shapes do not fit, the rate is not positive, or a value is not finite (the frame is named).
     """
 
     skeleton: Skeleton

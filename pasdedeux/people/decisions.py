@@ -53,12 +53,7 @@ class Decision:
 
 
 def read_decisions(data: bytes | str) -> list[Decision]:
-    """Read the table.
-
-    Raises:
-        FormatError: It has other columns, a value that is none, frames that end before they begin, or a person twice
-            in a frame; the line is named.
-    """
+    """Read the table."""
     found: list[Decision] = []
     with Lines(data, "table of people") as lines:
         for row in lines.table(COLUMNS, COLUMNS)[1]:

@@ -212,9 +212,6 @@ def resolve_sequence(
         settings: How.
         decisions: What somebody else decided of this sequence.
         is_start: The rows are the start of a longer sequence.
-
-    Raises:
-        InputError: A decision is about what the sequence does not have, or makes one of two in the same frame.
     """
     settings = settings or PeopleSettings()
     is_followed = settings.identities == "follow" or (settings.identities == "auto" and not has_identities)

@@ -63,9 +63,6 @@ class JointLimits:
         lower_rad: Smallest valid angles, (29,), in the order of `ranges.ANGLES`.
         upper_rad: Greatest valid angles, (29,).
         source: Where each range came from, 29 texts.
-
-    Raises:
-        InputError: A shape is wrong, or a range is empty or not finite.
     """
 
     lower_rad: Array

@@ -82,9 +82,6 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
             people who are not there anything finite.
         rate_hz: Frames per second.
         is_present: Who is there (frame, *person); everybody where not given.
-
-    Raises:
-        InputError: Positions that are not finite or of another shape, or a rate that is not positive.
     """
     if positions_m.ndim not in (3, 4) or positions_m.shape[-2:] != (14, 3) or len(positions_m) == 0:
         raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, *people, 14, 3)")

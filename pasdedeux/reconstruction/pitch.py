@@ -163,11 +163,6 @@ def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height
     One camera does not see how large people are: body and path may grow together about the camera.  So does the floor
     below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  A
     person whose feet are not below the camera, or who would come out twice or half as large, keeps the size.
-
-    Args:
-        found: Reconstruction, camera axes, camera at the origin.
-        camera: The database's camera, whose pitch says where up is.
-        camera_height_m: Height of the camera over the floor, metres.
     """
     upright = found.positions_m @ np.asarray(camera.camera_from_upright_rotmat)
     lowest = upright[~found.is_bridged][:, _ANKLES, 1].min(axis=1)

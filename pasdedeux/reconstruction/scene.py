@@ -345,9 +345,6 @@ def estimate_scene(
         pairs: What pairs of a database say of couples, by their numbers in `people`.
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.
-
-    Raises:
-        InputError: The height is not positive.
     """
     if camera_height_m is not None:
         check_positive(camera_height_m, "the height of the camera over the floor")

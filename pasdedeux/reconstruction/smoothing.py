@@ -31,9 +31,6 @@ def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 
 
     Fitting components and normalising is exact to second order in the angle turned within the window.  The window
     shrinks for short motions; with fewer frames than `order` + 2 nothing is smoothed.
-
-    Raises:
-        InputError: An even or too short window.
     """
     if num_frames % 2 == 0 or num_frames <= order:
         raise InputError(f"the smoothing window is {num_frames} frames; it must be odd and more than {order}")
@@ -59,10 +56,6 @@ class OneEuroFilter:
     On the sphere the difference to the last result is the rotation vector on the short arc, its low-passed value per
     second is the velocity (0 at first), the length of that raises the cut-off, and the low-pass of the rotation is a
     step along the arc.  About one fixed axis it is the filter of the angle.
-
-    Args:
-        parameters: Cut-offs.
-        rate_hz: Frames per second.
     """
 
     def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
@@ -116,9 +109,6 @@ def bridge_gaps(unitquat: Array, is_known: Flags) -> Array:
     Args:
         unitquat: Rotations (frame, *batch, 4); unknown frames may hold anything.
         is_known: (frame,).
-
-    Raises:
-        InputError: No frame is known.
     """
     known = np.flatnonzero(is_known)
     if len(known) == 0:

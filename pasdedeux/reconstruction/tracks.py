@@ -17,13 +17,7 @@ _FOCAL_OVER_WIDTH = 0.72
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole as far as it is known: focal length and principal point, pixels, y down.
-
-    Args:
-        focal_px: Focal length.
-        principal_point_px: Where the axis meets the image.
-        is_known: Whether the focal length is stated, not assumed.
-    """
+    """A pinhole as far as it is known: focal length and principal point, pixels, y down."""
 
     focal_px: float
     principal_point_px: tuple[float, float]
@@ -61,9 +55,6 @@ class Track:
         first_frame: Frame of the sequence that the track begins with.
         first_time_s: Time of that frame.
         partner_id: Person of the sequence that this one is paired with; None for nobody.
-
-    Raises:
-        InputError: Shapes do not fit, no frame, negative confidences, a rate that is not positive.
     """
 
     keypoints_px: Array
@@ -125,9 +116,6 @@ def tracks_from_rows(
         width_px: Width of the image, None when unknown.
         height_px: Height of the image, None when unknown.
         focal_px: Focal length of the camera, None when unknown.
-
-    Raises:
-        InputError: A person twice in a frame, or times that do not grow.
     """
     if len(frame) == 0:
         return []

@@ -53,11 +53,7 @@ class JointMap:
         return max(weights, key=lambda name: weights[name])
 
     def matrix(self, source_names: Sequence[str]) -> npt.NDArray[np.float64]:
-        """Return the weights as a matrix (target joint, source joint).
-
-        Raises:
-            InputError: A source joint of the table is not among `source_names`.
-        """
+        """Return the weights as a matrix (target joint, source joint)."""
         matrix = np.zeros((self.target.num_joints, len(source_names)))
         for row, joint in enumerate(self.target.joint_names):
             for source, weight in self.weights(joint).items():

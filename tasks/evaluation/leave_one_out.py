@@ -271,9 +271,6 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
         nearest: Of draws of each density, which annotations are nearest to them: images (m, 2, 17, 2), one for each
             draw.
         left_out_m: Annotations that draws were not made from, (k, 2, 17, 2).
-
-    Raises:
-        InputError: There are fewer than three annotations, or all are the same.
     """
     plane = PairMap.of(images_m)
     figure, ((axis,),) = new_figure(6.4, 5.0)

@@ -112,11 +112,7 @@ def refuse_learned(store: Store, refs: Iterable[ArtifactRef], held_out: Iterable
 
 
 def refuse_overlap(what: str, learned_from: Iterable[str], evaluated: Iterable[str]) -> None:
-    """Refuse to evaluate takes that were learned from.
-
-    Raises:
-        InputError: A take is in both lists.
-    """
+    """Refuse to evaluate takes that were learned from."""
     both = sorted(set(learned_from) & set(evaluated))
     if both:
         raise InputError(f"{what} learned from {', '.join(both)}, which it is evaluated on; hold these takes out")

@@ -52,11 +52,7 @@ class LivePeople:
         return np.asarray(self._searcher.database.camera.camera_from_upright_rotmat)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
-        """Take the detections of a frame (detection, 14, 2), any order; return the poses that are due, by person.
-
-        Raises:
-            InputError: The frame does not come after the one before.
-        """
+        """Take the detections of a frame (detection, 14, 2), any order; return the poses that are due, by person."""
         if self._last_frame is not None and frame <= self._last_frame:
             raise InputError(f"frame {frame} comes after frame {self._last_frame}; frames must come in order")
         self._last_frame = frame

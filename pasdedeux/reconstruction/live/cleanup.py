@@ -44,9 +44,6 @@ class LiveFloor:
 
     A wrong pitch tilts the floor, so everybody's own feet of late tell it; of people who may carry each other the lower
     ones do.
-
-    Args:
-        rate_hz: Frames per second.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -103,12 +100,7 @@ class LiveCleanUp:
         return self._is_planted.copy()
 
     def step(self, frame: int, positions_m: Array) -> Array:
-        """Return a pose (14, 3), upright axes (y up, z towards the camera), cleaned up; bones keep their lengths.
-
-        Args:
-            frame: Its number, after that of the pose before.
-            positions_m: The pose with its place, metres.
-        """
+        """Return a pose (14, 3), upright axes (y up, z towards the camera), cleaned up; bones keep their lengths."""
         passed_s = 0.0 if self._frame is None else (frame - self._frame) / self._rate_hz
         self._frame = frame
         self.floor_m = self._floor.under(self._person, frame, positions_m)

@@ -86,12 +86,7 @@ class _Fitted:
 
 
 class WindowFit:
-    """One person's live fit; the state is this person's alone.
-
-    Args:
-        rate_hz: Frames per second.
-        min_noise_m: The image is never believed better than this.
-    """
+    """One person's live fit; the state is this person's alone."""
 
     def __init__(self, rate_hz: float, *, min_noise_m: float = MIN_NOISE_M) -> None:
         self._rate_hz = rate_hz

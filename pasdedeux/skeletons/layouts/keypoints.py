@@ -61,9 +61,6 @@ class KeypointLayout:
             skeleton_name: pair17, op14 or feet4.
             positions: (*batch, K, 2); missing where not finite or where the confidence is 0.
             confidence: (*batch, K).
-
-        Raises:
-            InputError: The number of keypoints is not the layout's.
         """
         if positions.shape[-2] != self.num_keypoints:
             raise InputError(

@@ -18,6 +18,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics.rotations import normalise
 
 Bins = npt.NDArray[np.int16]
@@ -25,8 +26,41 @@ Bins = npt.NDArray[np.int16]
 NUM_SHELLS, NUM_SECTORS, NUM_BANDS = 5, 12, 6
 INNER_RADIUS_M = 0.1
 """Radius of the innermost shell, metres; an eighth of the mean distance between joints of a pair, about 0.8 m."""
-_NUM_PAIR_BINS = NUM_SHELLS * NUM_SECTORS * NUM_BANDS
+NUM_PLANE_BINS = NUM_SHELLS * NUM_SECTORS
+_NUM_PAIR_BINS = NUM_PLANE_BINS * NUM_BANDS
 _CHUNK = 512
+
+
+def plane_polar(points_m: Array) -> tuple[Bins, Array]:
+    """Return where points (*batch, n, 2), metres, see all others: first bin of the shell, and the angle in turns.
+
+    Both are (*batch, n, n - 1); the sector of an angle is added to the bin.
+    """
+    towards = _others(points_m)
+    shells = _shell(np.linalg.norm(towards, axis=-1)) * NUM_SECTORS
+    return np.asarray(shells), np.asarray(np.arctan2(towards[..., 1], towards[..., 0]) / (2.0 * np.pi) % 1.0)
+
+
+def plane_shape_dissimilarity(moving_m: Array, fixed_m: Array) -> Array:
+    """Return the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
+    costs = []
+    for points in np.broadcast_arrays(align_plane(moving_m, fixed_m), fixed_m):
+        shells, turns = plane_polar(points)
+        bins = shells + np.minimum((turns * NUM_SECTORS).astype(np.int64), NUM_SECTORS - 1)
+        costs.append((bins[..., None] == np.arange(NUM_PLANE_BINS)).mean(axis=-2))
+    one, other = costs
+    total = one + other
+    cost = 0.5 * np.sum((one - other) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)
+    return np.asarray(cost.mean(axis=-1))
+
+
+def shared_gains(num_seen: int) -> Array:
+    """Return what one joint more in a bin takes off the cost, (num_seen + 1, num_seen + 1), see `lower_shape_minima`.
+
+    By how many were in the bin before, and how many of the other shape's are; counts of `num_seen` joints.
+    """
+    a, b = np.meshgrid(np.arange(num_seen + 2), np.arange(num_seen + 1), indexing="ij")
+    return np.diff(2.0 * a * b / np.maximum(a + b, 1) / num_seen, axis=0)
 
 
 def shape_bins(pairs_m: Array) -> Bins:

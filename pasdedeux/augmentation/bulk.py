@@ -158,12 +158,7 @@ class _Level:
         return np.ascontiguousarray(values, dtype=self.dtype)
 
     def _pairs(
-        self,
-        is_used: Flags,
-        points: Integers,
-        shares: Array,
-        weights: Array,
-        normals: Array | None = None,
+        self, is_used: Flags, points: Integers, shares: Array, weights: Array, normals: Array | None = None
     ) -> Pairs:
         """Return the pairs of each frame (T, M) without empty places."""
         return Pairs(

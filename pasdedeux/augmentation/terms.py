@@ -32,13 +32,7 @@ from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.mesh import build_mesh
 from pasdedeux.augmentation.problem import Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.settings import AugmentationSettings
-from pasdedeux.augmentation.source import (
-    Source,
-    complete_scales,
-    points_of,
-    reference_motion,
-    scaled_lengths,
-)
+from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.augmentation.variations import persons_of
 from pasdedeux.interaction.known_contacts import UserContact
@@ -56,10 +50,7 @@ _SHORTEST_SPINE_BONE_M = 0.03
 
 
 def build_problem(
-    source: Source,
-    settings: AugmentationSettings | None = None,
-    *,
-    user_contacts: Sequence[UserContact] = (),
+    source: Source, settings: AugmentationSettings | None = None, *, user_contacts: Sequence[UserContact] = ()
 ) -> Problem:
     """Find the terms of a take and add them up to its quadratic form."""
     mesh = build_mesh(source, smoothing_s=_MESH_SMOOTHING_S)

@@ -103,10 +103,6 @@ class ViewEstimates:
     is_lifted: Flags
     size_ratio: float
 
-    def best(self) -> Integers:
-        """Return the rows of the likeliest hypotheses, one per annotation that has any."""
-        return np.flatnonzero(self.hypothesis == 0)
-
     def angles(self) -> tuple[Array, Array]:
         """Return (psi, phi) of every hypothesis, lift eq. 4, radians."""
         return angles_of_direction(self.direction)

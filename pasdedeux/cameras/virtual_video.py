@@ -103,14 +103,7 @@ def _towards(yaw_rad: float, pitch_rad: float) -> Array:
     return np.array([level * np.sin(yaw_rad), np.sin(pitch_rad), level * np.cos(yaw_rad)])
 
 
-def frame_take(
-    positions: Array,
-    roots: Array,
-    *,
-    distance_m: float,
-    yaw_rad: float,
-    pitch_rad: float,
-) -> VirtualView:
+def frame_take(positions: Array, roots: Array, *, distance_m: float, yaw_rad: float, pitch_rad: float) -> VirtualView:
     """Return a camera that looks at the mean root and sees a person of 1.7 m about 600 px tall.
 
     Its image is the smallest of at least 1280 x 720 in steps of 16 that holds every joint with a margin of 5 % of the

@@ -49,12 +49,7 @@ def humanoid_motion(motion: Motion) -> Motion:
 
 
 def write_npz(one: HumanoidMotion) -> bytes:
-    """Return a motion as an npz archive that says itself what is in it.
-
-    `joint_names`, `parents` (-1 for the root), `rest_offset_m` (joint, 3), `root_translation_m` (frame, 3),
-    `local_unitquat` (frame, joint, 4) as x, y, z, w from the rest pose, `positions_m` (frame, joint, 3), `is_seen`
-    (frame,), `rate_hz`, `first_frame`, `unit` and `axes`.
-    """
+    """Return a motion as an npz archive: as `write_motion_npz`, with `is_seen` (frame,) and `first_frame`."""
     return write_motion_npz(humanoid_motion(one.motion), axes=AXES, is_seen=one.is_seen, first_frame=one.first_frame)
 
 

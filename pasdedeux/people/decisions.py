@@ -14,8 +14,6 @@ and `nobody` drops them.  Whom no row names stays who they are.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -75,12 +73,7 @@ def read_decisions(data: bytes | str) -> list[Decision]:
 
 def write_decisions(decisions: Iterable[Decision]) -> str:
     """Return the table."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for one in decisions:
-        writer.writerow(one.in_words().rsplit(",", 4))
-    return out.getvalue()
+    return "".join(f"{row}\n" for row in (",".join(COLUMNS), *(one.in_words() for one in decisions)))
 
 
 def decide(

@@ -15,6 +15,7 @@ Joints far less confident than the person's usual ones say nothing about labels,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -105,18 +106,16 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
         points[person, own] = np.take_along_axis(points[person, own], source[..., None], axis=1)
         weight[person, own] = np.take_along_axis(weight[person, own], source, axis=1)
         source_joint[person, own] = source
-    for first in range(people):
-        for second in range(first + 1, people):
-            one, other = spans[first], spans[second]
-            common = range(max(one.start, other.start), min(one.stop, other.stop))
-            if len(common) < 3:
-                continue
-            at = np.ix_([first, second], common)
-            pair = np.stack([_trusted(points[one, common], weight[one, common]) for one in (first, second)])
-            exchanged = repair_exchanges(pair, rate_hz=rate_hz)
-            for given in (points, weight, source_person, source_joint):
-                two = given[at]
-                given[at] = np.where(exchanged.reshape(1, *exchanged.shape, *(1,) * (two.ndim - 3)), two[::-1], two)
+    for both in combinations(range(people), 2):
+        common = range(max(spans[one].start for one in both), min(spans[one].stop for one in both))
+        if len(common) < 3:
+            continue
+        at = np.ix_(both, common)
+        pair = np.stack([_trusted(points[one, common], weight[one, common]) for one in both])
+        exchanged = repair_exchanges(pair, rate_hz=rate_hz)
+        for given in (points, weight, source_person, source_joint):
+            two = given[at]
+            given[at] = np.where(exchanged.reshape(1, *exchanged.shape, *(1,) * (two.ndim - 3)), two[::-1], two)
     for person, own in enumerate(spans):
         if own.stop - own.start >= 3:
             is_masked[person, own] = wild_joints(points[person, own], weight[person, own], rate_hz=rate_hz)

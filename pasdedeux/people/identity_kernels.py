@@ -126,14 +126,7 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
 
 @compiled(error_model="numpy")
 def update_joints(
-    place: Array,
-    speed: Array,
-    is_known: Flags,
-    predicted: Array,
-    seen: Array,
-    trust: Array,
-    passed: float,
-    fade: float,
+    place: Array, speed: Array, is_known: Flags, predicted: Array, seen: Array, trust: Array, passed: float, fade: float
 ) -> None:
     """Move a person's joints (j, 2) to a detection that is theirs, in place; speeds of joints not seen fade.
 

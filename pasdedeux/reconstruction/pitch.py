@@ -89,9 +89,7 @@ def choose_camera(
 
 
 def choose_pitch(
-    databases: Iterable[Searcher],
-    tracks: Sequence[Track],
-    options: ReconstructionOptions | None = None,
+    databases: Iterable[Searcher], tracks: Sequence[Track], options: ReconstructionOptions | None = None
 ) -> PitchEstimate:
     """Return the pitch at which searchers (one per camera pitch) suit the tracks of a sequence best.
 

@@ -329,12 +329,7 @@ def _mean_distance_m(first: Array, second: Array) -> Array:
 
 
 def _fit(
-    searcher: Searcher,
-    found: Matches,
-    retrieved: Array,
-    is_known: Flags,
-    track: Track,
-    options: ReconstructionOptions,
+    searcher: Searcher, found: Matches, retrieved: Array, is_known: Flags, track: Track, options: ReconstructionOptions
 ) -> Array:
     """Return retrieved poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
 

@@ -251,10 +251,13 @@ def reconstruction_player(
 
 def about_hips(positions_m: Array) -> Array:
     """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
-    hips = mid_hip(positions_m)
-    is_there = np.isfinite(hips).all(axis=-1, keepdims=True)
-    total = np.where(is_there, hips, 0.0).sum(axis=1, keepdims=True)
-    return np.asarray(positions_m - (total / np.maximum(is_there.sum(axis=1, keepdims=True), 1))[:, :, None])
+    return np.asarray(positions_m - _mean_there(mid_hip(positions_m))[:, None, None])
+
+
+def _mean_there(points: Array) -> Array:
+    """Return the mean (frame, 3) of those points (frame, n, 3) that are there; the origin without any."""
+    is_there = np.isfinite(points).all(axis=-1, keepdims=True)
+    return np.asarray(np.where(is_there, points, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1))
 
 
 def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
@@ -267,9 +270,7 @@ def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
         place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
             is nearer than half a metre, as without a known place, are left as they are.
     """
-    places = place_m.reshape(len(place_m), -1, 3)
-    is_there = np.isfinite(places).all(axis=-1, keepdims=True)
-    middle = np.where(is_there, places, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1)
+    middle = _mean_there(place_m.reshape(len(place_m), -1, 3))
     distance = np.linalg.norm(middle, axis=-1, keepdims=True)
     to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
     turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))

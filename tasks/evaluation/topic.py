@@ -39,10 +39,6 @@ class TopicResult:
     baselines: Collection[str] = ()
 
 
-def _no_tables(scores: ScoresOf) -> list[TextTable]:
-    return []
-
-
 @dataclass(frozen=True)
 class Topic:
     """A question that the evaluation answers: a section of the report.
@@ -75,7 +71,7 @@ class Topic:
     criteria: tuple[Criterion, ...] = ()
     has_means_first: bool = False
     cautions: tuple[tuple[str, str], ...] = ()
-    tables: Callable[[ScoresOf], Sequence[TextTable]] = field(default=_no_tables, repr=False)
+    tables: Callable[[ScoresOf], Sequence[TextTable]] = field(default=lambda _: (), repr=False)
 
     def shard(
         self, inputs: StageInputs, name: str, parameters: Parameters | None = None, **named: Sequence[Manifest]

@@ -24,11 +24,8 @@ _LEAVING = 1.5
 
 
 _STANDING = StandingSettings(contact_speed_m_s=0.45, away_share=0.25)
-_CONTACT_SPEED_M_S, _AWAY_SHARE, _CONTACT_HEIGHT_M = (
-    _STANDING.contact_speed_m_s,
-    _STANDING.away_share,
-    _STANDING.contact_height_m,
-)
+_CONTACT_SPEED_M_S, _CONTACT_HEIGHT_M = _STANDING.contact_speed_m_s, _STANDING.contact_height_m
+_AWAY_SHARE = _STANDING.away_share
 _SHIFT_S = 0.2
 """The body follows its planted feet within this time."""
 _HOLD_S = 2.0

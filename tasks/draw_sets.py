@@ -24,6 +24,7 @@ class DrawSet:
         pairs_m: Pairs (draw, person=2, joint=17, 3), metres, single precision as stored.
         artifacts: Artifact of each draw, by index into `refs`, (draw,).
         rows: Row of each draw in its artifact, (draw,).
+        numbers: Index of each draw in its chain, of a grown pair in its artifact, (draw,).
         refs: References `draws@...` or `seeds@...` of the artifacts.
     """
 
@@ -31,7 +32,13 @@ class DrawSet:
     pairs_m: np.ndarray
     artifacts: np.ndarray
     rows: np.ndarray
+    numbers: np.ndarray
     refs: tuple[str, ...]
+
+    @property
+    def in_order(self) -> np.ndarray:
+        """Pairs as chains that run side by side found them: the first of every chain, then the second, ..."""
+        return np.asarray(self.pairs_m[np.argsort(self.numbers, kind="stable")])
 
     def reference(self, draw: int) -> str:
         """Return the reference of a draw as the command line takes it."""
@@ -63,25 +70,28 @@ def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
     return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
 
 
-def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tuple[str, np.ndarray]]]:
-    """Return reference and pairs of every artifact with draws, by density in order."""
-    found: dict[str, list[tuple[str, np.ndarray]]] = {}
+def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tuple[str, int, np.ndarray]]]:
+    """Return reference, number of the first draw in its chain, and pairs of every artifact, by density in order."""
+    found: dict[str, list[tuple[str, int, np.ndarray]]] = {}
     for ref in refs:
-        name = density_of(store.manifest(ref))
+        manifest = store.manifest(ref)
+        name = density_of(manifest)
+        start = 0 if name == GROWN else (facts := DrawFacts.of(manifest)).segment * facts.num_draws
         table = "seeds" if name == GROWN else "draws"
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
-            found.setdefault(name, []).append((reference_to(table, ref), pairs))
+            found.setdefault(name, []).append((reference_to(table, ref), start, pairs))
     return dict(sorted(found.items()))
 
 
-def _join(name: str, parts: Sequence[tuple[str, np.ndarray]]) -> DrawSet:
+def _join(name: str, parts: Sequence[tuple[str, int, np.ndarray]]) -> DrawSet:
     """Return the draws of several artifacts, each with its reference, as one set."""
-    counts = [len(pairs) for _, pairs in parts]
+    counts = [len(pairs) for _, _, pairs in parts]
     return DrawSet(
         name=name,
-        pairs_m=np.concatenate([pairs for _, pairs in parts]),
+        pairs_m=np.concatenate([pairs for _, _, pairs in parts]),
         artifacts=np.repeat(np.arange(len(parts)), counts),
         rows=np.concatenate([np.arange(count) for count in counts]),
-        refs=tuple(ref for ref, _ in parts),
+        numbers=np.concatenate([start + np.arange(len(pairs)) for _, start, pairs in parts]),
+        refs=tuple(ref for ref, _, _ in parts),
     )

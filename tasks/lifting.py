@@ -18,13 +18,14 @@ from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
+from pasdedeux.errors import InputError
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
-from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, reference_to
+from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
 from tasks.facts import LiftedFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
@@ -55,16 +56,27 @@ class LiftingParameters(Parameters):
         "to twice as far apart; 0: none",
     )
     num_spans: int = Field(2, ge=0, description="Places of each video where the pairs between are filled in")
+    compared: tuple[str, ...] = Field(
+        (),
+        description="Draws, by their density or sweep, or grown_seeds, whose nearest one is compared",
+    )
     baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
         (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"
     )
 
 
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
-    """Plan a shard per artifact of annotated pairs that has views; none without draws."""
+    """Plan a shard per artifact of annotated pairs that has views; none without draws.
+
+    Raises:
+        InputError: Draws are to be compared that are not there.
+    """
     draws = [one for one in draw_manifests(inputs) if density_of(one) != PRIOR_ONLY]
     if not draws:
         return []
+    names = sorted({density_of(one) for one in draws})
+    if unknown := sorted(set(parameters.compared) - set(names)):
+        raise InputError(f"lifting.compared: there are no draws '{unknown[0]}'; there are: {', '.join(names)}")
     views = {ref: manifest for manifest in inputs.of("views") for ref in manifest.inputs}
     return [
         _shard(inputs, parameters, annotated, views[annotated.ref], draws)
@@ -104,6 +116,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     for place in wanted:
         found, fitted[place] = _lift(every[place], draws, index, lifted_from.get(place[:3], ()))
         rows += found
+    for name, own in _compared(store, shard.refs("draws"), options.compared).items():
+        nearest = [retrieve(own, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
+        rows += [_row(every[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)]
     rows += _baselines(shard, store, [every[place] for place in wanted], every)
     between = [row for span in spans for row in _fill(span, fitted, draws)]
     skipped = f"{shard.partition}: {num_skipped} annotated pairs were not lifted, too little was seen"
@@ -155,6 +170,13 @@ def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet
     """Return the draws and their index; the shards that one worker runs in a row share them."""
     draws = read_all_draws(store, refs)
     return draws, DrawIndex(draws.pairs_m)
+
+
+@lru_cache(maxsize=1)
+def _compared(store: Store, refs: tuple[ArtifactRef, ...], names: tuple[str, ...]) -> dict[str, DrawIndex]:
+    """Return an index over the draws of each of these names alone."""
+    own = [ref for ref in refs if density_of(store.manifest(ref)) in names]
+    return {name: DrawIndex(found.pairs_m) for name, found in read_draw_sets(store, own).items()}
 
 
 def _spans(places: Sequence[Place], num_spans: int, gap: int) -> list[tuple[Place, Place]]:

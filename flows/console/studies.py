@@ -28,7 +28,7 @@ _SHOW = """Print the file of a study, or with --resolved every key with inherite
 
 \b
   pasdedeux study show duets
-  pasdedeux study show coverage --resolved
+  pasdedeux study show sampling_paper --resolved
 """
 _KEYS = """Print every key that a study may have, with type, default, unit and meaning.
 

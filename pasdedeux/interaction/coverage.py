@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -52,11 +53,13 @@ def coverage_curve(real_m: Array, draws_m: Array, num_draws: Sequence[int]) -> C
     points = sorted({int(point) for point in num_draws if 1 <= point <= len(draws_m)})
     if not points:
         raise InputError(f"no point of the curve lies between 1 and the {len(draws_m)} draws")
+    is_new = _is_first(draws_m)
     coverage, by_shape = Coverage(real_m), ShapeCoverage(real_m)
     interaction, cartesian, shape = [], [], []
-    for point in points:
-        by_shape.add(draws_m[coverage.num_draws : point])
-        coverage.add(draws_m[coverage.num_draws : point])
+    for start, point in pairwise([0, *points]):
+        part = draws_m[start:point][is_new[start:point]]
+        by_shape.add(part)
+        coverage.add(part)
         shape.append(float(by_shape.shape.mean()))
         interaction.append(float(coverage.interaction_m.mean()))
         cartesian.append(float(coverage.cartesian_m.mean()))
@@ -67,3 +70,12 @@ def coverage_curve(real_m: Array, draws_m: Array, num_draws: Sequence[int]) -> C
         shape=np.array(shape),
         min_cartesian_m=coverage.cartesian_m,
     )
+
+
+def _is_first(draws_m: Array) -> npt.NDArray[np.bool_]:
+    """Return which draws (draw, ...) are not there before, (draw,): a chain that stays repeats its draw."""
+    rows = np.ascontiguousarray(draws_m).reshape(len(draws_m), -1)
+    whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()
+    is_first = np.zeros(len(rows), dtype=bool)
+    is_first[np.unique(whole, return_index=True)[1]] = True
+    return is_first

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from pasdedeux.cameras.frames import project_pair
+from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
@@ -15,28 +17,39 @@ from pasdedeux.sampling.diagnostics import FIGURES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
+from tasks.annotated_pairs import SeenPair, annotated_pairs, read_seen_pairs, views_of
+from tasks.evaluation.lifting import rows_figure
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import DrawFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 _REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "min": np.min, "max": np.max}
 _NUM_SHOWN = 50
+_NUM_STATES, _NUM_NEAREST = 4, 3
+"""States of a chain, and annotations beside each."""
+_MAX_KNOWN = 3000
+"""Annotations that draws are compared with, at most."""
 _DRAWS_PER_S = 5.0
 _STANDING_M = 0.95
 """Height at which the middle of a pair is drawn."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
-    """Plan one shard over the summaries of all chains, and one that shows draws of a chain of each density."""
+    """Plan a shard over the summaries of all chains, and two that show draws of a chain of each density."""
     found = inputs.of("chain_info")
     shown = _first_chains(inputs.of("draws"))
     named = {"summary": found, "draws": shown}
-    return [TOPIC.shard(inputs, name, chains=chains) for name, chains in named.items() if chains]
+    shards = [TOPIC.shard(inputs, name, chains=chains) for name, chains in named.items() if chains]
+    known = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
+    if shown and known:
+        views = [views_of([one], inputs)[0] for one in known]
+        shards.append(TOPIC.shard(inputs, "nearest", chains=shown, annotations=known, views=views))
+    return shards
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Summarise the chains, or show draws."""
-    return _shown(shard, store) if shard.name == "draws" else _summarised(shard, store)
+    return {"draws": _shown, "nearest": _nearest, "summary": _summarised}[shard.name](shard, store)
 
 
 def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
@@ -80,6 +93,37 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(scores, pictures, baselines=(PRIOR_ONLY,))
 
 
+def _nearest(shard: Shard, store: Store) -> TopicResult:
+    """Show states of a chain of each density beside the annotations most like them (Yin et al. 2018, fig. 11)."""
+    known: list[SeenPair] = []
+    for ref, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True):
+        seen = read_seen_pairs(store, ref, views, num_hypotheses=1)[0]
+        known += [one for one in seen.values() if not one.is_left_out]
+    known = [known[at] for at in evenly_spread(len(known), _MAX_KNOWN)]
+    if not known:
+        return TopicResult()
+    images, directions = np.stack([one.image_m for one in known]), np.stack([one.directions[0] for one in known])
+    chains: dict[str, list[np.ndarray]] = {}
+    for ref in shard.refs("chains"):
+        pairs = np.asarray(store.read(ref, "draws", columns=["pair17_m"])["pair17_m"], dtype=np.float64)
+        chains.setdefault(DrawFacts.of(store.manifest(ref)).density, []).append(pairs)
+    pictures = []
+    for density, parts in sorted(chains.items()):
+        pairs, rows = np.concatenate(parts), []
+        for at in evenly_spread(len(pairs), _NUM_STATES, has_ends=False):
+            found, distance = nearest_images(pairs[at], images, directions, count=_NUM_NEAREST)
+            row = [("draw", project_pair(pairs[at], directions[found[:1]])[0])]
+            row += [(f"annotation, {100 * far:.0f} cm", images[one]) for one, far in zip(found, distance, strict=True)]
+            rows.append((f"draw {at + 1:,}", row))
+        caption = (
+            f"States of one chain of {in_words(density)}, evenly spread, each as the nearest annotation saw it, beside "
+            "the three annotations most like it with their distance d_I (Yin et al. 2018, figs. 6, 7 and 11). Better: "
+            "draws look like annotations and differ from each other."
+        )
+        pictures.append(Picture(f"draws-nearest-{density}.svg", caption, rows_figure(rows)))
+    return TopicResult(pictures=pictures)
+
+
 def _summarised(shard: Shard, store: Store) -> TopicResult:
     """Summarise the chains of each density and seed."""
     scores = []
@@ -110,7 +154,7 @@ TOPIC = Topic(
     heading="Chains",
     introduction="Each chain samples poses that agree with the annotations, from a seed on. Where chains mix, the "
     "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1).",
-    reads=("chain_info", "draws"),
+    reads=("chain_info", "draws", "annotations", "views"),
     plan=_plan,
     run=_run,
     cautions=(

@@ -20,6 +20,7 @@ from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.coverage import CoverageCurve, coverage_curve
 from pasdedeux.interaction.nearest import Coverage
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
+from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
@@ -37,8 +38,9 @@ _MAX_DRAWS, _MAX_REAL = 200, 1500
 """Draws and real pairs whose distances are compared for realism, at most."""
 _NUM_MAPPED = 150
 """Real pairs on the map."""
-_MAPPED_DRAWS = (10, 50, 250)
-"""Draws of each method on its panels."""
+_MAPPED_SHARES = (0.01, 0.1, 1.0)
+"""Shares of the draws on its panels: of 100,000 these are the published 1,000, 10,000 and 100,000."""
+_MAX_DOTS = 400
 _COLOURS = {"ic": "#c2188f", PRIOR_ONLY: "#2a9d3a", GROWN: "#e0861a"}
 _MARKERS = ("^", "s", "X", "D", "v")
 _MANY_SEEDS = 5
@@ -102,11 +104,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     generator = stream(shard.seed, TOPIC.name, split)
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
     truth, places = truth[chosen], [places[at] for at in chosen]
-    draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
+    draws = {name: found.in_order for name, found in read_draw_sets(store, draw_refs).items()}
     mapped = list(draws)
     draws |= draws_from_first_seeds(store, draw_refs)
-    # In random order, so that every seed counts from the start.
-    draws = {name: pairs[generator.permutation(len(pairs))] for name, pairs in draws.items()}
+    some = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {
         name: coverage_curve(truth, pairs, curve_points(len(pairs), options.num_curve_points))
         for name, pairs in draws.items()
@@ -114,17 +115,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     levels = real_frame_levels(truth, others, generator)
     nearest = nearest_by_method(curves, GROWN)
     scores = coverage_scores(curves, levels, nearest, split=split)
-    scores += realism_scores(draws, np.concatenate([truth, others]), generator, split=split)
+    scores += realism_scores(some, np.concatenate([truth, others]), generator, split=split)
     caption = (
         f"Distance from {words} real pairs to their nearest draw against the number of draws; lower is better, "
-        "baselines are dashed, grey lines are as many real pairs in place of draws. From the left: by distances "
+        "baselines are dashed, grey lines are as many real pairs in place of draws (Yin et al. 2018, fig. 9). "
+        "From the left: by distances "
         "between both people's joints (D_I), joint by joint (D_C), by shape (D_S)."
     )
     pictures = [Picture(f"coverage-{split}.svg", caption, coverage_figure(curves, levels, words))]
     shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), words)
     if shown is not None:
         caption = (
-            f"A map of {words} real pairs and of draws, more draws from left to right; what is near is alike, in "
+            f"A map of {words} real pairs and of draws, more draws from left to right, at most 400 dots of each; "
+            "what is near is alike, in "
             "centimetres (Yin et al. 2018, fig. 8); the cross is the first seed. Better: draws lie wherever real pairs "
             "lie, and nowhere else."
         )
@@ -169,7 +172,7 @@ def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[st
         seeds.setdefault(fact.density, set()).add(fact.seed_index)
     first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
     own = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
-    return {f"{name}_first_seed": found.pairs_m for name, found in read_draw_sets(store, own).items()}
+    return {f"{name}_first_seed": found.in_order for name, found in read_draw_sets(store, own).items()}
 
 
 def curve_points(num_draws: int, num_points: int) -> list[int]:
@@ -277,10 +280,11 @@ def _map(truth: Array, draws: Mapping[str, Array], seed: Array | None, words: st
         plane = PairMap.of(truth[:_NUM_MAPPED])
     except InputError:
         return None
-    panels = {
-        f"{count} draws of each": {name: plane.place(pairs[:count].astype(np.float64)) for name, pairs in draws.items()}
-        for count in _MAPPED_DRAWS
-    }
+    most = max(map(len, draws.values()), default=0)
+    panels = {}
+    for count in sorted({max(1, round(share * most)) for share in _MAPPED_SHARES}):
+        shown = {name: pairs[evenly_spread(min(len(pairs), count), _MAX_DOTS)] for name, pairs in draws.items()}
+        panels[f"{count:,} draws of each"] = {name: plane.place(own.astype(np.float64)) for name, own in shown.items()}
     place = None if seed is None else plane.place(seed)[0]
     title = f"{words} frames and draws ({plane.share:.0%} of the spread shown)"
     return map_figure(plane.places, panels, seed=place, title=title)

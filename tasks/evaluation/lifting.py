@@ -380,8 +380,10 @@ def _spread_places(takes: Mapping[str, Array], count: int, gap: int) -> list[tup
 TOPIC = Topic(
     name="lifting",
     heading="Lifting",
-    introduction="3D pairs lifted from images with the draws that look like them, hidden joints of real pairs "
-    "completed from draws, and frames filled in between. Errors of pairs include distance and depth between the "
+    introduction="3D pairs lifted from images with the draws that look like them (Yin et al. 2018, figs. 2 and "
+    "10), hidden joints of real pairs "
+    "completed from draws (fig. 12), and frames filled in between. "
+    "Errors of pairs include distance and depth between the "
     "people, errors of people are about each person's own hips.",
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
     plan=_plan,

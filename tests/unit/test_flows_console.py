@@ -341,7 +341,7 @@ def test_studies_that_ship_are_listed_and_printed(capsys: pytest.CaptureFixture[
     assert "all" in lines["duets"]
     assert "built-in duets" in lines["duets"]
     assert "(to extend)" in lines["salsa"]
-    assert "subjects 01, 02, 03, 60, 61" in lines["coverage"]
+    assert "subjects 01, 02, 03, 60, 61" in lines["sampling_paper"]
     assert call("study", "show", "duets") == 0
     assert '[study]\nname = "duets"' in capsys.readouterr().out
     assert call("study", "show", "duetts") == 2

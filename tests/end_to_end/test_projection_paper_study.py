@@ -23,6 +23,7 @@ def test_the_study_of_the_published_database_plans_over_its_files(
     stages = {stage["stage"]: stage for stage in json.loads(capsys.readouterr().out)["stages"]}
     assert {shard["partition"] for shard in stages["ingest"]["shards"]} == {
         "91_13",
+        "waltz",
         *(f"clip_{number}" for number in range(25)),
     }
     assert list(stages) == ["ingest", "projections", "reconstruction", "evaluation"]

@@ -91,7 +91,7 @@ def model_errors(
     Args:
         predicted_m: (T, 2, 22, 3), metres.
         true_m: (T, 2, 22, 3), metres.
-        keys: Key contacts of the take, on `body22`; without them JPD is NaN.
+        keys: Key contacts of the take, on the same skeleton; without them JPD is NaN.
         skeleton: Skeleton of both, whose joints stand for the 22.
 
     Raises:
@@ -138,7 +138,7 @@ def _length_error_mm(motion_m: Array, lengths_m: Array, skeleton: Skeleton) -> f
 def _key_error_cm(motion_m: Array, other_m: Array, keys: Contacts | None) -> float:
     if keys is None or not keys.weights.size:
         return float("nan")
-    points = [motion.reshape(-1, 1, 2 * BODY22.num_joints, 3) for motion in (motion_m, other_m)]
+    points = [motion.reshape(-1, 1, 2 * motion.shape[-2], 3) for motion in (motion_m, other_m)]
     apart = [np.linalg.norm(keys.vectors(joints), axis=-1) for joints in points]
     return _CM * float(np.abs(apart[0] - apart[1]).mean())
 

@@ -105,6 +105,8 @@ class MotionFormat(FileFormat):
             first.
         is_companion: Tells whether a file, of no format itself, is what files of this format need beside them.
         has_rotations: False when files hold positions only, so that rotations are swings.
+        others: Read the further people of a file that holds several; `read` reads the first.  A take names such a
+            file once for each.
     """
 
     read: Callable[[bytes, bytes], SourceMotion]
@@ -113,12 +115,25 @@ class MotionFormat(FileFormat):
     companion_names: Callable[[str], Sequence[str]] = lambda name: ()
     is_companion: Callable[[FileStart], bool] = lambda start: False
     has_rotations: bool = True
+    others: tuple[Callable[[bytes, bytes], SourceMotion], ...] = ()
 
-    def read_head(self, data: bytes, companion: bytes = b"") -> MotionHead:
-        """Return skeleton and length after checking the file."""
+    def read_person(self, number: int, data: bytes, companion: bytes = b"") -> SourceMotion:
+        """Read the person that a take means where it names the file for the `number`-th time, from 0.
+
+        Raises:
+            FormatError: The file holds several people, and fewer than that; or as `read`.
+        """
+        if number == 0 or not self.others:
+            return self.read(data, companion)
+        if number > len(self.others):
+            raise FormatError(f"it holds {1 + len(self.others)} people; the take names it more often")
+        return self.others[number - 1](data, companion)
+
+    def read_head(self, data: bytes, companion: bytes = b"", *, number: int = 0) -> MotionHead:
+        """Return skeleton and length of a person, as `read_person` counts them, after checking the file."""
         if self.head:
             return self.head(data, companion)
-        source = self.read(data, companion)
+        source = self.read_person(number, data, companion)
         stated = {"rate_hz": source.rate_hz, "metres_per_unit": source.metres_per_unit}
         return MotionHead(SourceMotion.at_rest(source.skeleton, source.rest_offsets, **stated), source.num_frames)
 

@@ -15,6 +15,7 @@ from pasdedeux.formats.asf_amc import ASF_AMC
 from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
 from pasdedeux.formats.coco import COCO, IMAGE_RESULTS
 from pasdedeux.formats.detections import UNKNOWN, Footage
+from pasdedeux.formats.expi import EXPI
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
 from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
@@ -22,7 +23,9 @@ from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
-MOTION_FORMATS: Mapping[str, MotionFormat] = {one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ)}
+MOTION_FORMATS: Mapping[str, MotionFormat] = {
+    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI)
+}
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
     one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, ANNOTATION_CSV, ANNOTATION_NPZ)
 }

@@ -29,7 +29,7 @@ TAKES = Table(
         PERSON,
         text("source_name", "File name (no folder) or built-in duet the motion was read from"),
         text("source_sha256", "sha256 of the source's bytes; of the parameters for a built-in duet"),
-        text("source_format", "bvh, asf_amc, rotation_rows, positions_npz or duet"),
+        text("source_format", "bvh, asf_amc, rotation_rows, positions_npz, expi or duet"),
         integer("num_persons", "People in this take"),
         integer("num_frames", "Frames after resampling to the study's rate"),
         float64("rate_hz", "Frame rate of the poses", unit="Hz"),

@@ -197,8 +197,8 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
             raise InputError(f"options for {len(take.persons)} persons, but it has {len(take.files)} file(s)")
         options = [*take.persons, *(PersonOptions() for _ in take.files)]
         people = [
-            find_person(path, take, person, parameters.mappings)
-            for path, person in zip(take.files, options, strict=False)
+            find_person(path, take, person, parameters.mappings, number=take.files[:at].count(path))
+            for at, (path, person) in enumerate(zip(take.files, options, strict=False))
         ]
         num_frames = _common_length(take, people)
         objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))

@@ -105,8 +105,10 @@ def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str,
     return layout.with_tables(mappings[layout.name]) if layout.name in mappings else layout
 
 
-def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings: Mapping[str, Tables]) -> PersonSource:
-    """Find and check one person's file.
+def find_person(
+    path: Path, take: CommonOptions, person: PersonOptions, mappings: Mapping[str, Tables], *, number: int = 0
+) -> PersonSource:
+    """Find and check one person's file, or the person of this number in a file of several.
 
     Raises:
         InputError: With the file's name in front: missing, mangled, unknown joints, a bone of length zero, or
@@ -116,7 +118,7 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
     with named(path.name):
         kind = find_format(MOTION_FORMATS, take.format, loaded.data)
         companion = find_companion(path, kind, person.skeleton)
-        head = _head(kind.name, loaded.file, companion)
+        head = _head(kind.name, loaded.file, companion, number)
         layout_name = person.layout or take.layout
         layout = layout_named(layout_name, head.rest.skeleton.joint_names, mappings)
         is_fetched = was_fetched(path, loaded.file.sha256)
@@ -180,6 +182,8 @@ def credit_of(people: Sequence[PersonSource], licence: str | None, credit: str |
 
 
 @lru_cache(maxsize=1000)
-def _head(kind: str, motion: SourceFile, companion: SourceFile | None) -> MotionHead:
+def _head(kind: str, motion: SourceFile, companion: SourceFile | None, number: int) -> MotionHead:
     """Check a file as far as that is cheap; remembered, because a study is planned several times in a run."""
-    return MOTION_FORMATS[kind].read_head(read_again(motion), read_again(companion) if companion else b"")
+    return MOTION_FORMATS[kind].read_head(
+        read_again(motion), read_again(companion) if companion else b"", number=number
+    )

@@ -74,7 +74,11 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
 def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
     """Read the people of a take from their files and commit their poses."""
     files = {file.sha256: file for file in shard.files}
-    read = [(person, _read(parameters, person, files)) for person in parameters.persons]
+    digests = [person.motion_sha256 for person in parameters.persons]
+    read = [
+        (person, _read(parameters, person, files, number=digests[:at].count(person.motion_sha256)))
+        for at, person in enumerate(parameters.persons)
+    ]
     guesses = [guess_up_axis(motion) for person, motion in read if person.up_axis == "auto"]
     common = common_up_axis(guesses) if guesses else None
     people = []
@@ -121,12 +125,12 @@ def _objects(take: TakeParameters, data: bytes, up_axis: str) -> MovingObjects:
     return replace(objects, ends_m=resample_positions(placed, from_hz=first.rate_hz, to_hz=take.rate_hz))
 
 
-def _read(take: TakeParameters, person: PersonParameters, files: dict[str, SourceFile]) -> SourceMotion:
-    """Return the wanted frames of one person's file."""
+def _read(take: TakeParameters, person: PersonParameters, files: dict[str, SourceFile], *, number: int) -> SourceMotion:
+    """Return the wanted frames of one person's file, or of the person of this number in a file of several."""
     data = read_again(files[person.motion_sha256])
     companion = read_again(files[person.companion_sha256]) if person.companion_sha256 else b""
     with named(f"take {take.take_id}: {person.source_name}"):
-        source = MOTION_FORMATS[person.format].read(data, companion)
+        source = MOTION_FORMATS[person.format].read_person(number, data, companion)
     return source.frames(person.first_frame, person.first_frame + take.num_frames)
 
 

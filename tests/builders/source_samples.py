@@ -12,7 +12,7 @@ from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_npz
 
@@ -341,6 +341,39 @@ def positions_npz() -> bytes:
     return out.getvalue()
 
 
+_EXPI_SIDES = ("shoulder", "elbow", "wrist", "hip", "knee", "heel", "toes")
+EXPI_NAMES = [
+    f"{who}-{joint}"
+    for who in "mf"
+    for joint in ("fhead", "lhead", "rhead", "back", *(side + one for one in _EXPI_SIDES for side in "lr"))
+]
+"""Joints of a take of ExPI in the order that its authors read them."""
+
+
+def expi_people(num_frames: int = 40) -> np.ndarray:
+    """Return expi18 positions (frame, person, 18, 3) of two people who stand and sway, metres, Y up."""
+    positions, _ = figure_motion().world()
+    mapped = EXPI18_OF_BODY22.positions(positions[np.arange(num_frames) % len(positions)], BODY22.joint_names)
+    return np.stack([mapped, mapped + np.array([0.6, 0.0, 0.1])], axis=1)
+
+
+def expi_tsv(people_m: np.ndarray | None = None) -> bytes:
+    """Return a take of ExPI: a line of names, then frames in millimetres, Z up, in the order of `EXPI_NAMES`."""
+    people = expi_people() if people_m is None else people_m
+    order = [name for name in EXPI_NAMES if name.startswith("m-")]
+    ours = [EXPI18.index(_EXPI_OURS.get(name[2:], name[2:])) for name in order]
+    x, y, z = np.moveaxis(people[:, :, ours], -1, 0)
+    rows = 1000.0 * np.stack([x, -z, y], axis=-1).reshape(len(people), -1)
+    lines = [",".join(EXPI_NAMES), *(",".join(f"{value:.4f}" for value in row) for row in rows)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+_EXPI_OURS = {"fhead": "head", "lhead": "left_head", "rhead": "right_head"} | {
+    f"{side[0]}{one}": f"{side}_{ {'heel': 'ankle', 'toes': 'toe'}.get(one, one) }"
+    for side in ("left", "right")
+    for one in _EXPI_SIDES
+}
+
 ROTATION_ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"
 ROTATION_TEMPLATE = """HIERARCHY
 ROOT A
@@ -369,6 +402,7 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
     "asf_amc": (AMC.encode(), ASF.encode()),
     "rotation_rows": (ROTATION_ROWS.encode(), ROTATION_TEMPLATE.encode()),
     "positions_npz": (positions_npz(), b""),
+    "expi": (expi_tsv(), b""),
 }
 """A good file of every format of motions, and what must lie beside it."""
 

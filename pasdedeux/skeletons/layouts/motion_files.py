@@ -20,7 +20,7 @@ def _layout(
     signature: set[str],
     *,
     sides: tuple[str, str],
-    limbs: tuple[str, ...],
+    limbs: tuple[Entry, ...],
     collar: Entry,
     trunk: tuple[Entry, ...],
     spine: Entry,
@@ -58,13 +58,22 @@ def _layout(
         "chest": chest,
         "head": head,
         "pelvis": hips,
-        "neck": {str(trunk[-1]): 0.4, **dict.fromkeys(shoulders, 0.3)},
+        "neck": _mix((0.4, trunk[-1]), *((0.3, shoulder) for shoulder in shoulders)),
     }
     op14: dict[str, Entry] = {"head": nose.name if isinstance(nose, AddedPoint) else nose, "neck": shoulders}
     body22: dict[str, Entry] = {**dict(zip(_TRUNK_JOINTS, trunk, strict=True)), "head": head}
     tables: dict[str, dict[str, Entry]] = {"pair17": shared | pair17, "op14": shared | op14, "body22": both | body22}
     added = (nose,) if isinstance(nose, AddedPoint) else ()
     return Layout(name, meaning, frozenset(signature), tables, (*added, *points))
+
+
+def _mix(*parts: tuple[float, Entry]) -> Entry:
+    """Return entries joined, each by its weight."""
+    mixed: dict[str, float] = {}
+    for weight, entry in parts:
+        for source, share in ({entry: 1.0} if isinstance(entry, str) else entry).items():
+            mixed[source] = mixed.get(source, 0.0) + weight * share
+    return mixed
 
 
 def _on_side(entry: Entry, side: str) -> Entry:
@@ -153,6 +162,32 @@ BODY22_LAYOUT = _layout(
     nose=AddedPoint("nose", "head", (0.0, -0.1, 0.6), "head"),
 )
 
+_HIPS = {"left_hip": 0.5, "right_hip": 0.5}
+EXPI_LAYOUT = _layout(
+    "expi",
+    "ExPI: 18 joints without spine, neck, pelvis and collars, which lie between those that are there",
+    {"back", "head", "left_head", "right_head", "left_toe", "right_toe"},
+    sides=("left", "right"),
+    # Files have heels; the ankle is as `EXPI18_OF_BODY22` has it.
+    limbs=(
+        *(f"{{}}_{joint}" for joint in (*ARM, "hip", "knee")),
+        {"{}_ankle": 0.8, "{}_toe": 0.2},
+        "{}_toe",
+    ),
+    collar={"back": 0.75, "{}_shoulder": 0.25},
+    trunk=(
+        _HIPS,
+        _mix((0.65, _HIPS), (0.35, "back")),
+        _mix((0.35, _HIPS), (0.65, "back")),
+        "back",
+        {"left_shoulder": 0.4, "right_shoulder": 0.4, "left_head": 0.1, "right_head": 0.1},
+    ),
+    spine=_mix((0.65, _HIPS), (0.35, "back")),
+    chest="back",
+    head={"left_head": 0.5, "right_head": 0.5},
+    nose="head",
+)
+
 _CHARACTER_SIGNATURE = {"Hips", "Spine", "Spine1", "Spine2", "Neck", "Head", "LeftShoulder", "LeftArm", "LeftUpLeg"}
 
 
@@ -186,5 +221,6 @@ LAFAN = _character(
 )
 
 LAYOUTS: dict[str, Layout] = {
-    layout.name: layout for layout in (BODY22_LAYOUT, CMU_ASF, CMU_CGSPEED, CMU_DAZ, LAFAN, MIXAMO, YIANNAKIDES)
+    layout.name: layout
+    for layout in (BODY22_LAYOUT, CMU_ASF, CMU_CGSPEED, CMU_DAZ, EXPI_LAYOUT, LAFAN, MIXAMO, YIANNAKIDES)
 }

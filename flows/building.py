@@ -110,7 +110,6 @@ class Build:
             arrived: dict[EarlyPlan, list[Manifest]] = {early: [] for early in first.stage.early if first.is_selected}
             made = None if first.is_selected else first.manifests
             self._work[first.stage.name] = _StageWork(first, urgency[first.stage.name], arrived, made=made)
-        self._writer = {table: self._work[stage.name] for stage in run.graph.stages for table in stage.writes}
         self._task_of: dict[tuple[str, str], _Task] = {}
         self._flying: set[str] = set()
         self._ended: dict[str, ShardDone | ShardFailed] = {}
@@ -247,11 +246,14 @@ class Build:
     def _begin_early(self, work: _StageWork, early: EarlyPlan) -> None:
         """Submit the shards of an early plan: those certain before the stage can be planned."""
         arrived = work.arrived[early]
-        there = {table: self._writer[table].made for table in early.reads if table in self._writer}
-        if (early.each and not arrived) or None in there.values():
+        graph = self._run.graph
+        above = [self._work[name] for name in graph.upstream[work.first.stage.name]]
+        above = [other for other in above if set(early.reads).intersection(other.first.stage.tables)]
+        if (early.each and not arrived) or any(other.made is None for other in above):
             return
-        there |= dict.fromkeys(early.each, tuple(arrived))
-        held = {table: tuple(one for one in made or () if table in one.tables) for table, made in there.items()}
+        there = [manifest for other in above for manifest in other.made or ()]
+        held = {table: tuple(one for one in there if table in one.tables) for table in early.reads}
+        held |= {table: tuple(one for one in arrived if table in one.tables) for table in early.each}
         if early.each:
             work.arrived[early] = []
         else:

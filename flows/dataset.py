@@ -158,7 +158,7 @@ def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> Non
         f"pasdedeux://{run.study.name}/{table}": {"stage": stage.name, "shards": stage.num_shards}
         for stage in outcome.stages
         if stage.num_computed
-        for table in run.graph.stage(stage.name).writes
+        for table in run.graph.stage(stage.name).tables
     }
     if published is not None and published.dataset is not None and published.is_new:
         version = published.dataset

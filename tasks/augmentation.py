@@ -155,6 +155,11 @@ def batch_of(manifest: Manifest) -> BatchParameters:
         ) from None
 
 
+def solver_variants(inputs: StageInputs) -> list[Manifest]:
+    """Return the batches of variants that the solver made; those sampled from a model are not among them."""
+    return [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).origin is None]
+
+
 def planned_variations(manifest: Manifest) -> list[Variation]:
     """Return the variations of a batch of variants, from its manifest alone; no data is read."""
     batch = batch_of(manifest)
@@ -204,7 +209,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
             batch = [known[name] for name in parameters.variants[start : start + _SOLVED_TOGETHER]]
             for variant in augmenter.solve(batch):
                 verdicts.append(variant.verdict)
-                _write(writer, take_id, take, variant)
+                write_variant(writer, take_id, take, variant)
         summary = merge_verdicts(verdicts)
         assert summary is not None
         writer.facts[VERDICT_FACT] = summary.to_json()
@@ -212,7 +217,8 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
     return writer.ref
 
 
-def _write(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:
+def write_variant(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:
+    """Write the rows of one variant, whoever made it."""
     frames, people = take.source.num_frames, take.source.num_people
     name = variant.variation.variant_id
     rotations = variant_rotations(take.rest_m, variant.bone_scale, variant.positions_m, take.world_unitquat)

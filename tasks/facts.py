@@ -73,14 +73,28 @@ class TakeFacts(PeopleFacts):
     contacts: tuple[UserContact, ...] = ()
 
 
+class VariantOrigin(Settings):
+    """The trained model that variants were sampled from: its name, split, artifact and last segment, and the seed."""
+
+    model: str
+    split: str
+    artifact: str
+    segment: int
+    seed: int
+
+
 class VariantFacts(PeopleFacts):
-    """A batch of variants of a take; `told` is how they were solved, for what solves more of them."""
+    """A batch of variants of a take; `told` is how they were solved, for what solves more of them.
+
+    Those of a model have an `origin`, those of the solver none.
+    """
 
     kind: Literal["variants"] = "variants"
     take_id: str
     variants: tuple[str, ...] = ()
     closest_m: float | None = None
     told: dict[str, Any] = Field({})
+    origin: VariantOrigin | None = None
 
 
 class Couple(Settings):

@@ -48,7 +48,12 @@ class Graph:
             for stage in self.stages
         }
         for stage in self.stages:
-            if any(table in stage.writes for table in stage.reads):
+            resting = _resting(stage.name, needs)
+            for other in self.stages if stage.adds_to else ():
+                if other is not stage and other.name not in resting and set(stage.adds_to).intersection(other.reads):
+                    needs[other.name].add(stage.name)
+        for stage in self.stages:
+            if any(table in stage.tables for table in stage.reads):
                 raise GraphError(f"stage '{stage.name}' reads a table that it writes itself")
         try:
             order = _stable_order([stage.name for stage in self.stages], needs)
@@ -88,19 +93,12 @@ class Graph:
         """Return the stages, in order, whose tables a stage reads with these parameters of its own."""
         stage = self.stage(name)
         read = set(stage.reads).difference(() if stage.unread is None else stage.unread(parameters))
-        return tuple(other for other in self.upstream[name] if read.intersection(self.stage(other).writes))
+        return tuple(other for other in self.upstream[name] if read.intersection(self.stage(other).tables))
 
     def above(self, name: str) -> frozenset[str]:
         """Return the names of every stage whose results can reach this one."""
         self.stage(name)
-        found: set[str] = set()
-        todo = list(self.upstream[name])
-        while todo:
-            other = todo.pop()
-            if other not in found:
-                found.add(other)
-                todo.extend(self.upstream[other])
-        return frozenset(found)
+        return frozenset(_resting(name, {stage: set(above) for stage, above in self.upstream.items()}))
 
     def below(self, name: str) -> frozenset[str]:
         """Return the names of every stage that this one's results can reach."""
@@ -124,6 +122,17 @@ def load_graph() -> Graph:
         if isinstance(stage, Stage):
             found.append(stage)
     return Graph(tuple(found))
+
+
+def _resting(name: str, needs: dict[str, set[str]]) -> set[str]:
+    """Return the stages that one rests on, directly or not."""
+    found: set[str] = set()
+    todo = [name]
+    while todo:
+        new = needs[todo.pop()] - found
+        found |= new
+        todo += new
+    return found
 
 
 def _stable_order(names: Sequence[str], needs: dict[str, set[str]]) -> list[str]:

@@ -197,6 +197,7 @@ class Stage:
             all stages by name: called before anything runs.
         early: What can be begun with before all that it reads is there.
         unread: Gives the tables among `reads` that are left alone with these parameters: nothing waits for them.
+        adds_to: Tables of another stage that it writes more of; stages that it rests on read those of the other alone.
     """
 
     name: str
@@ -211,6 +212,12 @@ class Stage:
     check_study: Callable[[Mapping[str, Any]], None] | None = field(default=None, repr=False)
     early: tuple[EarlyPlan, ...] = field(default=(), repr=False)
     unread: Callable[[Any], tuple[str, ...]] | None = field(default=None, repr=False)
+    adds_to: tuple[str, ...] = ()
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Every table that it writes a part of."""
+        return (*self.writes, *self.adds_to)
 
 
 def merge_takes(*manifests: Manifest) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from flows.console import (  # noqa: F401 - a module adds its commands when it i
     deploy,
     draws,
     fetch,
+    generate,
     reconstruct,
     retarget,
     run,

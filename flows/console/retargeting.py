@@ -80,12 +80,25 @@ def retarget_take(
         InputError: The take is not there, there are more bodies than people, a body cannot be read or be anybody's, or
             the model is not there, cannot be read, or is of pairs and the take is none.
     """
-    weights = None if model is None else _find_model(model, store_root)
+    weights = None if model is None else find_model(model, store_root)
     left = iter(body_units_m)
     targets = [None if body == KEPT else _read_target(Path(body), left) for body in bodies]
+    with find_take(take, store_root, units_m, rate_hz) as (store, ref):
+        _retarget(store, ref, targets, out, rest_pose, units, weights)
+
+
+@contextmanager
+def find_take(
+    take: Sequence[str], store_root: Path, units_m: Sequence[float], rate_hz: float | None
+) -> Iterator[tuple[Store, ArtifactRef]]:
+    """Find the one take that a reference names, or read motion files into a store that is gone afterwards.
+
+    Raises:
+        InputError: It is not there, not one, or its files cannot be read.
+    """
     if len(take) > 1 or Path(take[0]).is_file():
-        with _take_of_files(take, units_m, rate_hz) as (store, ref):
-            _retarget(store, ref, targets, out, rest_pose, units, weights)
+        with _take_of_files(take, units_m, rate_hz) as found:
+            yield found
         return
     store = open_store(store_root)
     text = take[0] if re.match(r"\w+[:@]", take[0]) else f"poses:{take[0]}"
@@ -95,7 +108,7 @@ def retarget_take(
         raise InputError(
             f"'{take[0]}' names {len(refs)} artifacts of {reference.table}; one take is needed: STUDY/TAKE"
         )
-    _retarget(store, refs[0], targets, out, rest_pose, units, weights)
+    yield store, refs[0]
 
 
 @contextmanager
@@ -160,7 +173,7 @@ def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
         raise type(error)(said if said.startswith(path.name) else f"{path.name}: {said}") from None
 
 
-def _find_model(text: str, store_root: Path) -> Weights:
+def find_model(text: str, store_root: Path) -> Weights:
     """Read a trained model from a file, or from the store: the only one of this name, or that of one split."""
     path = Path(text)
     if path.suffix == ".safetensors":
@@ -177,7 +190,7 @@ def _find_model(text: str, store_root: Path) -> Weights:
         named = [(ModelFacts.of(one), one.ref.key[:12]) for one in found or models]
         there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
         raise InputError(
-            f"--model {text}: {len(found)} models of the store have this name"
+            f"model {text}: {len(found)} models of the store have this name"
             + (f"; say which: {', '.join(there[:12])}" if there else "; the store has none")
         )
     return stored_weights(store, found[0])
@@ -222,7 +235,7 @@ def _retarget(
         is_known = weights.takes.get(take_id) == ref.content_digest
         name = take_id if is_known else f"{take_id} ({ref.key[:12]})"
         positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=take.contacts))
-        verdict = solver.judge(bone_scale, positions_m)
+        verdict = solver.assess(Variation("retarget", bone_scale), positions_m).verdict
         typer.echo(f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}", err=True)
     out.mkdir(parents=True, exist_ok=True)
     files = RigFiles(out, rest_pose=rest_pose, units=units)

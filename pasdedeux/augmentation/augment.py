@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from pasdedeux.augmentation.windows import LONGEST_S, OVERLAP_S, blend_weights, 
 from pasdedeux.interaction.known_contacts import UserContact, check_contacts
 from pasdedeux.verdict import Level, Verdict
 
+MODEL = "model"
+"""Solver of a variant that a trained model made."""
 FAR_APART_M = 1.0
 """People whose joints never come closer than this do not interact; their variants are solved all the same."""
 _FAILED = 2
@@ -41,10 +44,10 @@ class Variant:
         quality: Its figures.
         frames: Its figures frame by frame.
         frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
-        energy: Energy of the motion.
+        energy: Energy of the motion; NaN where a model made it.
         energy_fk: Energy of plain forward kinematics, which is never lower.
         estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None where bulk did not end it.
-        solver: `bulk`, `polished`, or `plain_fk` when bulk failed.
+        solver: `bulk`, `polished`, `plain_fk` when bulk failed, or `model`.
         num_iterations: Iterations of the solver.
         verdict: Whether it is good, and why not.
     """
@@ -108,23 +111,12 @@ class Augmenter:
                     points[window] += share[:, None, None] * part.positions[index]
                     laplacian[window] += share * part.squared_residual[index]
                 points = project_to_bones(points[None], lengths[index : index + 1])[0]
-            quality, frames = self._meter.measure(
-                points,
-                reference=points_of(reference_motion(self.source, bone_scale[index : index + 1]))[0],
-                bone_scale=bone_scale[index],
-                lengths_m=lengths[index],
-                squared_residual=laplacian,
-            )
             solver = max((part.solvers[index] for part in parts), key=SOLVERS.index)
-            frame_verdicts = frames.judge(FRAME_LIMITS)
             variants.append(
-                Variant(
-                    variation=variation,
-                    bone_scale=bone_scale[index],
-                    positions_m=points.reshape(self.source.positions_m.shape),
-                    quality=quality,
-                    frames=frames,
-                    frame_verdicts=frame_verdicts,
+                self.assess(
+                    variation,
+                    points.reshape(self.source.positions_m.shape),
+                    squared_residual=laplacian,
                     energy=float(sum(part.energy[index] for part in parts)),
                     energy_fk=float(sum(part.energy_fk[index] for part in parts)),
                     estimated_gap_m=(
@@ -132,26 +124,48 @@ class Augmenter:
                     ),
                     solver=solver,
                     num_iterations=max(part.num_iterations[index] for part in parts),
-                    verdict=self._judge(quality, frame_verdicts, solver),
                 )
             )
         return variants
 
-    def judge(self, bone_scale: Array, positions_m: Array) -> Verdict:
-        """Return the verdict on a motion that is not the solver's.
+    def assess(
+        self, variation: Variation, positions_m: Array, *, squared_residual: Array | None = None, **solved: Any
+    ) -> Variant:
+        """Measure and judge a motion, whoever made it.
 
         Args:
-            bone_scale: The scales it is for (P, 22), the root's included.
+            variation: What it was made for.
             positions_m: The motion (T, P, 22, 3), metres.
+            squared_residual: Mean squared Laplacian residual of each frame (T,), square metres; 0 where not given.
+            solved: What is known of how it was made: fields of `Variant`, without which a model made it.
         """
+        bone_scale = complete_scales(self.source, variation.bone_scale[None])
         quality, frames = self._meter.measure(
             points_of(positions_m),
-            reference=points_of(reference_motion(self.source, bone_scale[None]))[0],
-            bone_scale=bone_scale,
-            lengths_m=scaled_lengths(self.source, bone_scale[None])[0],
-            squared_residual=np.zeros(self.source.num_frames),
+            reference=points_of(reference_motion(self.source, bone_scale))[0],
+            bone_scale=bone_scale[0],
+            lengths_m=scaled_lengths(self.source, bone_scale)[0],
+            squared_residual=np.zeros(self.source.num_frames) if squared_residual is None else squared_residual,
         )
-        return self._judge(quality, frames.judge(FRAME_LIMITS), "")
+        frame_verdicts = frames.judge(FRAME_LIMITS)
+        made: dict[str, Any] = {
+            "energy": np.nan,
+            "energy_fk": np.nan,
+            "estimated_gap_m": None,
+            "solver": MODEL,
+            "num_iterations": 0,
+        }
+        made |= solved
+        return Variant(
+            variation=variation,
+            bone_scale=bone_scale[0],
+            positions_m=positions_m,
+            quality=quality,
+            frames=frames,
+            frame_verdicts=frame_verdicts,
+            verdict=self._judge(quality, frame_verdicts, made["solver"]),
+            **made,
+        )
 
     def _solver(self, number: int) -> WindowSolver:
         if number not in self._ready:

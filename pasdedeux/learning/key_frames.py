@@ -12,6 +12,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import Skeleton
 
 _FADE_S = 1.0
 """Before the first and after the last key frame, what they change fades out over this time, seconds."""
@@ -45,22 +46,22 @@ class KeyFrames:
         if not np.isfinite(self.positions_m).all():
             raise InputError("key frames: a position is not finite")
 
-    def check(self, source: Source) -> None:
-        """Refuse key frames that are not of a take.
+    def check(self, name: str, num_frames: int, skeleton: Skeleton) -> None:
+        """Refuse key frames that are not of a take of so many frames.
 
         Raises:
             InputError: A frame outside the motion, or poses of another skeleton.
         """
-        outside = self.frames[(self.frames < 0) | (self.frames >= source.num_frames)]
+        outside = self.frames[(self.frames < 0) | (self.frames >= num_frames)]
         if len(outside):
             raise InputError(
-                f"key frames: frame {outside[0]} is outside the motion of {source.name}, which has "
-                f"{source.num_frames} frames, 0 to {source.num_frames - 1}"
+                f"key frames: frame {outside[0]} is outside the motion of {name}, which has "
+                f"{num_frames} frames, 0 to {num_frames - 1}"
             )
-        if self.positions_m.shape[1] != source.skeleton.num_joints:
+        if self.positions_m.shape[1] != skeleton.num_joints:
             raise InputError(
-                f"key frames: poses have {self.positions_m.shape[1]} joints, {source.name} is of "
-                f"{source.skeleton.name}, {source.skeleton.num_joints}"
+                f"key frames: poses have {self.positions_m.shape[1]} joints, {name} is of "
+                f"{skeleton.name}, {skeleton.num_joints}"
             )
 
     def bone_scale(self, source: Source) -> Array:

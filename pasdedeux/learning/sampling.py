@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.augmentation import Source
+from pasdedeux.augmentation import Augmenter, Source, UserContact, Variant
 from pasdedeux.augmentation.source import complete_scales
+from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.learning.key_frames import KeyFrames
+from pasdedeux.learning.mesh_refine import refine, window_problems
 from pasdedeux.learning.model import VariantModel, VariantRequest, check_topology
+
+NUM_STEPS = 2
+"""Steps of the mesh that clean a sampled motion."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,7 @@ def sample_motion(
     if key_frames is not None:
         if not model.takes_key_frames:
             raise InputError(f"{model.name} takes no key frames: it gives A's motion for no motion of B")
-        key_frames.check(source)
+        key_frames.check(source.name, source.num_frames, source.skeleton)
         scale = key_frames.bone_scale(source) if scale is None else scale
     plain = np.ones((2, source.skeleton.num_joints))
     given = plain if scale is None else np.stack([plain[0], scale])
@@ -66,3 +72,55 @@ def sample_motion(
     if scale is None:
         raise InputError(f"{model.name} draws no bodies: scales must be given")
     return Sample(request.bone_scale, model.predict(request))
+
+
+class VariantSampler:
+    """A trained model and a take, ready for any number of variants, every one measured as the solver's are.
+
+    Args:
+        model: The trained model.
+        source: The template.
+        take_id: Name of the take, by which the model may know it from training.
+        contacts: Contacts stated for the take, in place of what is found.
+        key_frames: Poses that B goes through.
+
+    Raises:
+        InputError: As `sample_motion`; the take is of another skeleton than `body22`, the solver's.
+    """
+
+    def __init__(
+        self,
+        model: VariantModel,
+        source: Source,
+        *,
+        take_id: str,
+        contacts: Sequence[UserContact] = (),
+        key_frames: KeyFrames | None = None,
+    ) -> None:
+        check_topology(model, source)
+        self._model, self._take_id, self._key_frames = model, take_id, key_frames
+        plain = np.ones((source.num_people, source.skeleton.num_joints))
+        self._request = VariantRequest(take_id, source, plain, contacts=tuple(contacts))
+        self._augmenter = Augmenter(source, user_contacts=contacts)
+        self._parts = window_problems(self._request)
+
+    def sample(self, variant_id: str, generator: np.random.Generator, scale: Array | None = None) -> Variant:
+        """Sample a variant: decoded, then two steps of the mesh, which make bones exact and bring contacts back.
+
+        Args:
+            variant_id: Its name.
+            generator: Gives whatever is drawn.
+            scale: Scales of B's bones (22,); see `sample_motion`.
+        """
+        source = self._request.source
+        found = sample_motion(
+            self._model, source, generator, scale=scale, key_frames=self._key_frames, take_id=self._take_id
+        )
+        request = replace(self._request, bone_scale=found.bone_scale)
+        refined = refine(request, self._parts, found.motion_m, NUM_STEPS, self._key_frames)
+        return self._augmenter.assess(
+            Variation(variant_id, found.bone_scale),
+            refined.motion_m,
+            squared_residual=refined.squared_residual,
+            num_iterations=NUM_STEPS,
+        )

@@ -59,7 +59,7 @@ VARIANT_QUALITY = Table(
             is_nullable=True,
         ),
         integer("num_iterations", "Iterations of the solver, at the coarse rate"),
-        text("solver", "bulk, polished (bulk, then guaranteed descent) or plain_fk (bulk failed)"),
+        text("solver", "bulk, polished (bulk, then guaranteed descent), plain_fk (bulk failed) or model (sampled)"),
         *VERDICT,
     ),
 )

@@ -23,7 +23,7 @@ from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.augmentation import batch_of
+from tasks.augmentation import batch_of, solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
@@ -49,7 +49,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     found = []
     for take in inputs.of("poses"):
         take_id = TakeFacts.of(take).take_id
-        variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).take_id == take_id]
+        variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id == take_id]
         if variants:
             found.append(TOPIC.shard(inputs, take_id, take=[take], variants=variants))
     return found

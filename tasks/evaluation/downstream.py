@@ -13,6 +13,7 @@ from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, clips_of, joint_errors
 from storage_schema import Manifest, Store
+from tasks.augmentation import solver_variants
 from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts, VariantFacts
@@ -46,7 +47,7 @@ def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: Le
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
         return []
     ids = {TakeFacts.of(take).take_id for take in used}
-    variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).take_id in ids]
+    variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id in ids]
     return [
         topic.shard(
             inputs,

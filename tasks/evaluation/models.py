@@ -19,6 +19,7 @@ from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
+from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
@@ -43,7 +44,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     for split, models in splits.items():
         tested = set(ModelFacts.of(models[0]).test)
         takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in tested]
-        variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).take_id in tested]
+        variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id in tested]
         found.append(TOPIC.shard(inputs, split, models=models, takes=takes, variants=variants))
     return found
 

@@ -18,6 +18,7 @@ from pasdedeux.learning.registry import BASELINES
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
+from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
@@ -57,7 +58,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     models = [model for model in models if ModelFacts.of(model).skeleton == BODY22.name]
     if not models:
         return [TOPIC.shard(inputs, OTHER_SKELETON)]
-    variants = [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).num_persons == 2]
+    variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).num_persons == 2]
     return [TOPIC.shard(inputs, "all", settings.part(LearnedSettings), models=models, takes=takes, variants=variants)]
 
 

@@ -1,0 +1,213 @@
+"""Stage `generation`: new bodies and their motion, sampled from a trained model, as more variants of every pair."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.augmentation.variations import Scale
+from pasdedeux.errors import InputError, named
+from pasdedeux.evaluation.verdicts import merge_verdicts
+from pasdedeux.learning.key_frames import KeyFrames, read_key_frames
+from pasdedeux.learning.model import VariantModel
+from pasdedeux.learning.registry import model_class
+from pasdedeux.learning.sampling import VariantSampler
+from pasdedeux.skeletons import BODY22
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.augmentation import BatchParameters, write_variant
+from tasks.facts import ModelFacts, SkippedFacts, TakeFacts, VariantFacts, VariantOrigin
+from tasks.ingest.sources import load_file, read_again
+from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, StageName, artifact_fields, stream
+from tasks.takes import read_take
+from tasks.training.run import load_stored, refuse_without_torch
+
+GENERATION = StageName("generation", 1)
+
+_PER_SHARD = 8
+"""Variants of a take in one unit of work."""
+
+
+class GenerationParameters(Parameters):
+    """What is sampled from which model."""
+
+    model: str = Field(
+        "", description="Trained model by the name it is kept under, or NAME@SPLIT; nothing is generated without one"
+    )
+    num_variants: int = Field(8, ge=1, le=10_000, description="Variants of each take")
+    scales: tuple[Scale, ...] = Field(
+        (), description="Scales of all of B's bones, in turn; drawn from the model's prior p(B_s) where not given"
+    )
+    key_frames: dict[str, Path] = Field(
+        {}, description="By take a JSON file of poses that B goes through: `frames`, and `body22_m` in metres"
+    )
+
+
+class SampledParameters(Parameters):
+    """Some of the variants of one take."""
+
+    model: str
+    split: str
+    first: int
+    count: int
+    scales: tuple[float, ...]
+
+
+def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
+    """Plan one shard per take of two people and block of variants; none without a model, or where it was skipped.
+
+    Raises:
+        InputError: Not one model has the name, it is of another skeleton, or key frames are of no take or outside it.
+    """
+    name, _, split = parameters.model.partition("@")
+    if not name or name in {SkippedFacts.of(one).model for one in inputs.empty if one.ref.stage == "training"}:
+        return []
+    model = _model_named(inputs, parameters.model, name, split)
+    facts = ModelFacts.of(model)
+    takes = {TakeFacts.of(take).take_id: take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2}
+    keys = {take_id: load_file(path) for take_id, path in parameters.key_frames.items()}
+    for take_id, loaded in keys.items():
+        if take_id not in takes:
+            raise InputError(
+                f"generation.key_frames: '{take_id}' is no take of two people; takes: {', '.join(sorted(takes))}"
+            )
+        with named(f"generation.key_frames.{take_id}"):
+            found = read_key_frames(loaded.data, Path(loaded.file.path).name)
+            found.check(f"take {take_id}", TakeFacts.of(takes[take_id]).num_frames, BODY22)
+    return [
+        GENERATION.shard(
+            inputs,
+            take_id,
+            f"{parameters.model} {first} to {first + count - 1}",
+            SampledParameters(model=facts.model, split=facts.split, first=first, count=count, scales=parameters.scales),
+            {"take": [take], "model": [model]},
+            files=[keys[take_id].file] if take_id in keys else (),
+        )
+        for take_id, take in takes.items()
+        for first in range(0, parameters.num_variants, _PER_SHARD)
+        for count in [min(_PER_SHARD, parameters.num_variants - first)]
+    ]
+
+
+def _model_named(inputs: StageInputs, text: str, name: str, split: str) -> Manifest:
+    models = [(ModelFacts.of(manifest), manifest) for manifest in inputs.of("models")]
+    found = [(facts, one) for facts, one in models if facts.model == name and split in ("", facts.split)]
+    if len(found) != 1:
+        there = ", ".join(sorted(f"{facts.model}@{facts.split}" for facts, _ in models)) or "none"
+        raise InputError(f"generation.model: '{text}' names {len(found)} trained models, not one; there are: {there}")
+    facts, model = found[0]
+    if facts.skeleton != BODY22.name:
+        raise InputError(
+            f"generation.model: '{text}' is of {facts.skeleton}; motion is cleaned by the interaction mesh, which is "
+            f"of {BODY22.name} alone"
+        )
+    return model
+
+
+def check_study(sections: Mapping[str, Any]) -> None:
+    """Refuse a model that the study does not train, or that cannot do what is asked, and key frames that are none.
+
+    Raises:
+        InputError: Names the key and what is allowed.
+    """
+    parameters: GenerationParameters = sections["generation"]
+    name = parameters.model.partition("@")[0]
+    for take_id, path in parameters.key_frames.items():
+        with named(f"generation.key_frames.{take_id}"):
+            read_key_frames(load_file(path).data, path.name)
+    if not name or "training" not in sections:
+        return
+    known = sections["training"].named()
+    if name not in known:
+        raise InputError(f"generation.model: '{name}' is not trained here; trained are {', '.join(sorted(known))}")
+    kind = model_class(known[name].kind)
+    if not (parameters.scales or parameters.key_frames or draws_bodies(kind)):
+        raise InputError(f"generation.scales: '{name}' draws no bodies, so scales must be given, such as [0.9, 1.1]")
+    if parameters.key_frames and not kind.takes_key_frames:
+        raise InputError(f"generation.key_frames: '{name}' takes no key frames: it gives A's motion for no motion of B")
+
+
+def draws_bodies(kind: type[VariantModel]) -> bool:
+    """Tell whether a model has a p(B_s)."""
+    return kind.generate is not VariantModel.generate
+
+
+def sampling_stream(seed: int, take_id: str, index: int) -> np.random.Generator:
+    """Return the random generator of one variant: the command and the stage draw the same for the same seed."""
+    return stream(seed, "generation", take_id, index)
+
+
+def variant_name(model: str, index: int) -> str:
+    """Return the name of a variant.
+
+    >>> variant_name("paper_cvae", 3)
+    'B-paper_cvae-0003'
+    """
+    return f"B-{model}-{index:04d}"
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Sample variants of one take and stream them to the store."""
+    options = shard.options(SampledParameters)
+    manifest, stored = store.manifest(shard.ref("take")), store.manifest(shard.ref("model"))
+    facts, learned = TakeFacts.of(manifest), ModelFacts.of(stored)
+    if model_class(learned.class_name).needs_torch:
+        refuse_without_torch(options.model, "generation.model=")
+    take, take_id = read_take(store, manifest.ref), facts.take_id
+    keys: KeyFrames | None = None
+    for file in shard.files:
+        keys = read_key_frames(read_again(file), Path(file.path).name)
+    started = time.monotonic()
+    sampler = VariantSampler(
+        load_stored(store, stored), take.source, take_id=take_id, contacts=facts.contacts, key_frames=keys
+    )
+    indices = range(options.first, options.first + options.count)
+    names = tuple(variant_name(options.model, index) for index in indices)
+    made = VariantFacts(
+        takes=tuple(sorted({take_id, *learned.takes})),
+        take_id=take_id,
+        variants=names,
+        num_persons=facts.num_persons,
+        num_frames=take.source.num_frames,
+        rate_hz=take.source.rate_hz,
+        is_held_out=facts.is_held_out,
+        closest_m=take.source.closest_m,
+        told=BatchParameters(contacts=facts.contacts, variants=names).model_dump(mode="json", exclude={"limits"}),
+        origin=VariantOrigin(
+            model=options.model,
+            split=options.split,
+            artifact=stored.ref.key,
+            segment=learned.segment,
+            seed=shard.seed,
+        ),
+    )
+    verdicts = []
+    with store.writer(**artifact_fields(shard, store), facts=made.to_json()) as writer:
+        for index, name in zip(indices, names, strict=True):
+            scale = np.full(BODY22.num_joints, options.scales[index % len(options.scales)]) if options.scales else None
+            variant = sampler.sample(name, sampling_stream(shard.seed, take_id, index), scale)
+            verdicts.append(variant.verdict)
+            write_variant(writer, take_id, take, variant)
+        summary = merge_verdicts(verdicts)
+        assert summary is not None
+        writer.facts[VERDICT_FACT] = summary.to_json()
+        writer.timings["sample_s"] = time.monotonic() - started
+    return writer.ref
+
+
+STAGE = Stage(
+    *GENERATION,
+    reads=("models", "takes", "poses"),
+    writes=(),
+    adds_to=("variants", "variant_quality", "variant_frames"),
+    parameters=GenerationParameters,
+    plan=plan,
+    run_shard=run_shard,
+    check_study=check_study,
+    meaning="Variants of every pair for bodies that a trained model draws, cleaned by the interaction mesh",
+    needs="a trained model (generation.model) and takes of two people",
+)

@@ -1,0 +1,223 @@
+"""Stage `generation` and `pasdedeux generate`: sampled variants beside the solver's, in a store and as files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from flows.console.app import run_command_line
+from flows.exports import export_reference
+from pasdedeux.errors import InputError
+from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
+from pasdedeux.learning.registry import Weights, write_weights
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
+from pasdedeux.learning.settings import PaperCvaeConfig
+from pasdedeux.learning.window_vae import PaperCvaeModel
+from pasdedeux.skeletons import BODY22
+from storage_schema import Manifest, Store
+from tasks.generation import STAGE, GenerationParameters, check_study
+from tasks.graph import load_graph
+from tasks.ingest import STAGE as INGEST
+from tasks.ingest import IngestParameters
+from tasks.stage import StageInputs
+from tasks.takes import read_take
+from tasks.training.items import StoredVariants
+from tasks.training.parameters import TrainingParameters
+from tests.builders.stored_models import put_model
+
+SMALL = PaperCvaeConfig(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=1, kernel=1)
+
+
+def make_model() -> PaperCvaeModel:
+    """Return a model with weights that somebody might have learned in a moment."""
+    network, generator = InteractionCvae(SMALL), torch.Generator().manual_seed(5)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.02, generator)
+    return PaperCvaeModel(SMALL, np.stack([np.ones(22), np.full(22, 0.05)]).astype(np.float32), network)
+
+
+class Here:
+    """A store with half a second of waltz and two trained models."""
+
+    def __init__(self, root: Path) -> None:
+        self.store = Store(root)
+        section = IngestParameters.model_validate({"duets": [{"name": "waltz", "duration_s": 0.5}]})
+        ref = INGEST.run_shard(INGEST.plan(StageInputs(manifests={}, seed=1), section)[0], self.store)
+        self.take = self.store.manifest(ref)
+        self.model = put_model(self.store, make_model(), "random", [self.take])
+        put_model(self.store, RidgeScaleModel(coefficients={}), "random", [self.take])
+
+    @property
+    def inputs(self) -> StageInputs:
+        models = [one for one in self.store.artifacts("training") if "models" in one.tables]
+        return StageInputs(manifests={"models": models, "poses": [self.take]}, seed=1)
+
+    def made(self, store: Store | None = None, **keys: object) -> list[Manifest]:
+        shards = STAGE.plan(self.inputs, GenerationParameters.model_validate({"model": "paper_cvae", **keys}))
+        store = store or self.store
+        return [store.manifest(STAGE.run_shard(shard, store)) for shard in shards]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Here:
+    return Here(tmp_path_factory.mktemp("generation") / "store")
+
+
+def test_sampled_variants_are_variants_with_their_origin(here: Here, tmp_path: Path) -> None:
+    (made,) = here.made(num_variants=2)
+    assert set(made.tables) == {"variants", "variant_quality", "variant_frames"}
+    assert made.facts["origin"] == {
+        **{"model": "paper_cvae", "split": "random", "artifact": here.model.ref.key},
+        **{"segment": 0, "seed": 1},
+    }
+    stored = StoredVariants(here.store, [here.take.ref], [made.ref])
+    names = [("waltz", "B-paper_cvae-0000"), ("waltz", "B-paper_cvae-0001")]
+    one, other = stored.items(names)
+    source = read_take(here.store, here.take.ref).source
+    for item in (one, other):
+        wanted = source.lengths_m * item.request.bone_scale
+        found = bone_lengths(BODY22, item.motion_m)
+        bones = [child for _, child in BODY22.bones]
+        np.testing.assert_allclose(found[..., bones], np.broadcast_to(wanted, found.shape)[..., bones], atol=1e-6)
+    assert np.abs(one.request.bone_scale[1] - other.request.bone_scale[1]).max() > 1e-6
+    quality = here.store.read(made.ref, "variant_quality")
+    assert set(quality["solver"]) == {"model"}
+    assert quality["contact_drift_m"].max() < 0.01
+    paths = export_reference(here.store, f"variants@{made.ref.key[:12]}", "bvh", tmp_path)
+    assert sum(path.suffix == ".bvh" for path in paths) == 4
+
+
+def test_what_is_sampled_depends_on_neither_blocks_nor_how_many_there_are(here: Here, tmp_path: Path) -> None:
+    few, many = here.made(num_variants=1)[0], here.made(num_variants=9)
+    assert [len(one.facts["variants"]) for one in many] == [8, 1]
+    first = many[0]
+    rows = few.tables["variants"].rows
+    np.testing.assert_array_equal(
+        here.store.read(few.ref, "variants")["body22_m"], here.store.read(first.ref, "variants")["body22_m"][:rows]
+    )
+    there = Here(tmp_path / "again")
+    assert [one.ref.content_digest for one in there.made(num_variants=1)] == [few.ref.content_digest]
+
+
+def test_training_reads_what_the_solver_made_alone_and_the_evaluation_both() -> None:
+    graph = load_graph()
+    assert "generation" not in graph.above("training")
+    assert {"augmentation", "training"} <= graph.above("generation")
+    assert "generation" in graph.upstream["evaluation"]
+    assert "generation" not in graph.needed("projections", graph.stage("projections").parameters())
+
+
+def write_keys(path: Path, frames: list[int], pose_m: np.ndarray) -> Path:
+    path.write_text(json.dumps({"frames": frames, "body22_m": pose_m.tolist()}))
+    return path
+
+
+def test_key_frames_that_b_can_take_are_met(here: Here, tmp_path: Path) -> None:
+    source = read_take(here.store, here.take.ref).source
+    keys = write_keys(tmp_path / "keys.json", [4], source.positions_m[[4], 1] + [0.02, 0.0, 0.0])
+    (made,) = here.made(num_variants=1, key_frames={"waltz": keys})
+    motion = here.store.read(made.ref, "variants")["body22_m"].reshape(-1, 2, 22, 3)
+    assert np.linalg.norm(motion[4, 1] - source.positions_m[4, 1] - [0.02, 0.0, 0.0], axis=-1).max() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ({"model": "oracle"}, "'oracle' names 0 trained models, not one; there are: paper_cvae@random, ridge"),
+        ({"model": "paper_cvae@cross_scale"}, "names 0 trained models"),
+        ({"key_frames": {"tango": "near.json"}}, "'tango' is no take of two people; takes: waltz"),
+        (
+            {"key_frames": {"waltz": "far.json"}},
+            r"far\.json|frame 99 is outside the motion of take waltz, which has 15",
+        ),
+        ({"key_frames": {"waltz": "none.json"}}, r"none\.json does not exist"),
+    ],
+)
+def test_what_cannot_be_sampled_is_refused_before_work_starts(
+    here: Here, tmp_path: Path, keys: dict[str, object], sentence: str
+) -> None:
+    for name, frame in (("near", 4), ("far", 99)):
+        write_keys(tmp_path / f"{name}.json", [frame], np.zeros((1, 22, 3)))
+    files = keys.get("key_frames")
+    if isinstance(files, dict):
+        keys = {"key_frames": {take: tmp_path / name for take, name in files.items()}}
+    with pytest.raises(InputError, match=sentence):
+        here.made(**keys)
+
+
+def test_a_study_is_refused_whose_model_cannot_do_what_is_asked(tmp_path: Path) -> None:
+    keys = write_keys(tmp_path / "keys.json", [0], np.zeros((1, 22, 3)))
+
+    def check(**values: object) -> None:
+        check_study({"generation": GenerationParameters.model_validate(values), "training": TrainingParameters()})
+
+    check()
+    check(model="ridge_scale", scales=[0.9])
+    for values, sentence in (
+        ({"model": "paper_cvae"}, "'paper_cvae' is not trained here; trained are copy, naive_fk, ridge_scale"),
+        ({"model": "ridge_scale"}, "'ridge_scale' draws no bodies, so scales must be given"),
+        ({"model": "naive_fk", "key_frames": {"waltz": keys}}, "'naive_fk' takes no key frames"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            check(**values)
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+
+
+def test_the_command_writes_what_is_usable_and_the_same_again(
+    here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = tmp_path / "w.safetensors"
+    weights.write_bytes(write_weights(Weights(make_model())))
+    words = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--num", "2", "--scales", "0.9,1.1"]
+    for model, out in (("paper_cvae", "o"), ("paper_cvae", "o"), (str(weights), "p")):
+        assert run_command_line(["generate", model, *words, "--out", str(tmp_path / out)]) == 0
+        said = capsys.readouterr().out
+        assert "1 of 2: B-paper_cvae-0000 " in said
+        assert "bones of B 0.90-0.90" in said
+        if out == "o":
+            before = digests(tmp_path / "o")
+    assert digests(tmp_path / "o") == before
+    assert {"UNITS.txt", "CREDITS.txt", "waltz_B-paper_cvae-0001_A.bvh"} <= set(before)
+    motion = read_bvh((tmp_path / "p" / "waltz_B-paper_cvae-0001_B.bvh").read_bytes())
+    assert motion.num_frames == 15
+
+
+def test_the_command_refuses_with_a_sentence_and_writes_nothing(
+    here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    take = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--out", str(tmp_path / "no")]
+    far = write_keys(tmp_path / "far.json", [99], np.zeros((1, 22, 3)))
+    (tmp_path / "bad.safetensors").write_bytes(b"no weights")
+    for words, sentence in (
+        (["oracle", *take], "0 models of the store have this name"),
+        ([str(tmp_path / "bad.safetensors"), *take], "these are no weights of a model"),
+        (["ridge_scale", *take], "ridge_scale draws no bodies: say --scales"),
+        (["paper_cvae", *take, "--scales", "0.9;1"], "numbers separated by commas"),
+        (["paper_cvae", *take, "--scales", "99"], "allowed are 0.05 to 20"),
+        (["paper_cvae", *take, "--key-frames", str(far)], "frame 99 is outside the motion of take waltz"),
+    ):
+        assert run_command_line(["generate", *words]) == 2
+        assert sentence in capsys.readouterr().err
+        assert not (tmp_path / "no").exists()
+
+
+def test_where_nothing_is_usable_the_command_says_so(
+    here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--out", str(tmp_path / "no")]
+    source = read_take(here.store, here.take.ref).source
+    # B is asked to be ten metres away: no contact can be kept.
+    away = write_keys(tmp_path / "away.json", [7], source.positions_m[[7], 1] + [10.0, 0.0, 0.0])
+    assert run_command_line(["generate", "paper_cvae", *words, "--key-frames", str(away)]) == 1
+    assert "none of 1 motions is usable" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()

@@ -57,10 +57,12 @@ class AugmentationParameters(SolvedParameters, SweptParameters):
     contacts: dict[str, tuple[UserContact, ...]] = Field(
         {}, description="Contacts stated by take, in place of what is found between their bones, and of the take's own"
     )
-    variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
 
 
-_OF_THE_PLAN = {"contacts", "variants_per_shard", "sweep"}
+_PER_SHARD = 32
+"""Variants of a take in one unit of work."""
+
+_OF_THE_PLAN = {"contacts", "sweep"}
 
 
 class BatchParameters(SolvedParameters):
@@ -91,8 +93,8 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
             shards.append(AUGMENTATION.shard(inputs, take_id, "nobody", nobody, {"take": [take]}))
         for name, own in sections.items():
             stated = own.contacts.get(take_id, TakeFacts.of(take).contacts)
-            for start in range(0, len(found[name]), own.variants_per_shard):
-                batch = tuple(one.variant_id for one in found[name][start : start + own.variants_per_shard])
+            for start in range(0, len(found[name]), _PER_SHARD):
+                batch = tuple(one.variant_id for one in found[name][start : start + _PER_SHARD])
                 solved = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
                 shards.append(
                     AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", solved, {"take": [take]})

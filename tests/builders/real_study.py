@@ -70,6 +70,7 @@ scales = [0.75, 0.95, 1.05, 1.25]
 [projections]
 pitches_deg = [0.0, 20.0]
 heights_m = []
+num_clusters = 8
 
 [evaluation]
 num_truth_pairs = 12

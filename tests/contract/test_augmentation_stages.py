@@ -129,9 +129,10 @@ def test_everybody_of_any_number_gets_a_row_a_frame(store: Store) -> None:
     assert verdict_of(alone).level is Level.PASS
 
 
-def test_pairs_get_variants_with_figures(store: Store) -> None:
+def test_pairs_get_variants_with_figures(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(augmentation, "_PER_SHARD", 3)
     takes = [put_take(store, "pair")]
-    made = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2), variants_per_shard=3)
+    made = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2))
     assert [manifest.facts["takes"] for manifest in made] == [["pair"], ["pair"]]
     assert [len(manifest.facts["variants"]) for manifest in made] == [3, 1]
     variants = store.read(made[0].ref, "variants")
@@ -224,9 +225,10 @@ def test_polished_variants_end_with_descent_and_failures_name_their_frames(
     assert f"{FRAMES} of {FRAMES} frames fail, the first is 0" in quality["reason"][0]
 
 
-def test_a_broken_off_take_goes_on_where_it_stopped(store: Store) -> None:
+def test_a_broken_off_take_goes_on_where_it_stopped(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(augmentation, "_PER_SHARD", 1)
     take = put_take(store, "pair")
-    parameters = AugmentationParameters(scales=(0.8, 0.9, 1.1), variants_per_shard=1)
+    parameters = AugmentationParameters(scales=(0.8, 0.9, 1.1))
     first, *_ = augmentation.plan(StageInputs({"poses": [take]}, seed=3), parameters)
     augmentation.run_shard(first, store)
     again = augmentation.plan(StageInputs({"poses": [take]}, seed=3), parameters)

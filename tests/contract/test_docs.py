@@ -66,8 +66,10 @@ def test_every_study_that_ships_stands_in_the_table_of_studies_and_no_other() ->
     assert sorted(in_table) == sorted(runnable)
 
 
-def test_no_study_that_ships_says_how_long_it_once_took() -> None:
+def test_only_the_studies_of_the_papers_say_how_long_they_once_took() -> None:
     for name, text in shipped_studies().items():
+        if "_paper" in name:
+            continue
         said = re.findall(r"^#.*(?:\d (?:min|h|hours?)\b|hour|took \d).*$", text, re.MULTILINE)
         assert said == [], name
 

@@ -102,7 +102,7 @@ def test_more_draws_extend_the_chains_and_keep_what_is_there(
 def test_another_seed_rebuilds_everything(small: BuiltStudy, capsys: pytest.CaptureFixture[str]) -> None:
     plan = planned(small, capsys, "study.seed=4")
     assert reasons(plan["ingest"]) == {"stale: study.seed 3 -> 4"}
-    assert len(plan) == 11
+    assert len(plan) == 12
 
 
 def test_another_title_of_the_report_rebuilds_the_report_alone(

@@ -135,7 +135,7 @@ def test_key_frames_that_b_can_take_are_met(here: Here, tmp_path: Path) -> None:
         ({"key_frames": {"tango": "near.json"}}, "'tango' is no take of two people; takes: waltz"),
         (
             {"key_frames": {"waltz": "far.json"}},
-            r"far\.json|frame 99 is outside the motion of take waltz, which has 15",
+            r"key frames: frame 99 is outside the motion of take waltz, which has 15",
         ),
         ({"key_frames": {"waltz": "none.json"}}, r"none\.json does not exist"),
     ],

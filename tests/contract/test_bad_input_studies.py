@@ -50,8 +50,8 @@ def write(folder: Path, text: str) -> Path:
         (
             '"prior_only"',
             '"prior_onli"',
-            "chains.densities.1: there is no density 'prior_onli'; there are: ic, cartesian, shape_context, prior_only; "
-            "found 'prior_onli'",
+            "chains.densities.1: there is no density 'prior_onli'; there are: ic, cartesian, shape_context, prior_only"
+            "; found 'prior_onli'",
         ),
     ],
 )

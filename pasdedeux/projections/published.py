@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
@@ -26,7 +26,6 @@ from pasdedeux.projections.retarget import REFERENCE_STATURE_M
 from pasdedeux.projections.search import Neighbours, prepare_query
 
 Floats32 = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 
 BOX_HEIGHT_M = REFERENCE_STATURE_M
 """Height of every image's bounding box; the paper does not say which."""

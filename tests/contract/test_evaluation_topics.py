@@ -99,7 +99,7 @@ def _detect(store: Store) -> None:
     section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "detector": {}}}
     planned = ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate(section))
     (seen,) = (ingest.run_shard(one, store) for one in planned if (one.partition, one.name) == ("hug", "detector"))
-    database = list(store.artifacts("projections"))
+    database = [made for made in store.artifacts("projections") if "projections" in made.tables]
     inputs = StageInputs({"annotations": [store.manifest(seen)], "projections": database}, seed=3)
     for shard in reconstruction.plan(inputs, reconstruction.ReconstructionParameters(methods=(Method.NEAREST,))):
         reconstruction.run_shard(shard, store)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 
 import pyarrow as pa
 
@@ -19,8 +21,8 @@ class Column:
     """
 
     name: str
-    type: pa.DataType
     meaning: str
+    type: pa.DataType
     unit: str = ""
     shape: tuple[int, ...] = ()
     axes: tuple[str, ...] = ()
@@ -62,11 +64,10 @@ class Table:
 
     def column(self, name: str) -> Column:
         """Return the column of this name, or a KeyError that lists the known ones."""
-        for column in self.columns:
-            if column.name == name:
-                return column
-        known = ", ".join(column.name for column in self.columns)
-        raise KeyError(f"table '{self.name}' has no column '{name}'; known columns: {known}")
+        found = {column.name: column for column in self.columns}
+        if name not in found:
+            raise KeyError(f"table '{self.name}' has no column '{name}'; known columns: {', '.join(found)}")
+        return found[name]
 
 
 def is_plain_name(name: str) -> bool:
@@ -74,29 +75,12 @@ def is_plain_name(name: str) -> bool:
     return _PLAIN_NAME.fullmatch(name) is not None
 
 
-def text(name: str, meaning: str, *, is_nullable: bool = False) -> Column:
-    """Describe a column of strings."""
-    return Column(name=name, type=pa.string(), meaning=meaning, is_nullable=is_nullable)
-
-
-def text_list(name: str, meaning: str) -> Column:
-    """Describe a column of lists of strings."""
-    return Column(name=name, type=pa.list_(pa.string()), meaning=meaning)
-
-
-def integer(name: str, meaning: str, *, unit: str = "", is_nullable: bool = False) -> Column:
-    """Describe a column of 32-bit integers."""
-    return Column(name=name, type=pa.int32(), meaning=meaning, unit=unit, is_nullable=is_nullable)
-
-
-def boolean(name: str, meaning: str) -> Column:
-    """Describe a column of truth values."""
-    return Column(name=name, type=pa.bool_(), meaning=meaning)
-
-
-def float64(name: str, meaning: str, *, unit: str = "", is_nullable: bool = False) -> Column:
-    """Describe a column of 64-bit floats; NaN is a value, null is not used unless said."""
-    return Column(name=name, type=pa.float64(), meaning=meaning, unit=unit, is_nullable=is_nullable)
+text = partial(Column, type=pa.string())
+text_list = partial(Column, type=pa.list_(pa.string()))
+integer = partial(Column, type=pa.int32())
+boolean = partial(Column, type=pa.bool_())
+float64 = partial(Column, type=pa.float64())
+"""Columns of single values: NaN is a value of a float, null is not used unless said."""
 
 
 def array(
@@ -109,18 +93,6 @@ def array(
     dtype: pa.DataType | None = None,
 ) -> Column:
     """Describe a numeric array column: of fixed shape when `axes` (name -> length) is given, else a flat list."""
-    value_type = dtype or pa.float32()
-    if axes is None:
-        return Column(name=name, type=pa.list_(value_type), meaning=meaning, unit=unit, joints=joints)
-    size = 1
-    for length in axes.values():
-        size *= length
-    return Column(
-        name=name,
-        type=pa.list_(value_type, size),
-        meaning=meaning,
-        unit=unit,
-        shape=tuple(axes.values()),
-        axes=tuple(axes),
-        joints=joints,
-    )
+    named = axes or {}
+    stored = pa.list_(dtype or pa.float32(), math.prod(named.values()) if named else -1)
+    return Column(name, meaning, stored, unit, tuple(named.values()), tuple(named), joints)

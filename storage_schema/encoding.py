@@ -31,67 +31,45 @@ def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
     Raises:
         SchemaError: A column is missing, unknown, of another length, shape or kind.
     """
-    unknown = [name for name in columns if name not in {column.name for column in table.columns}]
-    if unknown:
-        raise SchemaError(_unknown_column(table, unknown[0]))
-    if not columns:
-        return arrow_schema(table).empty_table()
-    rows = {name: _num_rows(table, name, values) for name, values in columns.items()}
-    for column in table.columns:
-        if column.name not in columns and not column.is_nullable:
-            raise SchemaError(f"table '{table.name}': column '{column.name}' is missing")
-    num_rows = next(iter(rows.values()))
-    for name, found in rows.items():
-        if found != num_rows:
-            first = next(iter(rows))
-            raise SchemaError(
-                f"table '{table.name}': column '{name}' has {found} rows but column '{first}' has {num_rows}"
-            )
     schema = arrow_schema(table)
-    arrays = [
-        _encode_column(table, column, columns[column.name], schema.field(column.name).type)
-        if column.name in columns
-        else pa.nulls(num_rows, column.type)
-        for column in table.columns
-    ]
+    for name in columns:
+        if name not in schema.names:
+            near = difflib.get_close_matches(name, schema.names, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise SchemaError(
+                f"table '{table.name}': unknown column '{name}'{hint} (known columns: {', '.join(schema.names)})"
+            )
+    if not columns:
+        return schema.empty_table()
+    arrays: list[pa.Array] = []
+    for column, stored in zip(table.columns, schema.types, strict=True):
+        try:
+            arrays.append(_encode_column(column, columns, stored))
+        except _MisfitError as misfit:
+            raise SchemaError(f"table '{table.name}': column '{column.name}' {misfit}") from None
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _unknown_column(table: Table, name: str) -> str:
-    known = [column.name for column in table.columns]
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
-    return f"table '{table.name}': unknown column '{name}'{hint} (known columns: {', '.join(known)})"
+def _encode_column(column: Column, columns: Mapping[str, Any], stored: pa.DataType) -> pa.Array:
+    first = next(iter(columns))
+    if column.name not in columns:
+        if not column.is_nullable:
+            raise _MisfitError("is missing")
+        return pa.nulls(_num_rows(columns[first]), column.type)
+    values = columns[column.name]
+    if (found := _num_rows(values)) != (wanted := _num_rows(columns[first])):
+        raise _MisfitError(f"has {found} rows but column '{first}' has {wanted}")
+    encoders = {Kind.FIXED: _fixed, Kind.VARYING: _varying, Kind.TEXT: _texts, Kind.TEXT_LIST: _texts}
+    return encoders.get(column_kind(column), _numbers)(column, values, stored)
 
 
-def _num_rows(table: Table, name: str, values: Any) -> int:
+def _num_rows(values: Any) -> int:
     if isinstance(values, np.ma.MaskedArray):
-        raise SchemaError(
-            f"table '{table.name}': column '{name}' is a masked array; give None or NaN where a value is missing"
-        )
-    if isinstance(values, np.ndarray) and values.ndim:
-        return len(values)
-    if isinstance(values, Sequence) and not isinstance(values, str | bytes):
-        return len(values)
-    raise SchemaError(
-        f"table '{table.name}': column '{name}' is given as {type(values).__name__}; a list or array of rows is needed"
-    )
-
-
-def _encode_column(table: Table, column: Column, values: Any, stored: pa.DataType) -> pa.Array:
-    kind = column_kind(column)
-    try:
-        if kind is Kind.FIXED:
-            return _fixed(column, values, stored)
-        if kind is Kind.VARYING:
-            return _varying(column, values, stored)
-        if kind is Kind.TEXT:
-            return pa.array(_texts(column, values), stored)
-        if kind is Kind.TEXT_LIST:
-            return _text_lists(column, values, stored)
-        return _numbers(column, kind, values, stored)
-    except _MisfitError as misfit:
-        raise SchemaError(f"table '{table.name}': column '{column.name}' {misfit}") from None
+        raise _MisfitError("is a masked array; give None or NaN where a value is missing")
+    is_single = values.ndim == 0 if isinstance(values, np.ndarray) else isinstance(values, str | bytes)
+    if is_single or not isinstance(values, np.ndarray | Sequence):
+        raise _MisfitError(f"is given as {type(values).__name__}; a list or array of rows is needed")
+    return len(values)
 
 
 class _MisfitError(Exception):
@@ -124,28 +102,17 @@ def _varying(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat), type=stored)
 
 
-def _texts(column: Column, values: Any) -> list[str | None]:
-    texts: list[str | None] = []
+def _texts(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
+    is_list = column_kind(column) is Kind.TEXT_LIST
     for index, value in enumerate(values):
-        if value is None and column.is_nullable:
-            texts.append(None)
-        elif isinstance(value, str):
-            texts.append(str(value))
-        else:
-            raise _MisfitError(f"has {value!r} in row {index}; text is needed")
-    return texts
+        texts = value if is_list else [value]
+        is_null = value is None and column.is_nullable
+        if not (is_null or (isinstance(texts, list | tuple | np.ndarray) and all(isinstance(t, str) for t in texts))):
+            raise _MisfitError(f"has {value!r} in row {index}; {'a list of texts' if is_list else 'text'} is needed")
+    return pa.array(list(values), stored)
 
 
-def _text_lists(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
-    rows: list[list[str]] = []
-    for index, row in enumerate(values):
-        if not isinstance(row, list | tuple | np.ndarray) or not all(isinstance(item, str) for item in row):
-            raise _MisfitError(f"has {row!r} in row {index}; a list of texts is needed")
-        rows.append([str(item) for item in row])
-    return pa.array(rows, stored)
-
-
-def _numbers(column: Column, kind: Kind, values: Any, stored: pa.DataType) -> pa.Array:
+def _numbers(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     nulls = None
     if column.is_nullable:
         # The inverse of reading: a null number reads as NaN, so NaN and None are null here.
@@ -154,7 +121,7 @@ def _numbers(column: Column, kind: Kind, values: Any, stored: pa.DataType) -> pa
         if found.ndim == 1 and found.dtype.kind == "f":
             nulls = np.isnan(found)
             found = np.where(nulls, 0, found)
-            if kind is Kind.INTEGER and np.all((found == np.rint(found)) & (np.abs(found) < _EXACT_BELOW)):
+            if pa.types.is_integer(stored) and np.all((found == np.rint(found)) & (np.abs(found) < _EXACT_BELOW)):
                 found = found.astype(np.int64)
     else:
         found = _array(values)

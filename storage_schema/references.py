@@ -11,14 +11,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from storage_schema.credits import SourceCredit
 from storage_schema.datasets import open_dataset
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, UnknownReference
 from storage_schema.licences import source_credits
-from storage_schema.manifest import ArtifactRef, Manifest
+from storage_schema.manifest import ArtifactRef
 from storage_schema.runs import latest_studies, read_latest
 from storage_schema.store import Store
 from storage_schema.table_data import TableData, concatenate
@@ -31,7 +31,7 @@ _HOW = "a reference is table@key, table:study/partition or table:dataset@version
 
 @dataclass(frozen=True)
 class Reference:
-    """A parsed reference: a table, and one of a key prefix, a study with or without a partition, or a dataset.
+    """A parsed reference: its text, a table, and one of a key prefix, a study perhaps with a partition, or a dataset.
 
     What begins no key is taken for the beginning of a content digest, by which tables refer to artifacts.
     """
@@ -42,6 +42,7 @@ class Reference:
     partition: str | None = None
     dataset: str = ""
     row: int | None = None
+    text: str = field(default="", compare=False)
 
 
 def parse_reference(text: str) -> Reference:
@@ -58,12 +59,12 @@ def parse_reference(text: str) -> Reference:
         raise UnknownReference(f"'{text}': there is no table '{parts['table']}'; tables: {', '.join(TABLES)}")
     row = None if parts["row"] is None else int(parts["row"])
     if "key" in parts:
-        return Reference(parts["table"], key_prefix=parts["key"].lower(), row=row)
+        return Reference(parts["table"], text=text, key_prefix=parts["key"].lower(), row=row)
     scope = parts["scope"]
     if "@" in scope and "/" not in scope:
-        return Reference(parts["table"], dataset=scope, row=row)
+        return Reference(parts["table"], text=text, dataset=scope, row=row)
     study, slash, partition = scope.partition("/")
-    return Reference(parts["table"], study=study, partition=partition if slash else None, row=row)
+    return Reference(parts["table"], text=text, study=study, partition=partition if slash else None, row=row)
 
 
 def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
@@ -105,10 +106,10 @@ def referenced_credits(store: Store, reference: Reference, refs: Sequence[Artifa
 def open_table(
     reference: Reference | str, store: Store | str | Path | None = None, *, columns: Sequence[str] | None = None
 ) -> TableData:
-    """Read the rows that a reference names: the documented Python way in.
+    """Read the rows that a reference names, such as `poses:duets/waltz` or `draws@3fa9#17`: the documented Python way.
 
     Args:
-        reference: Such as `poses:duets/waltz` or `draws@3fa9#17`.
+        reference: What is read.
         store: Store or its folder; None is `$PASDEDEUX_STORE`, else the folder `store` here.
         columns: Columns to read, all when None.
 
@@ -120,22 +121,21 @@ def open_table(
         MissingArtifact: An artifact is not in the store.
         SchemaError: A column is not in the table.
     """
-    opened, parsed, refs = _opened(reference, store)
-    if parsed.row is not None:
-        return _one_row(reference, opened, parsed.table, refs, parsed.row, columns)
-    return concatenate(TABLES[parsed.table], [opened.read(part, parsed.table, columns=columns) for part in refs])
+    opened, parsed = _opened(reference, store)
+    parts = [opened.read(ref, parsed.table, columns=columns, rows=rows) for ref, rows in find_rows(parsed, opened)]
+    return concatenate(TABLES[parsed.table], parts)
 
 
 def iter_rows(
     reference: Reference | str, store: Store | str | Path | None = None, *, columns: Sequence[str] | None = None
 ) -> Iterator[TableData]:
     """Read what `open_table` reads some 10,000 rows at a time, so memory stays bounded; raises the same."""
-    opened, parsed, refs = _opened(reference, store)
-    if parsed.row is not None:
-        yield _one_row(reference, opened, parsed.table, refs, parsed.row, columns)
-        return
-    for part in refs:
-        yield from opened.iter_batches(part, parsed.table, columns=columns)
+    opened, parsed = _opened(reference, store)
+    for ref, rows in find_rows(parsed, opened):
+        if parsed.row is None:
+            yield from opened.iter_batches(ref, parsed.table, columns=columns)
+        else:
+            yield opened.read(ref, parsed.table, columns=columns, rows=rows)
 
 
 def table_files(reference: Reference | str, store: Store | str | Path | None = None) -> list[Path]:
@@ -143,70 +143,52 @@ def table_files(reference: Reference | str, store: Store | str | Path | None = N
 
     The files are for reading only.  The number of a row, if the reference has one, does not count.
     """
-    opened, parsed, refs = _opened(reference, store)
-    return [opened.table_path(ref, parsed.table) for ref in refs]
+    opened, parsed = _opened(reference, store)
+    return [opened.table_path(ref, parsed.table) for ref in resolve(parsed, opened)]
 
 
-def default_store(root: str | Path | None = None) -> Store:
-    """Return the store in this folder, as it is now; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
-    store = Store(root if root is not None else os.environ.get("PASDEDEUX_STORE", "store"))
-    store.refresh()
-    return store
+def find_rows(reference: Reference, store: Store) -> list[tuple[ArtifactRef, slice]]:
+    """Return the artifacts that hold what a reference names, and which rows of their parts of the table it names.
 
-
-def _opened(reference: Reference | str, store: Store | str | Path | None) -> tuple[Store, Reference, list[ArtifactRef]]:
-    opened = store if isinstance(store, Store) else default_store(store)
-    parsed = parse_reference(reference) if isinstance(reference, str) else reference
-    return opened, parsed, resolve(parsed, opened)
-
-
-def _one_row(
-    reference: Reference | str,
-    store: Store,
-    table: str,
-    refs: Sequence[ArtifactRef],
-    row: int,
-    columns: Sequence[str] | None,
-) -> TableData:
-    part, at = find_row(reference, store, table, refs, row)
-    return store.read(part, table, columns=columns, rows=slice(at, at + 1))
-
-
-def find_row(
-    reference: Reference | str, store: Store, table: str, refs: Sequence[ArtifactRef], row: int
-) -> tuple[ArtifactRef, int]:
-    """Return the artifact that holds a row of these artifacts' parts of a table, and the row's number in it.
-
-    Raises:
-        UnknownReference: There are fewer rows.
+    Raises what `resolve` raises, and UnknownReference where there is no such row.
     """
-    left = row
-    for part in refs:
-        num_rows = store.manifest(part).tables[table].rows
+    parts = [(ref, store.manifest(ref).tables[reference.table].rows) for ref in resolve(reference, store)]
+    if reference.row is None:
+        return [(ref, slice(0, num_rows)) for ref, num_rows in parts]
+    row, left = reference.row, reference.row
+    for ref, num_rows in parts:
         if left < num_rows:
-            return part, left
+            return [(ref, slice(left, left + 1))]
         left -= num_rows
-    raise UnknownReference(f"'{reference}': there is no row {row}, the table has {row - left} rows here")
+    raise UnknownReference(f"'{reference.text}': there is no row {row}, the table has {row - left} rows here")
+
+
+def _opened(reference: Reference | str, store: Store | str | Path | None) -> tuple[Store, Reference]:
+    """Return the store as it is now; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
+    parsed = parse_reference(reference) if isinstance(reference, str) else reference
+    if isinstance(store, Store):
+        return store, parsed
+    opened = Store(store if store is not None else os.environ.get("PASDEDEUX_STORE", "store"))
+    opened.refresh()
+    return opened, parsed
 
 
 def _by_key(reference: Reference, store: Store) -> ArtifactRef:
-    prefix = reference.key_prefix
-    folders = store.folders(key_prefix=prefix)
-    manifests = [store.find(folder.parent.parent.name, folder.name) for folder in folders]
-    valid: list[Manifest] = [manifest for manifest in manifests if manifest is not None]
+    table, prefix = reference.table, reference.key_prefix
+    found = [store.find(folder.parent.parent.name, folder.name) for folder in store.folders(key_prefix=prefix)]
+    valid = [manifest for manifest in found if manifest is not None]
     if not valid:  # artifacts with the same content hold the same rows
-        same = {one.ref: one for one in store.artifacts() if one.ref.content_digest.startswith(prefix)}
-        valid = list(same.values())
-    found = [manifest for manifest in valid if reference.table in manifest.tables]
-    if len(found) == 1:
-        return found[0].ref
-    if found:
-        listed = ", ".join(f"{manifest.ref.stage}@{manifest.ref.key[:16]}" for manifest in found[:8])
-        raise UnknownReference(f"'{reference.table}@{prefix}' names {len(found)} artifacts; give more digits: {listed}")
+        valid = list({one.ref: one for one in store.artifacts() if one.ref.content_digest.startswith(prefix)}.values())
+    refs = [manifest.ref for manifest in valid if table in manifest.tables]
+    if len(refs) == 1:
+        return refs[0]
+    if refs:
+        listed = ", ".join(f"{ref.stage}@{ref.key[:16]}" for ref in refs[:8])
+        raise UnknownReference(f"'{table}@{prefix}' names {len(refs)} artifacts; give more digits: {listed}")
     if valid:
-        there = ", ".join(sorted({table for manifest in valid for table in manifest.tables}))
-        raise UnknownReference(f"'{reference.table}@{prefix}': the artifact holds no such table; it holds: {there}")
-    raise UnknownReference(f"'{reference.table}@{prefix}': no artifact in the store {store} has such a key or content")
+        there = ", ".join(sorted({name for manifest in valid for name in manifest.tables}))
+        raise UnknownReference(f"'{table}@{prefix}': the artifact holds no such table; it holds: {there}")
+    raise UnknownReference(f"'{table}@{prefix}': no artifact in the store {store} has such a key or content")
 
 
 def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:

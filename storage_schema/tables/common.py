@@ -55,7 +55,7 @@ def figures(table: str) -> tuple[Column, ...]:
     """Describe the figures of a table, as they are declared where they are measured; see `tasks/figures.py`."""
     rows = map(json.loads, _FIGURES.splitlines())
     return tuple(
-        Column(name, pa.type_for_alias(alias), meaning, unit, is_nullable=is_nullable)
+        Column(name, meaning, pa.type_for_alias(alias), unit, is_nullable=is_nullable)
         for of, name, alias, meaning, unit, is_nullable in rows
         if of == table
     )

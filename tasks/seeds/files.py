@@ -20,10 +20,9 @@ from storage_schema import (
     SourceCredit,
     Store,
     parse_reference,
-    resolve,
     source_credits,
 )
-from storage_schema.references import find_row
+from storage_schema.references import find_rows
 from tasks.facts import Facts
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
@@ -129,9 +128,9 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     reference = parse_reference(text)
     if reference.table != "draws" or reference.row is None:
         raise InputError(f"'{text}' is not a draw; a draw is draws@key#row or draws:study/partition#row")
-    ref, row = find_row(text, store, "draws", resolve(reference, store), reference.row)
-    manifest = store.manifest(ref)
-    draw = store.read(ref, "draws", rows=slice(row, row + 1))
+    ((ref, rows),) = find_rows(reference, store)
+    manifest, row = store.manifest(ref), rows.start
+    draw = store.read(ref, "draws", rows=rows)
     seed_index, density = int(draw["seed_index"][0]), str(draw["density"][0])
     (seeds_ref,) = (one for one in manifest.inputs if "seeds" in store.manifest(one).tables)
     seeds = store.read(seeds_ref, "seeds", columns=["seed_index", "pair17_m"])
@@ -157,16 +156,12 @@ def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
     Raises:
         UnknownReference: The reference names nothing.
     """
-    reference = parse_reference(text)
-    refs = resolve(reference, store)
-    rows = {ref: range(store.manifest(ref).tables["seeds"].rows) for ref in refs}
-    if reference.row is not None:
-        ref, row = find_row(text, store, "seeds", refs, reference.row)
-        rows = {ref: range(row, row + 1)}
     found = []
-    for ref, wanted in rows.items():
-        manifest, table = store.manifest(ref), store.read(ref, "seeds", columns=["seed_index", "pair17_m"])
-        for row in wanted:
-            pair_m = np.array(table["pair17_m"][row], dtype=np.float64)
-            found.append((int(table["seed_index"][row]), _pair_file(store, manifest, pair_m, f"seeds@{ref.key}#{row}")))
+    for ref, rows in find_rows(parse_reference(text), store):
+        manifest, table = store.manifest(ref), store.read(ref, "seeds", columns=["seed_index", "pair17_m"], rows=rows)
+        for row, (seed_index, pair_m) in enumerate(
+            zip(table["seed_index"], table["pair17_m"], strict=True), rows.start
+        ):
+            pair = np.array(pair_m, dtype=np.float64)
+            found.append((int(seed_index), _pair_file(store, manifest, pair, f"seeds@{ref.key}#{row}")))
     return found

@@ -15,13 +15,8 @@ from typing import Any
 from storage_schema.ancestry import walk_stored
 from storage_schema.credits import SourceCredit
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
-from storage_schema.errors import (
-    BadName,
-    CorruptArtifact,
-    OlderSchema,
-    UnknownReference,
-)
-from storage_schema.keys import canonical_json
+from storage_schema.errors import BadName, CorruptArtifact, OlderSchema, UnknownReference
+from storage_schema.keys import canonical_json, json_file
 from storage_schema.manifest import ArtifactRef, Identity, refuse_newer, refuse_older
 from storage_schema.staging import StagingFolder
 from storage_schema.store_reader import StoreReader
@@ -54,12 +49,17 @@ class Dataset:
         """Return `name@version`."""
         return f"{self.name}@{self.version}"
 
+    def to_json(self, **more: Any) -> bytes:
+        """Return the list as its file has it, with `more` keys."""
+        values = {**asdict(self), "schema_version": SCHEMA_VERSION, **more}
+        del values["path"]
+        return json_file(values)
+
 
 def list_datasets(store: StoreReader, name: str = "*") -> list[Dataset]:
     """Return the datasets of a store, or the versions of one, but those of an older schema (`dataset_labels` has all).
 
-    Raises:
-        CorruptArtifact: The list of one cannot be read.
+    CorruptArtifact where the list of one cannot be read.
     """
     found = []
     for path in _folders(store, name):
@@ -71,20 +71,16 @@ def list_datasets(store: StoreReader, name: str = "*") -> list[Dataset]:
 def named_places(store: StoreReader) -> set[tuple[str, str]]:
     """Return stage and key of all that the datasets of a store name, also those of an older schema.
 
-    Raises:
-        CorruptArtifact: The list of one cannot be read: what it names is not known.
+    CorruptArtifact where the list of one cannot be read: what it names is not known.
     """
     found = set[tuple[str, str]]()
     for path in _folders(store):
         try:
-            found.update(ref.place for ref in _read(path).refs)
-        except OlderSchema:  # whose form is not known, but for what all have
-            try:
-                found.update(
-                    (ref["stage"], ref["key"]) for ref in json.loads((path / DATASET_FILE).read_bytes())["refs"]
-                )
-            except (KeyError, TypeError) as error:
-                raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
+            values = json.loads((path / DATASET_FILE).read_bytes())
+            refuse_newer(values["schema_version"], str(path))
+            found.update((ref["stage"], ref["key"]) for ref in values["refs"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
     return found
 
 
@@ -94,11 +90,7 @@ def dataset_labels(store: StoreReader) -> list[str]:
 
 
 def newest_version(store: StoreReader, name: str) -> Dataset | None:
-    """Return the numbered version of a dataset with the greatest number; None without one, or of an older schema.
-
-    Raises:
-        CorruptArtifact: Its list cannot be read.
-    """
+    """Return the numbered version of a dataset with the greatest number; None without one, or of an older schema."""
     numbered = [path for path in _folders(store, name) if _version(path).isdecimal()]
     with suppress(OlderSchema):
         return _read(numbered[-1]) if numbered else None
@@ -106,12 +98,7 @@ def newest_version(store: StoreReader, name: str) -> Dataset | None:
 
 
 def open_dataset(store: StoreReader, label: str) -> Dataset:
-    """Return the dataset `name@version`, or the newest version of `name`.
-
-    Raises:
-        UnknownReference: There is no such dataset; says which there are.
-        CorruptArtifact: Its list cannot be read.
-    """
+    """Return the dataset `name@version`, or the newest version of `name`; UnknownReference says which there are."""
     named = [path for path in _folders(store) if label in (path.name, path.name.rpartition("@")[0])]
     if not named:
         there = ", ".join(path.name for path in _folders(store)) or "none"
@@ -122,10 +109,7 @@ def open_dataset(store: StoreReader, label: str) -> Dataset:
 def datasets_with(store: StoreReader, ref: ArtifactRef) -> Iterator[Dataset]:
     """Return the datasets that name this content of an artifact or were computed from it.
 
-    Those of an older schema need other artifacts.
-
-    Raises:
-        CorruptArtifact: The list of a dataset cannot be read: what it needs is not known.
+    Those of an older schema need other artifacts.  CorruptArtifact where the list of one cannot be read.
     """
     for path in _folders(store):
         with suppress(OlderSchema):
@@ -147,19 +131,12 @@ def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> s
 
 
 def add_dataset(store: StoreReader, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
-    """Write the dataset's folder and give it its name in one rename; false when the name is taken.
-
-    Raises:
-        BadName: A name is not allowed.
-        FullDisk: There is no room left.
-    """
+    """Write the dataset's folder and give it its name in one rename; false when the name is taken."""
     check_names(dataset.name, dataset.version, *attachments)
-    values = {**asdict(dataset), "schema_version": SCHEMA_VERSION}
-    del values["path"]
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, data in attachments.items():
             write_file(staging.path / name, data)
-        write_file(staging.path / DATASET_FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+        write_file(staging.path / DATASET_FILE, dataset.to_json())
         sync_folder(staging.path)
         make_folder(dataset.path.parent)
         if store.mirror is not None and not store.mirror.add_dataset(staging.path, dataset.label):
@@ -215,10 +192,9 @@ def _folders(store: StoreReader, name: str = "*") -> list[Path]:
     return sorted((store.root / "datasets").glob(f"{name}@*"), key=_order)
 
 
-def _order(path: Path) -> tuple[str, bool, int, str]:
+def _order(path: Path) -> tuple[str, int, str]:
     version = _version(path)
-    is_number = version.isdecimal()
-    return (path.name.rpartition("@")[0], is_number, int(version) if is_number else 0, version)
+    return (path.name.rpartition("@")[0], int(version) if version.isdecimal() else -1, version)
 
 
 def _version(path: Path) -> str:

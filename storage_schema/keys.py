@@ -11,27 +11,42 @@ from typing import Any
 from storage_schema.errors import StorageError
 from storage_schema.version import SCHEMA_VERSION
 
-_BLOCK_BYTES = 1 << 20
 _ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def canonical_json(value: Any, where: str = "value") -> bytes:
     """Return the one spelling of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
 
-    `where` names the value in messages.
-
     Raises:
-        StorageError: The value holds something that JSON has no spelling for, such as NaN or an array.
+        StorageError: The value, `where` in the message, holds something that JSON has no spelling for, such as NaN, an
+            array or a key that is no text.
     """
     try:
-        return _ENCODER.encode(value).encode()
+        spelled = _ENCODER.encode(value).encode()
+        _check_keys(value)
     except (TypeError, ValueError) as error:
         raise StorageError(f"{where} cannot be said in JSON: {error}") from None
+    return spelled
+
+
+def _check_keys(value: Any) -> None:
+    """Refuse keys that are not texts, of which the encoder makes texts: 1 and "1" would be the same."""
+    if isinstance(value, dict):
+        if other := [key for key in value if not isinstance(key, str)]:
+            raise TypeError(f"keys must be texts, not {other[0]!r}")
+        value = list(value.values())
+    for part in value if isinstance(value, list | tuple) else ():
+        _check_keys(part)
 
 
 def plain_json(value: Any, where: str = "value") -> Any:
     """Return a JSON value as it reads back from a file: mappings as dicts, sequences as lists, a copy all through."""
     return json.loads(canonical_json(value, where))
+
+
+def json_file(values: Mapping[str, Any]) -> bytes:
+    """Return values as files of JSON have them, for people to read too."""
+    return (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def artifact_key(
@@ -43,15 +58,10 @@ def artifact_key(
     after: Sequence[str] = (),
     seed: int,
 ) -> str:
-    """Return the sha256 that names an artifact by everything that decides its content.
+    """Return the sha256 that names an artifact by everything that decides its content; parameters are JSON values.
 
-    Paths, times, hosts, study names and worker counts are never part of it.
-
-    Inputs are content digests of artifacts and sha256 of outside files, in the order they are read; `after` are keys of
-    other shards of the same plan.
-
-    Raises:
-        StorageError: The parameters are not JSON values.
+    Paths, times, hosts, study names and worker counts are never part of it.  Inputs are content digests of artifacts
+    and sha256 of outside files, in the order they are read; `after` are keys of other shards of the same plan.
     """
     described = {
         "stage": stage,
@@ -69,25 +79,13 @@ def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files
     """Return the digest of all that others may read of an artifact: where it stands, its facts, its data files.
 
     Two artifacts of one stage with the same digest are the same to everything downstream, whatever their keys:
-    times, versions, parameters and licences are not in it.
-
-    Data files are given as their sha256 by file name.
-
-    Raises:
-        StorageError: The facts are not JSON values.
+    times, versions, parameters and licences are not in it.  Facts are JSON values, `files` sha256 by file name.
     """
     described = {"partition": partition, "name": name, "facts": dict(facts), "files": dict(files)}
     return hashlib.sha256(canonical_json(described, "content")).hexdigest()
 
 
 def file_sha256(path: str | Path) -> str:
-    """Return the sha256 of a file's bytes, read in blocks.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
-    digest = hashlib.sha256()
+    """Return the sha256 of a file's bytes; OSError where it cannot be read."""
     with Path(path).open("rb") as file:
-        while block := file.read(_BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()

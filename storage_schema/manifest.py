@@ -32,9 +32,6 @@ class ArtifactRef:
     Two references are equal where stage and content are, whatever the keys: an artifact that was made anew with the
     same content has another key, and nothing that was made of the old one may lose it for that.  The key says where
     the artifact lies.
-
-    Raises:
-        StorageError: The key is not 64 hexadecimal digits.
     """
 
     stage: str
@@ -134,7 +131,7 @@ class Manifest:
     @property
     def num_bytes(self) -> int:
         """Bytes of all data files."""
-        return sum(part.bytes for part in self.tables.values()) + sum(one.bytes for one in self.attachments.values())
+        return sum(entry.bytes for entry in self.data_files.values())
 
     def to_json(self) -> str:
         """Return the text of the manifest file."""

@@ -13,9 +13,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from storage_schema.ancestry import walk
 from storage_schema.bucket import AT_ONCE, RemoteStore
@@ -30,7 +28,6 @@ from storage_schema.runs import in_use
 from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.tables import TABLES
-from storage_schema.version import SCHEMA_VERSION
 
 
 def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Mapping[str, bytes] | None = None) -> int:
@@ -52,13 +49,10 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Map
     for name, sha256 in attachments.items():
         if not remote.has(f"files/{sha256}", len(files[name])):
             remote.write(f"files/{sha256}", files[name])
-    values = {**asdict(dataset), "schema_version": SCHEMA_VERSION, "attachments": attachments}
-    del values["path"]
     place = f"datasets/{dataset.label}"
-    if not remote.create(place, _as_bytes(values)):
-        there = json.loads(remote.read(place))
-        if there["digest"] != dataset.digest:
-            raise DatasetExists(f"{remote.url} has another {dataset.label} already, which never changes")
+    is_new = remote.create(place, dataset.to_json(attachments=attachments))
+    if not is_new and json.loads(remote.read(place))["digest"] != dataset.digest:
+        raise DatasetExists(f"{remote.url} has another {dataset.label} already, which never changes")
     return num_new
 
 
@@ -90,7 +84,8 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         manifest = Manifest.from_json(remote.read(_place(ref)), where=where)
         names = {ref.stage, *manifest.data_files}
         is_same = manifest.ref.place == ref.place and manifest.computed_digest == ref.content_digest
-        if not is_same or manifest.ref != ref or any(map(_is_elsewhere, names)):
+        leads_elsewhere = any("/" in name or name.startswith(".") for name in names)
+        if not is_same or manifest.ref != ref or leads_elsewhere:
             raise CorruptArtifact(f"{where} is the manifest of something else")
         return manifest
 
@@ -110,11 +105,6 @@ def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], M
         return [step.manifest for step in steps if step.manifest is not None]
 
 
-def _is_elsewhere(name: str) -> bool:
-    """Tell whether a name would lead out of the folder it is meant for."""
-    return "/" in name or name.startswith(".")
-
-
 def _place(ref: ArtifactRef) -> str:
     return f"artifacts/{ref.stage}/{ref.key}-{ref.content_digest}"
 
@@ -124,15 +114,12 @@ def _push_artifact(store: Store, manifest: Manifest, remote: RemoteStore) -> boo
     if remote.has(_place(manifest.ref), len(text)):
         return False
     for name, entry in manifest.data_files.items():
-        _push_file(store.data_file(manifest.ref, name, entry), remote, entry.sha256)
+        path = store.data_file(manifest.ref, name, entry)
+        if file_sha256(path) != entry.sha256:
+            raise CorruptArtifact(f"{path} is not what its manifest says (`pasdedeux verify`); it is not pushed")
+        if not remote.has(f"files/{entry.sha256}", entry.bytes):
+            remote.write(f"files/{entry.sha256}", path)
     return remote.create(_place(manifest.ref), text)
-
-
-def _push_file(path: Path, remote: RemoteStore, sha256: str) -> None:
-    if file_sha256(path) != sha256:
-        raise CorruptArtifact(f"{path} is not what its manifest says (`pasdedeux verify`); it is not pushed")
-    if not remote.has(f"files/{sha256}", path.stat().st_size):
-        remote.write(f"files/{sha256}", path)
 
 
 def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> bool:
@@ -179,7 +166,3 @@ def _chosen(remote: RemoteStore, label: str) -> str:
     if numbered:
         return max(numbered, key=lambda name: int(name.rpartition("@")[2]))
     raise UnknownReference(f"there is no dataset '{label}' in {remote.url}; there are: {', '.join(there) or 'none'}")
-
-
-def _as_bytes(values: dict[str, Any]) -> bytes:
-    return (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode()

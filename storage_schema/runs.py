@@ -8,7 +8,6 @@ say why something is stale.
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import re
 import secrets
@@ -23,7 +22,7 @@ import orjson
 
 from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
-from storage_schema.keys import plain_json
+from storage_schema.keys import json_file, plain_json
 from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older, with_fields
 from storage_schema.staging import replace_file
 from storage_schema.store import Store
@@ -60,11 +59,7 @@ class ShardRecord:
 
     @classmethod
     def of(cls, manifest: Manifest, store: Store) -> ShardRecord:
-        """Return the record of an artifact; its inputs are named by their own manifests.
-
-        Raises:
-            MissingArtifact: An input is not in the store.
-        """
+        """Return the record of an artifact; its inputs are named by their own manifests (else MissingArtifact)."""
         inputs = [store.manifest(ref) for ref in manifest.inputs]
         return cls(
             partition=manifest.partition,
@@ -106,14 +101,12 @@ class RunFolder:
     def write(self, name: str, content: Mapping[str, Any]) -> None:
         """Put a file of JSON in the folder, whole or not at all; FullDisk where there is no room left."""
         with write_errors(self.path):
-            replace_file(self.path / name, _as_json(content, name), staging_root=self.path.parents[1] / "tmp")
+            replace_file(
+                self.path / name, json_file(plain_json(dict(content), name)), staging_root=self.path.parents[1] / "tmp"
+            )
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of a file of the folder.
-
-        Raises:
-            MissingArtifact: There is no such file.
-        """
+        """Return the bytes of a file of the folder; MissingArtifact where there is none."""
         try:
             return (self.path / name).read_bytes()
         except FileNotFoundError:
@@ -131,11 +124,7 @@ def new_run(store: Store, study: str) -> RunFolder:
 
 
 def open_run(store: Store, run_id: str) -> RunFolder:
-    """Return the folder of a run.
-
-    Raises:
-        MissingArtifact: There is no such run.
-    """
+    """Return the folder of a run; MissingArtifact where there is none."""
     path = store.root / "runs" / _checked(run_id)
     if run_id == "latest" or not path.is_dir():
         raise MissingArtifact(f"there is no run '{run_id}' in the store {store}")
@@ -185,9 +174,6 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     """Record what a run made of these stages; what is recorded of other stages stays.
 
     A reader sees the old record or the new one, nothing between, and runs that record at the same time wait in line.
-
-    Raises:
-        FullDisk: There is no room left.
     """
     path = _latest_path(store, study)
     store.prepare()
@@ -197,8 +183,8 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
             before = read_latest(store, study)
         merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
         latest = LatestRun(study=study, run_id=run_id, stages=merged)
-        values = {"schema_version": SCHEMA_VERSION, **asdict(latest)}
-        replace_file(path, _as_json(values, "record"), staging_root=store.staging_root)
+        values = plain_json({"schema_version": SCHEMA_VERSION, **asdict(latest)}, "record")
+        replace_file(path, json_file(values), staging_root=store.staging_root)
     return latest
 
 
@@ -238,10 +224,6 @@ def _in_line(path: Path, how: int = fcntl.LOCK_EX) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
-
-
-def _as_json(values: Mapping[str, Any], where: str) -> bytes:
-    return (json.dumps(plain_json(dict(values), where), indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def _latest_path(store: Store, study: str) -> Path:

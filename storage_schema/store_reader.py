@@ -25,19 +25,12 @@ if TYPE_CHECKING:
     from storage_schema.mirror import Mirror
 
 STORE_FILE = "store.json"
-_BLOCK_BYTES = 1 << 14
-
-
 _S3 = re.compile(r"s3:/*(.*)")
 """An address in S3-compatible storage, also as a path says it, with one stroke."""
 
 
 class StoreReader:
-    """Finds and reads the artifacts under one folder; as text it is where the store lies.
-
-    Args:
-        root: Folder of the store, or `s3://BUCKET/PREFIX`.
-    """
+    """Finds and reads the artifacts under `root`, a folder or `s3://BUCKET/PREFIX`; as text it is where that lies."""
 
     def __init__(self, root: str | Path) -> None:
         self.mirror: Mirror | None = None
@@ -66,11 +59,7 @@ class StoreReader:
         return type(self), (str(self),)
 
     def refresh(self) -> None:
-        """Look at what the store holds now, where it does not lie here.
-
-        Raises:
-            RemoteError: It does not answer.
-        """
+        """Look at what the store holds now, where it does not lie here; RemoteError where it does not answer."""
         if self.mirror is not None:
             self.mirror.refresh()
 
@@ -86,10 +75,8 @@ class StoreReader:
     def find(self, stage: str, key: str) -> Manifest | None:
         """Return the artifact's manifest when it is valid and its files are there with the right size, else None.
 
-        An artifact whose tables have other columns than this program declares is not valid either.
-
-        Raises:
-            NewerSchema: The store was written by a newer program.
+        An artifact whose tables have other columns than this program declares is not valid either.  NewerSchema where
+        the store was written by a newer program.
         """
         self.check_version()
         if self.mirror is not None and not self.mirror.is_current:
@@ -98,7 +85,7 @@ class StoreReader:
             manifest = self.load(stage, key)
         except (MissingArtifact, CorruptArtifact):
             return None
-        return manifest if self._is_whole(manifest) else None
+        return manifest if not self.outdated_tables(manifest) and self.has_files(manifest) else None
 
     def manifest(self, ref: ArtifactRef) -> Manifest:
         """Return the manifest of an artifact.
@@ -151,21 +138,11 @@ class StoreReader:
         self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None
     ) -> Iterator[TableData]:
         """Read the artifact's part of a table some 10,000 rows at a time; raises what `read` raises."""
-        batches = iter_table(self.table_path(ref, table), TABLES[table], columns=columns)
-
-        def checked() -> Iterator[TableData]:
-            yield from batches
-            self.manifest(ref)  # as in `read`
-
-        return checked()
+        yield from iter_table(self.table_path(ref, table), TABLES[table], columns=columns)
+        self.manifest(ref)  # as in `read`
 
     def attachment(self, ref: ArtifactRef, name: str) -> bytes:
-        """Return the bytes of an attached file.
-
-        Raises:
-            MissingArtifact: The artifact, or this attachment of it, is not in the store.
-            CorruptArtifact: The file is not there though the manifest names it.
-        """
+        """Return the bytes of an attached file; MissingArtifact without it, CorruptArtifact where the file is gone."""
         manifest = self.manifest(ref)
         if name not in manifest.attachments:
             there = ", ".join(manifest.attachments) or "none"
@@ -187,7 +164,8 @@ class StoreReader:
         """
         path = f"{self._prefix}{stage}/{key[:2]}/{key}/{MANIFEST_NAME}"
         try:
-            text = _bytes_of(path)
+            with open(path, "rb", buffering=0) as file:  # noqa: PTH123
+                text = file.read()
         except (FileNotFoundError, NotADirectoryError):
             raise MissingArtifact(f"artifact {stage}@{key[:12]} is not in the store {self}") from None
         except OSError as error:
@@ -199,25 +177,17 @@ class StoreReader:
             )
         return manifest
 
-    def _is_whole(self, manifest: Manifest) -> bool:
-        """Tell whether every file is there with the right size, and every table has the declared columns."""
-        return not self.outdated_tables(manifest) and self.has_files(manifest)
-
     def has_files(self, manifest: Manifest) -> bool:
         """Tell whether every file of an artifact is there with the right size."""
         if self.mirror is not None:
             return True  # its manifest came last
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
+        sizes = {f"{name}.parquet": part.bytes for name, part in manifest.tables.items()}
+        sizes |= {name: entry.bytes for name, entry in manifest.attachments.items()}
         try:
-            for name, part in manifest.tables.items():
-                if os.stat(f"{folder}/{name}.parquet").st_size != part.bytes:  # noqa: PTH116
-                    return False
-            for name, entry in manifest.attachments.items():
-                if os.stat(f"{folder}/{name}").st_size != entry.bytes:  # noqa: PTH116
-                    return False
+            return all(os.stat(f"{folder}/{name}").st_size == size for name, size in sizes.items())  # noqa: PTH116
         except OSError:
             return False
-        return True
 
     def outdated_tables(self, manifest: Manifest) -> list[str]:
         """Return the tables of an artifact that were written with other columns than this program declares."""
@@ -237,8 +207,7 @@ class StoreReader:
     def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
         """Return the path of a data file of an artifact, which comes now where the store does not lie here.
 
-        Raises:
-            CorruptArtifact: It is gone or damaged, or its name would lead out of the artifact's folder.
+        CorruptArtifact where it is gone or damaged, or its name would lead out of the artifact's folder.
         """
         if "/" in name or name.startswith("."):
             raise CorruptArtifact(
@@ -269,12 +238,7 @@ class StoreReader:
         return [n for n, entry in manifest.data_files.items() if is_damaged(n, entry) and is_damaged(n, entry)]
 
     def check_version(self) -> None:
-        """Refuse what this program cannot read; looked up once per object.
-
-        Raises:
-            NewerSchema: The store was made by a newer program.
-            NotAStore: The path is a file, or what the store says of itself cannot be read.
-        """
+        """Refuse a store of a newer program (NewerSchema) and what is none (NotAStore); looked up once per object."""
         if self._is_checked:
             return
         try:
@@ -288,18 +252,6 @@ class StoreReader:
             raise NotAStore(f"{self.root} is not a store: {STORE_FILE} cannot be read ({error})") from error
         refuse_newer(found, f"the store {self}")
         self._is_checked = True
-
-
-def _bytes_of(path: str) -> bytes:
-    """Return the bytes of a file, which is a small one: `open` takes twice as long."""
-    file = os.open(path, os.O_RDONLY)
-    try:
-        blocks = []
-        while block := os.read(file, _BLOCK_BYTES):
-            blocks.append(block)
-    finally:
-        os.close(file)
-    return b"".join(blocks)
 
 
 @cache

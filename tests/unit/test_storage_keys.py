@@ -57,6 +57,7 @@ def test_a_key_does_not_tell_tuples_from_lists() -> None:
         ({"a": np.zeros(2)}, "ndarray"),
         ({"a": np.int64(2)}, "int64"),
         ({"a": {1, 2}}, "set"),
+        ({"a": [{1: "b"}]}, "keys must be texts, not 1"),
     ],
 )
 def test_values_that_are_not_json_are_refused(value: object, words: str) -> None:

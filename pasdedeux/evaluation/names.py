@@ -38,7 +38,7 @@ _METHODS = {
     "best_hypothesis": ("best of all views", "the hypothesis nearest to the true view: a bound"),
     "mean_view": ("mean view", "the same view for every image: the baseline"),
     "ic": ("interaction coordinates", "chains that compare distances between people's joints with annotations"),
-    "cartesian": ("joint by joint", "chains that compare the places of joints with annotations"),
+    "cartesian": ("Cartesian", "chains that compare the places of joints with annotations"),
     "shape_context": ("shape context", "chains that compare shape contexts with annotations"),
     "unbiased": ("unbiased steps", "the first density with steps that do not follow velocities"),
     "our_default": ("our default", "the target and the steps that studies have by default"),

@@ -116,6 +116,11 @@ def label_axis(axis: Any, x_label: str = "", y_label: str = "") -> None:
     axis.tick_params(labelsize=7)
 
 
+def legend_beside(axis: Any) -> None:
+    """Put the legend to the right of an axis, the last of its figure, where it hides nothing."""
+    axis.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
 def fit_map(figure: Figure, axis: Any, *, scale: float, limits: tuple[float, float]) -> None:
     """Give both directions of a map the same scale, and the figure the height for that, within limits, inches."""
     axis.set_aspect("equal")
@@ -126,14 +131,14 @@ def fit_map(figure: Figure, axis: Any, *, scale: float, limits: tuple[float, flo
 def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_log: bool = False) -> bytes:
     """Draw panels side by side over an x of one meaning; give SVG bytes."""
     columns = max(len(panels), 1)
-    figure, ((*axes,),) = new_figure(6.0 if columns == 1 else 3.6 * columns, 3.3, columns=columns)
+    figure, ((*axes,),) = new_figure(7.4 if columns == 1 else 3.6 * columns + 1.4, 3.3, columns=columns)
     for axis, panel in zip(axes, panels, strict=False):
         if is_log:
             axis.set_xscale("log")
         _draw_panel(axis, panel, x_label)
         axis.minorticks_off()  # over less than a decade their names would overlap
     if panels and panels[0].curves:
-        axes[0].legend(fontsize=6)
+        legend_beside(axes[-1])
     return figure_svg(figure, title=title)
 
 

@@ -13,7 +13,16 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.pictures import CLOUD, CurvePanel, Picture, curve_figure, figure_svg, fit_map, new_figure
+from pasdedeux.evaluation.pictures import (
+    CLOUD,
+    CurvePanel,
+    Picture,
+    curve_figure,
+    figure_svg,
+    fit_map,
+    legend_beside,
+    new_figure,
+)
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
@@ -300,7 +309,7 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         title: Title of the picture.
     """
     columns = max(len(panels), 1)
-    figure, ((*axes,),) = new_figure(2.9 * columns, 2.9, columns=columns, has_common_axes=True)
+    figure, ((*axes,),) = new_figure(2.9 * columns + 1.4, 2.9, columns=columns, has_common_axes=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
         axis.scatter(*(100 * real.T), s=5, color="#3a6fd8", label="real", zorder=3, **CLOUD)
         for number, (method, places) in enumerate(sets.items()):
@@ -312,7 +321,7 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         axis.set_title(name, fontsize=8)
         axis.tick_params(labelsize=6)
         fit_map(figure, axis, scale=2.4, limits=(1.8, 4.5))
-    axes[0].legend(fontsize=6)
+    legend_beside(axes[-1])
     return figure_svg(figure, title=title)
 
 

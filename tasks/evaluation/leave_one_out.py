@@ -25,6 +25,7 @@ from pasdedeux.evaluation.pictures import (
     draw_pair,
     figure_svg,
     fit_map,
+    legend_beside,
     new_figure,
 )
 from pasdedeux.evaluation.scores import Score, summarise
@@ -288,7 +289,7 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
     axis.tick_params(labelsize=6)
     fit_map(figure, axis, scale=5.6, limits=(2.4, 7.0))
     axis.set_xlabel("cm of d_I", fontsize=7)
-    axis.legend(fontsize=6)
+    legend_beside(axis)
     return figure_svg(figure, title=f"annotations by how alike they are ({plane.share:.0%} of the spread shown)")
 
 

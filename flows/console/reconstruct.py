@@ -55,10 +55,19 @@ def reconstruct(
     # Here, because numba and the search take a second that the other commands need not wait for.
     from flows.console.reconstructing import annotation_source, follow_video, reconstruct_video
 
-    whole_only: dict[str, object] = {"--height": height, "--stature": stature, "--person": person, "--people": people}
-    given = [name for name, value in (whole_only | {"--focal": focal, "--fov": fov}).items() if value]
+    whole_only: dict[str, object] = {
+        "--height": height,
+        "--stature": stature,
+        "--person": person,
+        "--people": people,
+        "--focal": focal,
+        "--fov": fov,
+        "--min-confidence": min_confidence,
+        "--units": units if units != "cm" else None,
+    }
+    given = [name for name, value in whole_only.items() if value not in (None, [])]
     if follow and given:
-        raise InputError(f"{given[0]} is for whole videos: live, nobody knows yet where the floor is or who is who")
+        raise InputError(f"{given[0]} is for whole videos: with --follow, leave it out")
     if follow:
         follow_video(
             path,

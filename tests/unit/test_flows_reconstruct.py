@@ -130,6 +130,14 @@ def test_who_is_who_is_written_and_a_changed_table_overrules_it(
     assert "--people is for whole videos" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("option", "value"), [("--min-confidence", "0"), ("--units", "m")])
+def test_what_only_whole_videos_have_is_refused_live(
+    option: str, value: str, video: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["reconstruct", str(video), *reference(store), "--follow", option, value]) == 2
+    assert f"{option} is for whole videos: with --follow, leave it out" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

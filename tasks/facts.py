@@ -243,7 +243,7 @@ class MotionFacts(Facts):
 
 
 class ModelFacts(Facts):
-    """A model after a segment of its training; `train`, `validation` and `test` are variants by take."""
+    """A model after a segment of its training, on `device`; `train`, `validation` and `test` are variants by take."""
 
     kind: Literal["model", "model_state"] = "model"
     split: str
@@ -251,6 +251,7 @@ class ModelFacts(Facts):
     class_name: str = Field(alias="class")
     description: dict[str, Any] | None = None
     skeleton: str = BODY22.name
+    device: str = "cpu"
     segment: int = 0
     shares_takes: bool
     train: dict[str, tuple[str, ...]]

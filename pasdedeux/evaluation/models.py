@@ -163,7 +163,7 @@ def generated(
     drawn = {name: model.generate(request.source, streams(name)) for name, model in models.items()}
     made = {name: [found] for name, found in drawn.items() if found is not None}
     scales = [scale for found in made.values() for scale, _ in found]
-    beside = [name for name in DEFAULT_MODELS if scales and name in models]
+    beside = [name for name, model in models.items() if scales and model.name in DEFAULT_MODELS]
     return made | {
         name: [(scale, models[name].predict(replace(request, bone_scale=scale))) for scale in scales] for name in beside
     }

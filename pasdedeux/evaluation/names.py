@@ -106,6 +106,10 @@ _METRICS = {
             "share of the best baseline's E_r",
             "100 % is that of the best of copy, kinematics and ridge",
         ),
+        "validation_fall": (
+            "fall of validation",
+            "by how much the last segment of training brought the smallest validation error down",
+        ),
         "contact_error": ("contact error", "deviation of contacts from their distance in the source"),
         "energy_gap": ("energy gap", "excess of the mesh's energy over that of the solver's answer"),
         "foot_slide": ("slide of feet", "mean horizontal displacement of standing feet in a frame"),

@@ -86,6 +86,10 @@ Items = Callable[[], Iterator[TrainingItem]]
 """Return the items anew each time, so that they can be read more than once without being held."""
 
 
+VALIDATION_FALL = "validation_fall"
+"""Quantity of the log: by how much a segment brought the smallest validation error down, percent."""
+
+
 @dataclass(frozen=True)
 class LogEntry:
     """One figure of training: step (0 for closed-form models), what was measured, its value."""
@@ -111,6 +115,7 @@ class Training:
         segment: Number of the segment, from 0.
         state: What the segment before left; empty in the first.
         start: The trained model that this one builds on, where `VariantModel.start` names one.
+        device: Where a network is trained: "cpu", "cuda", or "auto", a GPU where there is one.
     """
 
     items: Items
@@ -120,6 +125,7 @@ class Training:
     segment: int = 0
     state: Arrays = field(default_factory=dict)
     start: VariantModel | None = None
+    device: str = "cpu"
 
     def options(self, kind: type[S]) -> S:
         """Return the settings, which are of this model."""
@@ -131,11 +137,12 @@ class Training:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a segment leaves: the model as good as it is by then, figures, and what the next segment goes on from."""
+    """What a segment leaves: the model as good as it is by then, figures, what the next goes on from, the device."""
 
     model: VariantModel
     log: list[LogEntry] = field(default_factory=list)
     state: Arrays = field(default_factory=dict)
+    device: str = "cpu"
 
 
 class VariantModel(ABC):

@@ -113,10 +113,11 @@ class WindowVae(VariantModel):
     def train(cls, training: Training) -> Trained:
         """Train one segment; the windows of all takes are held, ten frames a second in single precision."""
         require_torch(cls.name)
-        from pasdedeux.learning.networks.training import train_segment
+        from pasdedeux.learning.networks.training import find_device, train_segment
 
         options = cls.config_kind.model_validate(training.options(cls.settings).model_dump())
         generator = training.generator
+        device = find_device(cls.name, training.device)
         windows = gather_windows(training.items, options.length)
         if not windows:
             raise InputError(
@@ -148,8 +149,9 @@ class WindowVae(VariantModel):
             segment=training.segment,
             state=training.state,
             generator=generator,
+            device=device,
         )
-        return Trained(model, log, state)
+        return Trained(model, log, state, device.type)
 
     def _validate(self, batch: Mapping[str, Narrow]) -> dict[str, float]:
         """Return errors of z = 0, drawn from the prior and of the answer, beside the copy's."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pac
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.learning.model import VALIDATION_FALL as FALL
 from pasdedeux.learning.model import TrainingItem
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, EXPI18
 from storage_schema import Manifest, Store
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
@@ -33,13 +35,15 @@ _LARGEST_SCALE = 1.25
 _AT_LARGEST = f" at {_LARGEST_SCALE}"
 _SCALE_STEP = 0.05
 _PUBLISHED = ("E_r", "E_b", "JPD")
+_STILL_FALLS = 1.0
+"""Percent by which validation falls in the last segment of a training that ended too early."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
-    """Plan one shard per split, with every model trained on it."""
+    """Plan one shard per split and skeleton, with every model trained there."""
     splits: dict[str, list[Manifest]] = {}
     for manifest in inputs.of("models"):
-        splits.setdefault(ModelFacts.of(manifest).split, []).append(manifest)
+        splits.setdefault(_split_name(ModelFacts.of(manifest)), []).append(manifest)
     found = []
     for split, models in splits.items():
         tested = set(ModelFacts.of(models[0]).test)
@@ -49,11 +53,16 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return found
 
 
+def _split_name(facts: ModelFacts) -> str:
+    """Return the name of a model's split, with its skeleton where that is another one."""
+    return facts.split if facts.skeleton == BODY22.name else f"{facts.split}_{facts.skeleton}"
+
+
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants, and show the best, a middling and the worst of them."""
     stored = [store.manifest(ref) for ref in shard.refs("models")]
     facts = ModelFacts.of(stored[0])
-    split_name, skeleton = facts.split, facts.skeleton
+    split_name, skeleton = _split_name(facts), facts.skeleton
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), skeleton)
     models = {ModelFacts.of(manifest).model: load_stored(store, manifest) for manifest in stored}
     meters: dict[str, ModelMeter] = {}
@@ -71,7 +80,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         by_frame = {name: frame_errors_cm(motion, item.motion_m) for name, motion in predicted.items()}
         times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
         parts.append(Items(by_frame, [take_id] * len(times_s), times_s, count=1))
-    split, baselines = f"{split_name} test", DEFAULT_MODELS if set(models).difference(DEFAULT_MODELS) else BASELINES
+    rivals = [name for name, model in models.items() if model.name in DEFAULT_MODELS]
+    plain = [name for name, model in models.items() if model.name in BASELINES]
+    split, baselines = f"{split_name} test", rivals if set(models).difference(rivals) else plain
     takes = None if facts.shares_takes else [key.take_id for key in tested]
 
     def scores_of_rows(item: str, rows: Sequence[int]) -> list[Score]:
@@ -81,7 +92,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 
     distances = {name: found for name, found in errors.items() if name != SOLVER}
     scores = scores_of_rows("all", range(len(tested)))
-    scores += share_scores(distances, rivals=DEFAULT_MODELS, split=split, takes=takes)
+    scores += share_scores(distances, rivals=rivals, split=split, takes=takes)
+    scores += fall_scores({ModelFacts.of(one).model: store.read(one.ref, "training_log") for one in stored}, split)
     interactions = {
         TakeFacts.of(take).take_id: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))
     }
@@ -180,6 +192,17 @@ def share_scores(
     return scores
 
 
+def fall_scores(logs: Mapping[str, TableData], split: str) -> list[Score]:
+    """Return by how much validation fell in the last segment of each model's training, percent, from their logs."""
+    falls = {
+        name: float(value)
+        for name, log in logs.items()
+        for quantity, value in zip(log["quantity"], log["value"], strict=True)
+        if str(quantity) == FALL
+    }
+    return [Score(FALL, name, fall, "%", split=split) for name, fall in falls.items()]
+
+
 def model_figure(
     scales: Sequence[float], errors: Mapping[str, Sequence[Errors]], *, baselines: Collection[str], split: str
 ) -> bytes:
@@ -241,7 +264,11 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         for own in [[score for score in of_all if score.method == name]]
     }
     models = {name: in_words(name) for name in sorted(ranked, key=lambda name: ranked[name])}
-    splits = {f"{name} test": name for name in SPLIT_NAMES if f"{name} test" in {score.split for score in known}}
+    found = {score.split.removesuffix(" test") for score in known}
+    splits = {
+        f"{name} test": name for one in SPLIT_NAMES for name in sorted(found) if name in (one, f"{one}_{EXPI18.name}")
+    }
+    is_falling = {(s.method, s.split) for s in known if s.metric == FALL and s.value > _STILL_FALLS}
     order = {name: number for number, name in enumerate((*models, *splits))}
     known = [score for score in known if score.method in models and score.split in splits]
     known.sort(key=lambda one: (one.item, order[one.split], order[one.method], one.metric))
@@ -257,13 +284,18 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         headings, names = ("motion", "split"), lambda s: (s.item.removesuffix(_AT_LARGEST), splits[s.split])
         return pivot_table(own, caption, headings, names, models, lambda s: s.method, _values(_PUBLISHED))
 
+    def on_splits(found: Sequence[Score]) -> str:
+        mark = " (validation still fell)" if (found[0].method, found[0].split) in is_falling else ""
+        return " / ".join(format_score(one).replace(" cm", "") for one in found) + mark
+
     tables = [
         by_model(
             "E_r and proximity-weighted distance, cm, on every split, with 95 % intervals over test variants, or over "
-            "takes where these are not learned from",
+            f"takes where these are not learned from; marked where the last segment of training brought the smallest "
+            f"validation error down by more than {_STILL_FALLS:g} %, so that longer training would change the figures",
             "all",
             ("E_r", "PWD"),
-            lambda found: " / ".join(format_score(one).replace(" cm", "") for one in found),
+            on_splits,
         ),
         by_motion("As table 2 of the paper (retargeting): E_r, cm / E_b, mm / JPD, cm", is_largest=False),
         by_motion(

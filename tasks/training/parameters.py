@@ -15,6 +15,7 @@ from tasks.stage import Parameters, with_fields
 from tasks.sweep import SweptParameters
 
 SkeletonName = Literal["body22", "expi18"]
+DeviceName = Literal["auto", "cpu", "cuda"]
 
 
 _SETTINGS_OF_MODELS = {
@@ -25,11 +26,12 @@ _SETTINGS_OF_MODELS = {
 
 
 class NamedModel(NamedTuple):
-    """A model to train: which one it is, its settings, and the name of the one that it starts from."""
+    """A model to train: which one it is, its settings, the name of the one that it starts from, and the section."""
 
     kind: str
     settings: Settings
     start: str | None
+    section: TrainingParameters
 
 
 @with_fields(_SETTINGS_OF_MODELS)
@@ -48,6 +50,12 @@ class TrainingParameters(SweptParameters):
     )
     skeleton: SkeletonName = Field(
         "body22", description="Skeleton of the models: body22, or 18 joints as in ExPI, which follow from it (expi18)"
+    )
+    seed: int = Field(0, ge=0, description="Other first parameters and batches; 0: those of the study's seed")
+    device: DeviceName = Field(
+        "auto",
+        description="Where networks are trained: auto is a GPU where there is one; what that computes is not the same "
+        "to the last bit",
     )
     test_takes: tuple[str, ...] = Field(
         (),
@@ -68,35 +76,37 @@ class TrainingParameters(SweptParameters):
         """Return the models asked for and those they start from by the names they are kept under, starts first.
 
         Raises:
-            InputError: A sweep is not of one model, what a model starts from is not known, models start from each
+            InputError: What a model starts from is not known or not trained on its splits, models start from each
                 other, or a model is not of the skeleton.
         """
         known = {name: self._model(name) for name in MODELS}
         for name, own in self.swept().items():
-            if len(own.models) != 1:
-                raise InputError(f"training.sweep.{name}.models: {len(own.models)} are named; a sweep is of one model")
-            known[name] = own._model(own.models[0])
+            known |= {name if len(own.models) == 1 else f"{one}_{name}": own._model(one) for one in own.models}
         found: dict[str, NamedModel] = {}
-        for name in sorted({*self.models, *self.sweep}):
+        for name in sorted({*self.models, *(known.keys() - MODELS.keys())}):
             chain = [name]
             while (start := known[chain[-1]].start) is not None:
                 if start in chain:
                     raise InputError(f"training: {' -> '.join([*chain, start])} build on each other")
                 if start not in known:
                     raise InputError(f"training: '{chain[-1]}' starts from '{start}', which is not known")
+                if missing := set(known[chain[-1]].section.splits).difference(known[start].section.splits):
+                    raise InputError(
+                        f"training: '{chain[-1]}' starts from '{start}', which is not trained on {min(missing)}"
+                    )
                 chain.append(start)
             found |= {one: known[one] for one in reversed(chain) if one not in found}
         free = [name for name, model in MODELS.items() if model.is_of_any_skeleton]
-        for name, model in found.items() if self.skeleton != BODY22.name else ():
-            if model.kind not in free:
+        for name, model in found.items():
+            if (skeleton := model.section.skeleton) != BODY22.name and model.kind not in free:
                 raise InputError(
-                    f"training.models: '{name}' is of {BODY22.name} alone; of {self.skeleton} can be {', '.join(free)}"
+                    f"training.models: '{name}' is of {BODY22.name} alone; of {skeleton} can be {', '.join(free)}"
                 )
         return found
 
     def _model(self, kind: str) -> NamedModel:
         settings: Settings = getattr(self, kind) if kind in type(self).model_fields else model_class(kind).settings()
-        return NamedModel(kind, settings, model_class(kind).start(settings))
+        return NamedModel(kind, settings, model_class(kind).start(settings), self)
 
 
 class SegmentParameters(Parameters):
@@ -110,6 +120,8 @@ class SegmentParameters(Parameters):
     segment: int
     # Not in the key for `body22`: what was trained before there was another skeleton stays as it is.
     skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
+    seed: int = Field(0, exclude_if=lambda seed: seed == 0)
+    device: DeviceName = Field("auto", exclude_if=lambda name: name == "auto")
 
 
 class SkippedParameters(Parameters):

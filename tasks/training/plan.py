@@ -34,14 +34,13 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in used]
     test_takes = tuple(sorted(parameters.test_takes))
     _check_test_takes(test_takes, used)
-    for name in parameters.splits:
-        split_variants(name, takes, variants, test_takes, inputs.seed)
     shards: list[Shard] = []
     models = parameters.named()
-    for name in parameters.splits:
+    for name in dict.fromkeys(split for model in models.values() for split in model.section.splits):
+        split_variants(name, takes, variants, test_takes, inputs.seed)
         last: dict[str, str] = {}
-        for model, (kind, settings, start) in models.items():
-            if start is not None and start not in last:
+        for model, (kind, settings, start, section) in models.items():
+            if name not in section.splits or (start is not None and start not in last):
                 continue
             if model_class(kind).needs_torch and not parameters.networks:
                 shards.append(TRAINING.shard(inputs, name, model, SkippedParameters(name=model)))
@@ -60,7 +59,9 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
                         model=kind,
                         settings=settings,
                         segment=segment,
-                        skeleton=parameters.skeleton,
+                        skeleton=section.skeleton,
+                        seed=section.seed,
+                        device=section.device,
                     ),
                     {"takes": takes, "variants": variants},
                     after=before + ((last[start],) if start is not None else ()),
@@ -81,7 +82,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
             take is no take of a pair.
     """
     parameters: TrainingParameters = sections["training"]
-    parameters.named()
+    models = parameters.named().values()
     if "ingest" not in sections or "augmentation" not in sections:
         return
     if any(family.takes is None for family in sections["ingest"].pairs.values()):
@@ -97,7 +98,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     ]
     if keys:
         _check_test_takes(parameters.test_takes, takes)
-    for name in parameters.splits if keys else ():
+    for name in {split for model in models for split in model.section.splits} if keys else ():
         make_split(name, keys, stream(0, name), test_takes=parameters.test_takes, held_out=ingest.held_out)
 
 

@@ -52,15 +52,17 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         for found in followed(shard, store)
     }
     before, start = done["model_states"], done["models"]
+    again = [options.seed] if options.seed else []
     trained = kind.train(
         Training(
             items=_reader(variants, train),
             validation=_reader(variants, validation),
             settings=options.settings,
-            generator=stream(shard.seed, "training", options.split, options.model, options.segment),
+            generator=stream(shard.seed, "training", options.split, options.model, options.segment, *again),
             segment=options.segment,
             state={} if before is None else read_arrays(store, before.ref, "model_states"),
             start=None if start is None else load_stored(store, start),
+            device=options.device,
         )
     )
     log = [
@@ -86,6 +88,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             class_name=options.model,
             **({"description": describe(trained.model).model_dump(mode="json")} if is_last else {}),
             skeleton=options.skeleton,
+            device=trained.device,
             segment=options.segment,
             takes=tuple(sorted({key.take_id for key in train})),
             shares_takes=split.shares_takes,

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from pasdedeux.errors import InputError
-from pasdedeux.learning.model import Arrays, LogEntry
+from pasdedeux.learning.model import VALIDATION_FALL, Arrays, LogEntry
 from pasdedeux.learning.networks.layers import Batch, WindowNetwork, initialise
 from pasdedeux.learning.settings import NetworkSettings, WindowSettings
 
@@ -22,11 +22,24 @@ Draw = Callable[[], tuple[Mapping[str, Narrow], str]]
 _MIN_RATE = 0.05
 """Learning rate at the end, as a share of that at the start, to which it falls evenly."""
 _MOMENTS = ("exp_avg", "exp_avg_sq")
+_CPU = torch.device("cpu")
 
 
 def adam(network: nn.Module) -> torch.optim.Adam:
     """Return the optimiser; `fit` sets its learning rate."""
     return torch.optim.Adam(network.parameters(), foreach=False)
+
+
+def find_device(name: str, wanted: str) -> torch.device:
+    """Return the device that is meant by "cpu", "cuda" or "auto", a GPU where there is one.
+
+    Raises:
+        InputError: A GPU is asked for and there is none.
+    """
+    has_gpu = torch.cuda.is_available()
+    if wanted == "cuda" and not has_gpu:
+        raise InputError(f"{name}: training.device is cuda, and torch finds no GPU here; auto or cpu trains without")
+    return torch.device("cuda" if has_gpu and wanted != "cpu" else "cpu")
 
 
 def fit(
@@ -36,20 +49,21 @@ def fit(
     settings: NetworkSettings,
     draw: Draw,
     steps: range,
+    device: torch.device = _CPU,
 ) -> float:
-    """Take some of the steps of a training on one thread and return the mean loss.
+    """Take some of the steps of a training, on the network's device or one thread, and return the mean loss.
 
     Raises:
         InputError: A loss or a gradient is not finite.
     """
     torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
+    torch.use_deterministic_algorithms(device == _CPU)  # on a GPU some sums have no fixed order
     (group,) = optimiser.param_groups
     total = 0.0
     for step in steps:
         group["lr"] = settings.learning_rate * max(1.0 - step / settings.num_steps, _MIN_RATE)
         batch, what = draw()
-        value = loss({key: torch.tensor(values) for key, values in batch.items()})
+        value = loss({key: torch.tensor(values, device=device) for key, values in batch.items()})
         optimiser.zero_grad()
         value.backward()
         if not all(bool(torch.isfinite(found).all()) for found in (value, *(one.grad for one in group["params"]))):
@@ -69,6 +83,7 @@ def train_segment(
     segment: int,
     state: Arrays,
     generator: np.random.Generator,
+    device: torch.device = _CPU,
 ) -> tuple[list[LogEntry], dict[str, npt.NDArray[Any]]]:
     """Take the steps of one segment; the network is left with the best parameters by validation so far.
 
@@ -81,40 +96,50 @@ def train_segment(
         segment: Which segment, from 0.
         state: What the segment before left; empty for the first.
         generator: Draws the first parameters.
+        device: Where steps are taken; the network comes back to the CPU, where it is validated.
 
     Returns:
         Figures, and what the next segment goes on from.
 
     Raises:
-        InputError: A loss is not finite; what the segment before left stands.
+        InputError: A loss is not finite, or the GPU runs out of memory; what the segment before left stands.
     """
     optimiser = adam(network)
     first = segment * settings.segment_steps
     steps = range(first, min(first + settings.segment_steps, settings.num_steps))
-    if segment:
-        network.load_state_dict(_part(state, "now"))
-        moments = {moment: _part(state, moment) for moment in _MOMENTS}
-        for key, parameter in network.named_parameters():
-            kept = {moment: moments[moment][key] for moment in _MOMENTS}
-            optimiser.state[parameter] = {"step": torch.tensor(float(first)), **kept}
-    else:
-        initialise(network, generator)
+    kept_words = f"; what segment {segment - 1} left is kept" if segment else ""
     try:
-        log = [LogEntry(steps.stop, "train_loss", fit(name, network.loss, optimiser, settings, draw, steps))]
+        network.to(device)
+        if segment:
+            network.load_state_dict(_part(state, "now"))
+            moments = {moment: _part(state, moment) for moment in _MOMENTS}
+            for key, parameter in network.named_parameters():
+                kept = {moment: moments[moment][key].to(device) for moment in _MOMENTS}
+                optimiser.state[parameter] = {"step": torch.tensor(float(first)), **kept}
+        else:
+            initialise(network, generator)
+        log = [LogEntry(steps.stop, "train_loss", fit(name, network.loss, optimiser, settings, draw, steps, device))]
     except InputError as failure:
-        if not segment:
-            raise
-        raise InputError(f"{failure}; what segment {segment - 1} left is kept") from None
+        raise InputError(f"{failure}{kept_words}") from None
+    except torch.cuda.OutOfMemoryError:
+        raise InputError(
+            f"{name}: the GPU has too little free memory for training{kept_words}; end what else runs on it, or train "
+            "on the CPU: --set training.device=cpu"
+        ) from None
+    network.cpu()
     figures = validate()
     log += [LogEntry(steps.stop, quantity, value) for quantity, value in figures.items()]
     error, before = next(iter(figures.values()), np.nan), state["best_error"][0] if segment else np.inf
+    log += (
+        [LogEntry(steps.stop, VALIDATION_FALL, 100.0 * max(1.0 - error / before, 0.0))] if segment and figures else []
+    )
     is_best = not before <= error
     now = {key: value.clone() for key, value in network.state_dict().items()}
     best = now if is_best else _part(state, "best")
     left: dict[str, npt.NDArray[Any]] = {"best_error": np.array([error if is_best else before])}
     for key, parameter in network.named_parameters():
         left |= {f"now/{key}": now[key].numpy(), f"best/{key}": best[key].numpy()}
-        left |= {f"{moment}/{key}": optimiser.state[parameter][moment].numpy() for moment in _MOMENTS}
+        left |= {f"{moment}/{key}": optimiser.state[parameter][moment].cpu().numpy() for moment in _MOMENTS}
     network.load_state_dict(best)
     return log, left
 

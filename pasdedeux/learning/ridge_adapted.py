@@ -25,7 +25,7 @@ _REACH = 0.15
 """How far from scale 1 the variants of an unseen take are that are solved, either way.
 
 The quadratic is fitted to variants at 0.85 and 1.15, which splits across scales test.  At 0.75 and 1.25 it errs by
-0.69 cm on hug and 0.53 on judo, takes that the study `models` learns from (variants of `models_small`, no take known);
+0.69 cm on hug and 0.53 on judo, takes of interactions in training (uniform variants, no take known);
 with a reach of 0.1 by 1.12 and 0.81, with 0.05 by 2.33 and 1.33.
 """
 

@@ -76,8 +76,10 @@ class PaperCvaeSettings(SegmentSettings):
     """
 
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
-    norm: Literal["summed", "averaged"] = Field(
-        "averaged", description="Norms of eqs. 6 and 8: summed over frames, joints and axes as printed, or their mean"
+    balance: Literal["summed", "averaged", "free_bits"] = Field(
+        "summed",
+        description="Norms of eqs. 6 and 8: summed over frames, joints and axes as printed, or their mean; free_bits "
+        "takes the divergence as a mean over axes as well, of which each has some for nothing",
     )
     architecture: Literal["published", "st_gcn_decoders", "without_ends", "whole_motion", "scales_for_a"] = Field(
         "published",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from pasdedeux.learning.model import TrainingItem
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.skeletons import BODY22, EXPI18
-from storage_schema import Manifest, Store
+from storage_schema import Manifest, Store, TableData
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts

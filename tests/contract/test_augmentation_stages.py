@@ -429,10 +429,31 @@ def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> 
 
 
 def test_models_that_cannot_be_are_refused_whatever_the_takes() -> None:
-    wrong = TRAINING.parameters(sweep={"both": {"models": ["copy", "naive_fk"]}})
+    wrong = TRAINING.parameters(sweep={"other": {"skeleton": "expi18", "models": ["copy", "ridge_adapted"]}})
     assert TRAINING.check_study is not None
-    with pytest.raises(InputError, match="2 are named; a sweep is of one model"):
+    with pytest.raises(InputError, match="'ridge_adapted_other' is of body22 alone; of expi18 can be"):
         TRAINING.check_study({"training": wrong})
+
+
+def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_a_seed_of_its_own(store: Store) -> None:
+    takes = [put_take(store, "one"), put_take(store, "two")]
+    variants = augment(store, takes)
+    again = {"models": ["ridge_scale"], "seed": 2, "splits": ["cross_interaction"]}
+    other = {"models": ["copy", "ridge_scale"], "skeleton": "expi18", "splits": ["cross_interaction"]}
+    shards = plan_training(
+        takes, variants, models=("ridge_scale",), splits=("cross_scale",), sweep={"again": again, "on18": other}
+    )
+    assert {(shard.partition, shard.name) for shard in shards} == {
+        ("cross_scale", "ridge_scale"),
+        ("cross_interaction", "again"),
+        ("cross_interaction", "copy_on18"),
+        ("cross_interaction", "ridge_scale_on18"),
+    }
+    made = train(store, shards)
+    assert [made[f"cross_interaction {name}"].facts["skeleton"] for name in ("again", "copy_on18")] == [
+        "body22",
+        "expi18",
+    ]
 
 
 def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
@@ -475,7 +496,8 @@ def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any])
         AugmentationParameters(**parameters)
     with pytest.raises(ValidationError, match="known models"):
         TrainingParameters(models=("oracle",))
-    with pytest.raises(InputError, match=r"training\.sweep\.both\.models: 2 are named"):
-        TrainingParameters(sweep={"both": {"models": ["copy", "naive_fk"]}}).named()
+    refined = {"models": ["mesh_refine"], "mesh_refine": {"start": "copy"}, "splits": ["random"]}
+    with pytest.raises(InputError, match="'refined' starts from 'copy', which is not trained on random"):
+        TrainingParameters(sweep={"refined": refined}).named()
     with pytest.raises(InputError, match=r"augmentation\.sweep\.again makes A-uniform-0\.80, which augm"):
         augmentation.variations(AugmentationParameters(scales=(0.8,), sweep={"again": {"solver": "polished"}}), 2)

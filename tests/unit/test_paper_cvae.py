@@ -1,6 +1,7 @@
 """The published conditional VAE: what it keeps whatever it learned, its losses as printed, and what it refuses."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.mesh_refine import MeshRefineModel
-from pasdedeux.learning.model import Training, TrainingItem, VariantRequest
+from pasdedeux.learning.model import Trained, Training, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.networks.layers import divergence, draw_latent
 from pasdedeux.learning.registry import MODELS, ModelDescription, describe, load_model, model_arrays
@@ -74,9 +75,9 @@ def test_losses_are_those_of_the_paper() -> None:
     ]
     speeds = [motion[:, 1:] - motion[:, :-1] for motion in (found, true)]
     terms = (found - true).abs(), (speeds[0] - speeds[1]).abs(), (lengths[0] - lengths[1]) ** 2
-    for norm, reduced in (("summed", lambda x: x.sum() / len(true)), ("averaged", torch.mean)):
+    for balance, reduced in (("summed", lambda x: x.sum() / len(true)), ("averaged", torch.mean)):
         wanted = 0.75 * reduced(terms[0]) + 0.1 * reduced(terms[1]) + 0.05 * reduced(terms[2])
-        cvae = InteractionCvae(SMALL.model_copy(update={"norm": norm}))
+        cvae = InteractionCvae(SMALL.model_copy(update={"balance": balance}))
         torch.testing.assert_close(cvae._motion_loss(found, true), wanted)
 
 
@@ -86,6 +87,13 @@ def test_the_divergence_is_that_of_normals() -> None:
     unit = torch.distributions.Normal(torch.zeros(1, 2), torch.ones(1, 2))
     torch.testing.assert_close(divergence(found), torch.distributions.kl_divergence(normal, unit).sum())
     torch.testing.assert_close(draw_latent(found, torch.ones(1, 2)), normal.mean + normal.stddev)
+
+
+def test_with_free_bits_an_axis_that_says_little_costs_the_same_and_one_that_says_much_its_divergence() -> None:
+    cvae = InteractionCvae(SMALL.model_copy(update={"balance": "free_bits"}))
+    little, none, much = (torch.tensor([[mean, 0.0, 0.0, 0.0]]) for mean in (0.4, 0.0, 2.0))
+    torch.testing.assert_close(cvae._divergence(little), cvae._divergence(none))
+    torch.testing.assert_close(cvae._divergence(much) - cvae._divergence(none), torch.tensor((2.0 - 0.1) / 2))
 
 
 def test_a_generated_pair_has_scales_of_its_own_and_the_same_seed_gives_the_same() -> None:
@@ -139,3 +147,26 @@ def test_frames_between_the_sampled_ones_are_on_a_cubic_spline(num_frames: int) 
     in_world = values.astype(np.float64) @ window.axes.T
     wanted = CubicSpline(frames, in_world)(np.arange(num_frames)) if num_frames > 1 else in_world
     np.testing.assert_allclose(blend(source, [window], iter([values])), wanted, atol=1e-12)
+
+
+def test_a_gpu_that_runs_out_of_memory_is_said_and_what_was_trained_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    items = [TrainingItem("b", VariantRequest("sway", TAKE, SCALED_B), TAKE.positions_m)]
+    settings = PaperCvaeModel.settings(num_steps=2, segment_steps=1)
+
+    def train(segment: int, **more: Any) -> Trained:
+        asked = Training(lambda: iter(items), settings=settings, segment=segment, **more)
+        return PaperCvaeModel.train(asked)
+
+    first = train(0)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match=r"paper_cvae: training\.device is cuda, and torch finds no GPU here"):
+        train(0, device="cuda")
+
+    def full(*_: object) -> None:
+        raise torch.cuda.OutOfMemoryError
+
+    monkeypatch.setattr(InteractionCvae, "loss", full)
+    with pytest.raises(
+        InputError, match=r"too little free memory for training; what segment 0 left is kept; .*device=c"
+    ):
+        train(1, state=first.state)

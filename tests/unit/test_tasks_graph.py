@@ -94,9 +94,12 @@ def test_a_section_that_is_not_in_the_study_is_checked_as_well_as_its_stage_runs
         make_plan(study, stages, Store(tmp_path / "store"))
 
 
-def test_the_command_in_the_file_of_models_small_can_be_planned(tmp_path: Path) -> None:
-    text = study_text("models_small", tmp_path).replace("\\\n", " ").replace("#", "")
-    command = text.partition("pasdedeux run models_small")[2].partition("\n\n")[0]
-    study, stages = load_study("models_small", load_graph(), settings=shlex.split(command)[1::2])
-    assert study.sections_of("training")["training"]["skeleton"] == "expi18"
+def test_the_small_form_of_the_augmentation_paper_needs_no_files_and_its_commands_can_be_planned(
+    tmp_path: Path,
+) -> None:
+    text = study_text("augmentation_paper", tmp_path).replace("\\\n", " ").replace("#", "")
+    command = text.partition("pasdedeux run augmentation_paper --preview")[2].partition("\n")[0]
+    study, stages = load_study("augmentation_paper_duets", load_graph(), settings=shlex.split(command)[1::2])
+    trained = study.sections_of("training")["training"]
+    assert trained["paper_cvae"]["num_steps"] == 20
     make_plan(study, stages, Store(tmp_path / "store"))

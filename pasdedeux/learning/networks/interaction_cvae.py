@@ -18,6 +18,7 @@ from pasdedeux.learning.networks.layers import (
     GraphGru,
     StGcn,
     WindowNetwork,
+    axis_divergence,
     divergence,
     draw_latent,
     mlp,
@@ -32,6 +33,8 @@ _MLP1 = (16, 32, 64, 128, 256)
 _MLP2 = (256, 128, 64, 32)
 _W1, _W2, _W3 = 0.75, 0.1, 0.05
 _W4 = 1.0 - _W1 - _W2 - _W3
+_FREE_NATS = 0.1
+"""Divergence of an axis of z, mean over windows, below which it costs nothing [Kingma et al. 2016, free bits]."""
 
 
 class InteractionCvae(WindowNetwork):
@@ -69,9 +72,15 @@ class InteractionCvae(WindowNetwork):
         found_b, found_a = self._encode(batch)
         b = self._decode_b(batch, draw_latent(found_b, batch["noise_b"]))
         a = self._decode_a(batch, draw_latent(found_a, batch["noise_a"]), motion[:, :, 1])
-        of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * divergence(found_b)
-        of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * divergence(found_a)
+        of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * self._divergence(found_b)
+        of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * self._divergence(found_a)
         return of_scales + of_b + of_a
+
+    def _divergence(self, found: Tensor) -> Tensor:
+        """Return the divergence of a motion's z: summed over axes as published, or the mean of what is not free."""
+        if self.settings.balance != "free_bits":
+            return divergence(found)
+        return axis_divergence(found).mean(0).clamp(min=_FREE_NATS).mean()
 
     def forward(self, batch: Batch, *, is_posterior: bool = False) -> Tensor:
         """Return how far both move from the template, by z of the batch's noise or of the answer.
@@ -135,7 +144,7 @@ class InteractionCvae(WindowNetwork):
             (_W2, (found_m.diff(dim=1) - motion_m.diff(dim=1)).abs()),
             (_W3, (self._lengths(found_m) - self._lengths(motion_m)) ** 2),
         )
-        if self.settings.norm == "averaged":
+        if self.settings.balance != "summed":
             return torch.stack([share * values.mean() for share, values in terms if values.numel()]).sum()
         return torch.stack([share * values.flatten(1).sum(1).mean() for share, values in terms]).sum()
 

@@ -204,5 +204,10 @@ def draw_latent(found: Tensor, noise: Tensor) -> Tensor:
 
 def divergence(found: Tensor) -> Tensor:
     """Return the KL divergence from the unit normal, summed over latent axes, mean over the batch."""
+    return axis_divergence(found).sum(-1).mean()
+
+
+def axis_divergence(found: Tensor) -> Tensor:
+    """Return the KL divergence of each latent axis (..., Z) from the unit normal."""
     mean, log_variance = found.chunk(2, -1)
-    return 0.5 * (mean**2 + torch.exp(log_variance) - 1.0 - log_variance).sum(-1).mean()
+    return 0.5 * (mean**2 + torch.exp(log_variance) - 1.0 - log_variance)

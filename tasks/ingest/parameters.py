@@ -129,9 +129,8 @@ class PairOptions(CommonOptions):
     subjects: tuple[str, ...] = Field(min_length=1, max_length=26, description="Subjects: person A, then B, ...")
     takes: tuple[str, ...] | None = Field(
         None,
-        min_length=1,
         description="Takes, as named in the file names; by default every take in the folder, also those that are added "
-        "later; one that cannot be read (yet) is skipped with a warning",
+        "later; one that cannot be read (yet) is skipped with a warning; [] for none, where a study inherits a family",
     )
     id: str = Field("{subject}_{take}", description="Name of each take; {subject} is the first subject")
     is_watched: bool = Field(

@@ -125,7 +125,7 @@ def _family_shards(
     """
     shards, skipped = [], {}
     takes = family.take_names()
-    if not takes:
+    if not takes and family.takes is None:
         raise InputError(f"ingest.pairs.{name}: no file {' or '.join(family.patterns)} is in {family.folder}")
     common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id", "is_watched"})
     for take in takes:

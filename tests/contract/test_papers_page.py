@@ -24,7 +24,7 @@ def test_every_module_of_the_page_exists() -> None:
 
 def test_every_study_of_the_page_ships() -> None:
     studies = {name for cell in STUDY_COLUMN for name in re.findall(r"`(\w+)`", cell)}
-    assert len(studies) > 5
+    assert {"sampling_paper", "projection_paper", "augmentation_paper"} <= studies
     shipped = {path.stem for path in (ROOT / "flows" / "studies").glob("*.toml")}
     assert studies - shipped == set()
 

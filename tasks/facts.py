@@ -263,7 +263,6 @@ class SkippedFacts(Facts):
     """What was not made, and why."""
 
     kind: Literal["left_out", "nobody"] = "left_out"
-    model: str = ""
 
 
 class TopicFacts(Facts):

@@ -20,7 +20,7 @@ from pasdedeux.learning.sampling import VariantSampler
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import BatchParameters, write_variant
-from tasks.facts import ModelFacts, SkippedFacts, TakeFacts, VariantFacts, VariantOrigin
+from tasks.facts import ModelFacts, TakeFacts, VariantFacts, VariantOrigin
 from tasks.ingest.sources import load_file, read_again
 from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, StageName, artifact_fields, stream
 from tasks.takes import read_take
@@ -58,13 +58,13 @@ class SampledParameters(Parameters):
 
 
 def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
-    """Plan one shard per take of two people and block of variants; none without a model, or where it was skipped.
+    """Plan one shard per take of two people and block of variants; none without a model.
 
     Raises:
         InputError: Not one model has the name, it is of another skeleton, or key frames are of no take or outside it.
     """
     name, _, split = parameters.model.partition("@")
-    if not name or name in {SkippedFacts.of(one).model for one in inputs.empty if one.ref.stage == "training"}:
+    if not name:
         return []
     model = _model_named(inputs, parameters.model, name, split)
     facts = ModelFacts.of(model)

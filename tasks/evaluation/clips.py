@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import Field
 
 from pasdedeux.evaluation.pictures import Picture, image_panel, pack_player
 from pasdedeux.skeletons import OP14
@@ -14,26 +13,21 @@ from tasks.facts import SequenceFacts
 from tasks.stage import Parameters, Shard, StageInputs
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20
+_CLIP_S = 4.0
 _RATE_HZ = 12.5
 """Frames per second of a clip at most: more are not seen and make the page larger."""
 
 
-class ClipSettings(Parameters):
-    """How clips are cut."""
-
-    clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
-
-
-class ClipParameters(ClipSettings):
+class ClipParameters(Parameters):
     """One sequence's clip."""
 
     sequence_id: str
 
 
-def _plan(inputs: StageInputs, settings: ClipSettings) -> list[Shard]:
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per sequence that is a video; sequences of single annotated pairs have no clip."""
     return [
-        TOPIC.shard(inputs, sequence_id, settings.part(ClipParameters, sequence_id=sequence_id), annotations=[manifest])
+        TOPIC.shard(inputs, sequence_id, ClipParameters(sequence_id=sequence_id), annotations=[manifest])
         for manifest in inputs.of("annotations")
         if (facts := SequenceFacts.of(manifest)).purpose != "random_views"
         for sequence_id in facts.sequence_ids
@@ -47,7 +41,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "image_width_px", "image_height_px"]
     data = store.read(annotations, "annotations", columns=columns)
     is_here = data["sequence_id"] == sequence_id
-    is_here &= data["time_s"] < options.clip_seconds + data["time_s"][is_here].min()
+    is_here &= data["time_s"] < _CLIP_S + data["time_s"][is_here].min()
     keypoints, times = _by_frame(data, is_here)
     step = max(1, round(rate_of(times) / _RATE_HZ))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
@@ -91,6 +85,5 @@ TOPIC = Topic(
     reads=("annotations", "cameras"),
     plan=_plan,
     run=_run,
-    settings=ClipSettings,
     cautions=(("cameras", "Virtual video is made from motion capture: its 2D noise is simulated."),),
 )

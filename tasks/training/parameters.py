@@ -44,10 +44,6 @@ class TrainingParameters(SweptParameters):
         min_length=1,
         description=f"Models: {', '.join(MODELS)}",
     )
-    networks: bool = Field(
-        True,
-        description="Train the models that need torch; false skips them and what builds on them, and says so",
-    )
     skeleton: SkeletonName = Field(
         "body22", description="Skeleton of the models: body22, or 18 joints as in ExPI, which follow from it (expi18)"
     )
@@ -122,9 +118,3 @@ class SegmentParameters(Parameters):
     skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
     seed: int = Field(0, exclude_if=lambda seed: seed == 0)
     device: DeviceName = Field("auto", exclude_if=lambda name: name == "auto")
-
-
-class SkippedParameters(Parameters):
-    """A model that needs torch in a study that goes without networks."""
-
-    name: str

@@ -13,7 +13,7 @@ from tasks.augmentation import planned_variations, variations
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
-from tasks.training.parameters import SegmentParameters, SkippedParameters, TrainingParameters
+from tasks.training.parameters import SegmentParameters, TrainingParameters
 
 TRAINING = StageName("training", 11)
 
@@ -21,8 +21,7 @@ TRAINING = StageName("training", 11)
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     """Plan the segments of every model on every split; of takes that are held out or no pair nothing is learned.
 
-    Adding a model or a split computes that one alone.  Where the study goes without networks, what needs torch is
-    skipped, and so is what builds on that; what is installed where this is planned changes nothing.
+    Adding a model or a split computes that one alone.  What is installed where this is planned changes nothing.
 
     Raises:
         InputError: A split leaves nothing to train on, or nothing to test on.
@@ -41,9 +40,6 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
         last: dict[str, str] = {}
         for model, (kind, settings, start, section) in models.items():
             if name not in section.splits or (start is not None and start not in last):
-                continue
-            if model_class(kind).needs_torch and not parameters.networks:
-                shards.append(TRAINING.shard(inputs, name, model, SkippedParameters(name=model)))
                 continue
             before: tuple[str, ...] = ()
             num_segments = model_class(kind).num_segments(settings)

@@ -16,10 +16,10 @@ from pasdedeux.learning.settings import has_torch
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import ModelFacts, SkippedFacts
+from tasks.facts import ModelFacts
 from tasks.stage import Shard, commit, followed, stream
 from tasks.training.items import StoredVariants
-from tasks.training.parameters import SegmentParameters, SkippedParameters
+from tasks.training.parameters import SegmentParameters
 from tasks.training.plan import split_variants
 
 _JUDGED = 24
@@ -32,15 +32,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     Raises:
         InputError: Every variant to train on failed, training came to numbers that are not finite, or torch is missing.
     """
-    if isinstance(shard.parameters, SkippedParameters):
-        name = shard.parameters.name
-        reason = f"{name} is skipped: the study says training.networks = false"
-        facts = SkippedFacts(model=name, skipped=(f"Model {reason}.",))
-        return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
     options = shard.options(SegmentParameters)
     kind = model_class(options.model)
     if kind.needs_torch:
-        refuse_without_torch(options.name, "training.networks=false")
+        refuse_without_torch(options.name, "training.models=MODELS, with those that need none")
     takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))
     split = split_variants(options.split, takes, variants_of, options.test_takes, shard.seed)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), options.skeleton)

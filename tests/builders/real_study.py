@@ -75,7 +75,6 @@ num_clusters = 8
 [evaluation]
 num_truth_pairs = 12
 num_completed_pairs = 1
-clip_seconds = 0.5
 """
 """Every stage on two duets of a second or two, one of them held out; computed in some 20 s of processor time."""
 

@@ -406,17 +406,11 @@ def test_what_is_planned_does_not_depend_on_whether_torch_is_there_and_its_lack_
     sweep = {"refined": {"models": ["mesh_refine"], "mesh_refine": {"start": "paper_cvae"}}}
     chosen: dict[str, Any] = {"models": ("copy",), "sweep": sweep}
     here = plan_training(takes, variants, **chosen)
-    without = plan_training(takes, variants, networks=False, **chosen)
     monkeypatch.setattr("pasdedeux.learning.settings.find_spec", lambda name: None)
     assert [shard.key for shard in plan_training(takes, variants, **chosen)] == [shard.key for shard in here]
-    assert plan_training(takes, variants, networks=False, **chosen) == without
     (net,) = (shard for shard in here if shard.name == "paper_cvae-segment0")
-    with pytest.raises(InputError, match=r"paper_cvae needs torch, .*\[learning\]', .* --set training.networks"):
+    with pytest.raises(InputError, match=r"paper_cvae needs torch, .*\[learning\]', .* --set training.models"):
         TRAINING.run_shard(net, store)
-    assert [shard.name for shard in without] == ["copy", "paper_cvae"]
-    verdict = verdict_of(store.manifest(TRAINING.run_shard(without[-1], store)))
-    assert verdict is not None
-    assert verdict.reason == "paper_cvae is skipped: the study says training.networks = false"
 
 
 def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> None:

@@ -33,7 +33,6 @@ pytestmark = pytest.mark.slow
 EVERYTHING = {
     "num_truth_pairs": 8,
     "num_completed_pairs": 1,
-    "clip_seconds": 0.3,
     "unseen_views_deg": (0.0,),
     "num_realism_variants": 4,
     "num_downstream_seeds": 1,

@@ -11,7 +11,7 @@ import pytest
 from flows.planning import stage_inputs
 from pasdedeux.evaluation.scores import Score
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks import augmentation, ingest, training
+from tasks import augmentation, ingest
 from tasks.augmentation import NobodyParameters
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
@@ -19,7 +19,6 @@ from tasks.graph import Graph, load_graph
 from tasks.ingest.shard_parameters import SkippedParameters, VideoParameters
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.summary import summary_of
-from tasks.training import parameters as training_parameters
 from tests.builders.storage_rows import put, random_columns, take_rows
 
 Commit = Callable[[Store], ArtifactRef | Manifest]
@@ -57,18 +56,12 @@ def nobody_is_scaled(store: Store) -> ArtifactRef:
     return augmentation.run_shard(shard_of("augmentation", "solo", told), store)
 
 
-def model_without_torch(store: Store) -> ArtifactRef:
-    told = training_parameters.SkippedParameters(name="paper_cvae")
-    return training.run_shard(shard_of("training", "random", told), store)
-
-
 KINDS = {
     file_skipped: "torn.bvh: line 3 is no number",
     take_skipped: FAILED,
     video_of_a_skipped_take: FAILED,
     take_of_one: "Take solo: one person; the stages that need pairs skipped it.",
     nobody_is_scaled: "No variants of take solo: one person, and nobody of those who are scaled: B.",
-    model_without_torch: "Model paper_cvae is skipped: the study says training.networks = false.",
 }
 
 

@@ -55,7 +55,6 @@ heights_m = []
 
 [evaluation]
 num_truth_pairs = 8
-clip_seconds = 0.5
 """
 GIVEN = ("detected", "known", "labelled", "table")
 UNREADABLE = "detected_000000000005_keypoints.json"

@@ -58,7 +58,6 @@ between_frames = 6
 [evaluation]
 num_truth_pairs = 16
 num_completed_pairs = 1
-clip_seconds = 0.5
 """
 NUM_FRAMES = 30
 TAKES = ("salsa_01", "salsa_03")

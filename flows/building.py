@@ -1,7 +1,7 @@
 """The driver of a run: plans a stage when what it reads is committed, and gives its shards to tasks.
 
-A task is a partition of a stage, done in a thread: it submits the shards that it is given, the longest chain first, and
-collects them.  Only the driver plans and records.
+A task is a partition of a stage, done in a thread: it submits the shards that it is given, and collects them.  Only the
+driver plans and records.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from graphlib import TopologicalSorter
+from itertools import islice
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any
@@ -45,13 +46,14 @@ class _Task:
     Args:
         stage: The stage.
         inbox: Gets shards to submit with their priorities, each shard again when it has ended, and None: no more.
-        waiting: Shards that wait for those of other tasks, in an order in which they can be computed.
-        given: Keys of those that were handed over.
+        waiting: Shards that wait for those of other tasks, with their priorities, each after those that it follows.
+        given: Keys of shards that were handed over.
         num_left: Shards that have not ended.
+        is_begun: A thread does it.
     """
 
     stage: Stage
-    inbox: SimpleQueue[list[tuple[Shard, int]] | Shard | None] = field(default_factory=SimpleQueue)
+    inbox: SimpleQueue[tuple[Shard, int] | Shard | None] = field(default_factory=SimpleQueue)
     waiting: list[tuple[Shard, int]] = field(default_factory=list)
     given: set[str] = field(default_factory=set)
     num_left: int = 0
@@ -63,32 +65,50 @@ class _StageWork:
     """A stage of the run, from its first plan to its record.
 
     Args:
-        first: The plan made beforehand.
+        plan: The plan made beforehand; when all that it reads is there, what the stage consists of (`is_planned`).
         urgency: Stages, one after the other, that wait for it.
-        arrived: For each early plan that can still give shards, the artifacts that it has not seen.
-        plan: What it consists of; None before all that it reads is there.
-        left: Keys of its shards that have not ended.
-        made: Its artifacts; None before all are there.
-        error: Why it failed.
+        early: Its early plans, each with the number of artifacts of the run that it has seen.
+        partitions: Numbers of its partitions.
+        tasks: Tasks that can still get shards or have some left, by number.
+        failed: Its shards that failed, or were not tried because one before them failed.
+        refusal: Why it cannot be planned.
         is_skipped: A stage that it needs failed.
+        made: Its artifacts; None before all are there.
     """
 
-    first: StagePlan
+    plan: StagePlan
     urgency: int
-    arrived: dict[EarlyPlan, list[Manifest]]
-    tasks: list[_Task] = field(default_factory=list)
-    plan: StagePlan | None = None
-    left: set[str] = field(default_factory=set)
-    started: float = field(default_factory=time.perf_counter)
-    made: tuple[Manifest, ...] | None = None
-    outcome: StageOutcome | None = None
-    error: ShardError | InputError | None = None
+    early: dict[EarlyPlan, int]
+    made: tuple[Manifest, ...] | None
+    partitions: dict[str, int] = field(default_factory=dict)
+    tasks: dict[int, _Task] = field(default_factory=dict)
+    failed: list[ShardFailed] = field(default_factory=list)
+    refusal: InputError | None = None
+    is_planned: bool = False
     is_skipped: bool = False
+    started: float = 0.0
+    outcome: StageOutcome | None = None
 
     @property
-    def is_unplanned(self) -> bool:
+    def error(self) -> ShardError | InputError | None:
+        """Return why it failed; None where it did not, or only as a stage that it needs did."""
+        tried = sorted((end.error for end in self.failed if not end.is_behind), key=lambda error: error.where)
+        return self.refusal or (joined(tried) if tried else None)
+
+    @property
+    def is_lost(self) -> bool:
+        """Return whether nothing that needs it can be planned any more."""
+        return bool(self.failed) or self.refusal is not None or self.is_skipped
+
+    @property
+    def is_waiting(self) -> bool:
         """Return whether it waits for what it reads."""
-        return self.plan is None and self.made is None and self.error is None and not self.is_skipped
+        return self.made is None and self.refusal is None and not (self.is_planned or self.is_skipped)
+
+    def task_of(self, partition: str) -> _Task:
+        """Return the task of a partition: its own, or where there are many one that others have too."""
+        number = self.partitions.setdefault(partition, len(self.partitions)) % MAX_TASKS
+        return self.tasks.setdefault(number, _Task(self.plan.stage))
 
 
 class Build:
@@ -107,12 +127,10 @@ class Build:
         urgency = stages_behind(run.graph)
         self._work: dict[str, _StageWork] = {}
         for first in plan.stages:
-            arrived: dict[EarlyPlan, list[Manifest]] = {early: [] for early in first.stage.early if first.is_selected}
-            made = None if first.is_selected else first.manifests
-            self._work[first.stage.name] = _StageWork(first, urgency[first.stage.name], arrived, made=made)
-        self._task_of: dict[tuple[str, str], _Task] = {}
-        self._flying: set[str] = set()
-        self._ended: dict[str, ShardDone | ShardFailed] = {}
+            name, made = first.stage.name, None if first.is_selected else first.manifests
+            early = () if made is not None or name in run.selection.force else first.stage.early
+            self._work[name] = _StageWork(first, urgency[name], dict.fromkeys(early, 0), made)
+        self._begun, self._flying = set[str](), set[str]()
         self._made: dict[str, Manifest] = {}
         self._tally = Tally(run.store, run.study.name)
         self._messages: SimpleQueue[ShardDone | ShardFailed | Exception | None] = SimpleQueue()
@@ -137,33 +155,31 @@ class Build:
                 raise KeyboardInterrupt
             if (ended := self._next()) is not None:
                 self._settle(ended)
-                self._release()
                 self._advance()
         self._raise_failures()
 
     def end_tasks(self) -> None:
         """End the tasks, and cancel shards that have not ended."""
         self._is_over = True
-        for work in self._work.values():
-            for task in work.tasks:
-                task.inbox.put(None)
+        for task in self._tasks():
+            task.inbox.put(None)
         self._pool.give_up()
+
+    def _tasks(self) -> list[_Task]:
+        return [task for work in self._work.values() for task in work.tasks.values()]
 
     def _do_task(self, task: _Task) -> None:
         """Run a task: submit its shards, collect them."""
         task.is_begun = True
-        num_left, failures = 0, []
+        failures: list[ShardError] = []
         try:
             while (message := task.inbox.get()) is not None:
-                if isinstance(message, list):
-                    num_left += len(message)
-                    for shard, priority in message:
-                        self._pool.submit(task.stage.run_shard, shard, priority, task.inbox.put)
+                if isinstance(message, tuple):
+                    self._pool.submit(task.stage.run_shard, *message, task.inbox.put)
                     self._messages.put(None)
                 elif (ended := self._pool.ended(message)) is None:
                     task.inbox.put(message)
                 else:
-                    num_left -= 1
                     failures += [ended.error] if isinstance(ended, ShardFailed) and not ended.is_behind else []
                     self._messages.put(ended)
         except Exception as error:
@@ -171,138 +187,123 @@ class Build:
             raise
         if failures:
             raise joined(failures)
-        if num_left:
+        if task.num_left:
             raise Stopped("given up")
 
     def _next(self) -> ShardDone | ShardFailed | None:
         """Return a shard that ended, None where none has within a moment; raise errors of tasks and pool."""
         is_computed = self._pool.work()
-        while True:
-            try:
-                message = self._messages.get(timeout=_POLL_S)
-            except Empty:
-                return None
+        with suppress(Empty):
+            while (message := self._messages.get(timeout=_POLL_S)) is None and is_computed:
+                pass
             if isinstance(message, Exception):
                 raise message
-            if message is not None or not is_computed:
-                return message
+            return message
+        return None
 
     def _settle(self, ended: ShardDone | ShardFailed) -> None:
-        """Record the end of a shard."""
+        """Note the end of a shard."""
         shard, work = ended.shard, self._work[ended.shard.stage]
         self._flying.discard(shard.key)
-        self._ended[shard.key] = ended
         self._tally.end(ended)
         if isinstance(ended, ShardDone):
-            self._announce(self._run.store.manifest(ended.ref))
+            self._made[shard.key] = self._run.store.manifest(ended.ref)
             self._run.listener.shard_done(ended)
         elif ended.error.is_fatal:
             raise ended.error
-        self._task_of[shard.stage, shard.partition].num_left -= 1
-        work.left.discard(shard.key)
+        else:
+            work.failed.append(ended)
+        work.task_of(shard.partition).num_left -= 1
+        self._release()
         self._close(work)
 
     def _advance(self) -> None:
         """Begin every stage that can be planned, early plans of others, and report progress."""
         for name, work in self._work.items():
-            if work.is_unplanned:
-                upstream = self._run.graph.needed(name, self._run.study.parameters[name])
-                above = {other: self._work[other] for other in upstream}
-                work.is_skipped = any(one.error or one.is_skipped for one in above.values())
+            if work.is_waiting:
+                needed = self._run.graph.needed(name, self._run.study.parameters[name])
+                above = {other: self._work[other] for other in needed}
+                work.is_skipped = any(one.is_lost for one in above.values())
                 made = {other: one.made for other, one in above.items() if one.made is not None}
                 if len(made) == len(above):
                     self._begin(work, made)
-        for name, work in self._work.items():
-            if (work.is_unplanned or work.is_skipped) and name not in self._run.selection.force:
-                for early in list(work.arrived):
-                    self._begin_early(work, early)
-        waiting = [work.first for work in self._work.values() if work.is_unplanned]
+            for early in list(work.early):
+                self._begin_early(work, early)
+        waiting = [work.plan for work in self._work.values() if work.is_waiting]
         self._run.listener.progressed(self._tally.progress(waiting, self._pool.num_workers))
 
     def _begin(self, work: _StageWork, made: dict[str, tuple[Manifest, ...]]) -> None:
         """Plan a stage of which all that it reads is there, by stage, and have it computed."""
-        plan, stage, run = work.first, work.first.stage, self._run
-        # What this run began is its work, also where it is committed and no message of that was read yet.
-        begun = self._flying | {key for key, ended in self._ended.items() if isinstance(ended, ShardDone)}
+        plan, stage, run = work.plan, work.plan.stage, self._run
+        work.early = {}
         if plan.is_pending:
-            is_forced = stage.name in run.selection.force
             try:
                 inputs = stage_inputs(stage, run.study.head.seed, made)
-                plan = plan_stage(stage, run.study, inputs, run.store, is_forced=is_forced)
+                plan = plan_stage(stage, run.study, inputs, run.store, is_forced=stage.name in run.selection.force)
             except InputError as error:
-                work.error = error
+                work.refusal = error
                 return
-            shards = tuple(replace(i, state=State.MISSING) if i.shard.key in begun else i for i in plan.shards)
-            plan = replace(plan, is_asked=work.first.is_asked, shards=shards)
+            # What this run began is its work, also where it is committed and no message of that was read yet.
+            shards = (replace(i, state=State.MISSING) if i.shard.key in self._begun else i for i in plan.shards)
+            plan = replace(plan, is_asked=work.plan.is_asked, shards=tuple(shards))
         for item in plan.shards:
-            if item.manifest is not None and not item.shard.replaces and item.shard.key not in begun:
-                self._announce(item.manifest)
+            if item.manifest is not None and not item.shard.replaces and item.shard.key not in self._begun:
+                self._made[item.shard.key] = item.manifest
         run.listener.stage_started(plan)
-        work.plan, work.started = plan, time.perf_counter()
+        work.plan, work.is_planned, work.started = plan, True, time.perf_counter()
         self._take(work, plan.todo)
-        work.left = self._flying.intersection(shard.key for shard in plan.todo)
         self._close(work)
 
     def _begin_early(self, work: _StageWork, early: EarlyPlan) -> None:
-        """Submit the shards of an early plan: those certain before the stage can be planned."""
-        arrived = work.arrived[early]
-        graph = self._run.graph
-        above = [self._work[name] for name in graph.upstream[work.first.stage.name]]
-        above = [other for other in above if set(early.reads).intersection(other.first.stage.tables)]
-        if (early.each and not arrived) or any(other.made is None for other in above):
+        """Have the shards of an early plan computed: those certain before the stage can be planned."""
+        stage, run = work.plan.stage, self._run
+        above = [self._work[name] for name in run.graph.upstream[stage.name]]
+        above = [other for other in above if set(early.reads).intersection(other.plan.stage.tables)]
+        unseen = islice(self._made.values(), work.early[early], None)
+        new = [one for one in unseen if set(early.each).intersection(one.tables)]
+        if (early.each and not new) or any(other.made is None for other in above):
             return
-        there = [manifest for other in above for manifest in other.made or ()]
+        work.early[early] = len(self._made)
+        if not early.each:
+            del work.early[early]
+        there = [one for other in above for one in other.made or ()]
         held = {table: tuple(one for one in there if table in one.tables) for table in early.reads}
-        held |= {table: tuple(one for one in arrived if table in one.tables) for table in early.each}
-        if early.each:
-            work.arrived[early] = []
-        else:
-            del work.arrived[early]
-        stage, study = work.first.stage, self._run.study
+        held |= {table: tuple(one for one in new if table in one.tables) for table in early.each}
         with suppress(InputError):  # said when the stage is planned
-            shards = early.plan(StageInputs(manifests=held, seed=study.head.seed), study.parameters[stage.name])
-            self._take(work, [shard for shard in shards if self._run.store.find(stage.name, shard.key) is None])
+            shards = early.plan(StageInputs(manifests=held, seed=run.study.head.seed), run.study.parameters[stage.name])
+            self._take(work, [shard for shard in shards if run.store.find(stage.name, shard.key) is None])
 
     def _take(self, work: _StageWork, shards: Iterable[Shard]) -> None:
-        """Submit shards of a stage that were not submitted before, those with the longest chain behind them first."""
-        new = {one.key: one for one in shards if one.key not in self._flying and one.key not in self._ended}
+        """Have shards computed that were not begun before, those with the longest chain behind them first."""
+        new = {one.key: one for one in shards if one.key not in self._begun}
         before = {key: [other for other in one.after if other in new] for key, one in new.items()}
         order = list(TopologicalSorter(before).static_order())
-        followers = dict.fromkeys(order, 0)
+        behind = dict.fromkeys(order, 0)
         for key in reversed(order):
             for other in before[key]:
-                followers[other] = max(followers[other], followers[key] + 1)
+                behind[other] = max(behind[other], behind[key] + 1)
+        self._begun.update(order)
+        self._flying.update(order)
         for key in order:
-            shard, priority = new[key], work.urgency * _STAGE_FIRST + followers[key]
-            self._flying.add(key)
-            self._tally.add(shard, priority)
-            task = self._task_of.get((shard.stage, shard.partition)) or self._new_task(work, shard)
+            item = new[key], work.urgency * _STAGE_FIRST + behind[key]
+            self._tally.add(*item)
+            task = work.task_of(new[key].partition)
             task.num_left += 1
-            task.waiting.append((shard, priority))
+            task.waiting.append(item)
         self._release()
 
-    def _new_task(self, work: _StageWork, shard: Shard) -> _Task:
-        """Return the task of a partition that had none: its own, or where there are many one that others have too."""
-        is_more = len(work.tasks) < MAX_TASKS
-        work.tasks += [_Task(work.first.stage)] if is_more else []
-        task = work.tasks[-1 if is_more else len(self._task_of) % MAX_TASKS]
-        self._task_of[shard.stage, shard.partition] = task
-        return task
-
     def _release(self) -> None:
-        """Hand over shards that wait for no other task."""
-        for task in (task for work in self._work.values() for task in work.tasks if task.waiting):
-            ready: list[tuple[Shard, int]] = []
-            for shard, priority in task.waiting:
-                if all(key in task.given or key not in self._flying for key in shard.after):
-                    task.given.add(shard.key)
-                    ready.append((shard, priority))
-            is_new = len(task.given) == len(ready)
-            task.waiting = [item for item in task.waiting if item[0].key not in task.given]
-            if ready:
-                task.inbox.put(ready)
-            if ready and is_new:
-                first, *more = dict.fromkeys(shard.partition for shard, _ in ready)
+        """Hand over shards that wait for no other task; begin tasks with their first ones."""
+        for task in self._tasks():
+            is_new, waiting, task.waiting = not task.given, task.waiting, []
+            for item in waiting:
+                if any(key in self._flying and key not in task.given for key in item[0].after):
+                    task.waiting.append(item)
+                else:
+                    task.given.add(item[0].key)
+                    task.inbox.put(item)
+            if is_new and task.given:
+                first, *more = dict.fromkeys(shard.partition for shard, _ in waiting if shard.key in task.given)
                 name = f"{first} and {len(more)} more" if more else first
                 future = self._start_task(task.stage.name, name, partial(self._do_task, task))
                 future.add_done_callback(partial(self._do_if_left, task))
@@ -312,25 +313,14 @@ class Build:
         if not (task.is_begun or self._is_over):
             Thread(target=self._do_task, args=[task], daemon=True).start()
 
-    def _announce(self, manifest: Manifest) -> None:
-        """Offer an artifact to the early plans of other stages."""
-        self._made[manifest.ref.key] = manifest
-        for work in self._work.values():
-            for early, arrived in work.arrived.items():
-                if any(table in manifest.tables for table in early.each):
-                    arrived.append(manifest)
-
     def _close(self, work: _StageWork) -> None:
-        """End tasks of a planned stage that have nothing left; record the stage when it is complete or has failed."""
-        if work.plan is None or work.made is not None or work.error is not None:
+        """End tasks of a planned stage that have nothing left; record the stage when it is complete."""
+        if not work.is_planned:
             return
-        for task in work.tasks:
+        for number, task in list(work.tasks.items()):
             if not task.num_left:
-                task.inbox.put(None)
-        if work.left:
-            return
-        if failed := self._errors_of(work.plan.stage.name):
-            work.error = joined(failed)
+                work.tasks.pop(number).inbox.put(None)
+        if work.tasks or work.failed:
             return
         run, stage = self._run, work.plan.stage
         found = tuple(self._made[item.shard.key] for item in work.plan.shards)
@@ -339,38 +329,24 @@ class Build:
         work.made, work.outcome = found, StageOutcome.of(work.plan, found, seconds)
         run.listener.stage_finished(work.plan, seconds, work.outcome.verdict)
 
-    def _errors_of(self, name: str) -> list[ShardError]:
-        """Return the errors of a stage's shards that failed, by partition and name."""
-        ends = [end for end in self._ended.values() if isinstance(end, ShardFailed) and end.shard.stage == name]
-        ends.sort(key=lambda end: (end.shard.partition, end.shard.name))
-        return [end.error for end in ends if not end.is_behind]
-
     def _raise_failures(self) -> None:
         """Raise one error for all failures, stage by stage, and note what was skipped because of them."""
-        errors: dict[str, ShardError | InputError] = {}
-        for name, work in self._work.items():
-            if work.is_skipped and (failed := self._errors_of(name)):
-                work.error = joined(failed)
-            errors |= {name: work.error} if work.error is not None else {}
-        if not errors:
-            return
-        behind = [one.shard for one in self._ended.values() if isinstance(one, ShardFailed) and one.is_behind]
-        not_run = [f"{one.stage} {one.partition} {one.name}" for one in behind]
-        if len(not_run) > _NAMED:
-            not_run[_NAMED:] = [f"{len(not_run) - _NAMED} more shards"]
-        not_run = [name for name, work in self._work.items() if work.is_skipped] + not_run
+        errors = {name: error for name, work in self._work.items() if (error := work.error) is not None}
+        behind = [end.shard for work in self._work.values() for end in work.failed if end.is_behind]
+        not_run = [name for name, work in self._work.items() if work.is_skipped]
+        not_run += [f"{shard.stage} {shard.partition} {shard.name}" for shard in behind[:_NAMED]]
+        not_run += [f"{len(behind) - _NAMED} more shards"] if len(behind) > _NAMED else []
         if not_run:
             self._run.listener.note(f"not run, as they need what failed: {', '.join(not_run)}")
         if len(errors) == 1:
             raise next(iter(errors.values()))
-        raise joined(
-            [
-                error
-                if isinstance(error, ShardError)
-                else ShardError(f"stage {name}", type(error).__name__, str(error))
-                for name, error in errors.items()
-            ]
-        )
+        if errors:
+            raise joined(
+                [
+                    one if isinstance(one, ShardError) else ShardError(f"stage {name}", type(one).__name__, str(one))
+                    for name, one in errors.items()
+                ]
+            )
 
 
 def stages_behind(graph: Graph) -> dict[str, int]:

@@ -16,7 +16,7 @@ from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, make_plan, refuse_nothing
 from flows.prefect_server import LocalServer, check_server, telemetry_off
-from flows.publishing import CHANGES_FILE, Published, publish, refuse_unpublished
+from flows.publishing import Published, publish, refuse_unpublished
 from flows.study import load_study
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
@@ -26,8 +26,7 @@ telemetry_off()
 
 # Telemetry is off first, so these imports come late.
 from prefect import flow, task  # noqa: E402
-from prefect.artifacts import create_link_artifact, create_markdown_artifact, create_table_artifact  # noqa: E402
-from prefect.assets import Asset, AssetProperties, add_asset_metadata, materialize  # noqa: E402
+from prefect.artifacts import create_markdown_artifact, create_table_artifact  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
@@ -39,11 +38,8 @@ from prefect.settings import (  # noqa: E402
 from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
 from prefect.utilities.annotations import quote  # noqa: E402
 
-_MAX_THREADS = 20 * MAX_TASKS  # they wait; one that a task had to wait for would hold up what is urgent
-
-
-def _threads() -> Any:
-    return ThreadPoolTaskRunner(max_workers=_MAX_THREADS)
+# They wait; one that a task had to wait for would hold up what is urgent.
+_THREADS: Any = ThreadPoolTaskRunner(max_workers=20 * MAX_TASKS)
 
 
 def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) -> Outcome:
@@ -72,7 +68,7 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
         settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 1}
         settings[PREFECT_API_URL] = server.wait()
 
-    @flow(name=dataset.name, flow_run_name=folder.run_id, retries=0, persist_result=False, task_runner=_threads())
+    @flow(name=dataset.name, flow_run_name=folder.run_id, retries=0, persist_result=False, task_runner=_THREADS)
     def build(study: str, run_id: str) -> None:
         try:
             results.append(execute(run, folder, plan, pool, _submit_task))
@@ -93,7 +89,7 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
     return results[0]
 
 
-@flow(name="pasdedeux-dataset", retries=0, persist_result=False, task_runner=_threads())
+@flow(name="pasdedeux-dataset", retries=0, persist_result=False, task_runner=_THREADS)
 def dataset(
     study: str = "duets",
     store: str = "store",
@@ -129,8 +125,6 @@ def dataset(
 
 def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
     """Show results, report and published version on the page of the flow run."""
-    study = run.study.name
-    _show_assets(run, outcome, published)
     rows = [
         {
             "stage": one.name,
@@ -142,38 +136,11 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
         for one in outcome.stages
     ]
     where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
-    key = re.sub("[^a-z0-9]", "-", f"pasdedeux-{study}".lower())
+    key = re.sub("[^a-z0-9]", "-", f"pasdedeux-{run.study.name}".lower())
     create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
-    if published is not None and published.dataset is not None:
-        link = (published.dataset.path / CHANGES_FILE).as_uri()
-        create_link_artifact(link, published.dataset.label, key=f"{key}-dataset", description=published.words)
-    elif published is not None:
+    if published is not None:
         words = "\n- ".join([published.words, *published.failures])
         create_markdown_artifact(words, key=f"{key}-dataset", description=published.words)
-
-
-def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> None:
-    """Register each table that the build computed a part of, and the version it published, as assets."""
-    made = {
-        f"pasdedeux://{run.study.name}/{table}": {"stage": stage.name, "shards": stage.num_shards}
-        for stage in outcome.stages
-        if stage.num_computed
-        for table in run.graph.stage(stage.name).tables
-    }
-    if published is not None and published.dataset is not None and published.is_new:
-        version = published.dataset
-        made[f"pasdedeux://{version.name}/versions/{version.version}"] = {"digest": version.digest}
-    if not made:
-        return
-    properties = AssetProperties(url=str(run.store) if run.store.mirror is not None else run.store.root.as_uri())
-    assets = [Asset(key=key, properties=properties) for key in made]
-
-    @materialize(*assets, by="pasdedeux", name="assets", cache_policy=NO_CACHE, persist_result=False)
-    def note() -> None:
-        for key, said in made.items():
-            add_asset_metadata(key, {**said, "run": outcome.run_id})
-
-    note()
 
 
 @task(task_run_name="{name}", retries=0, cache_policy=NO_CACHE, persist_result=False)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from flows.reasons import changed_leaves, shorten
+from flows.reasons import changed_leaves
 from flows.recorded import Place, Recorded, environment_changes
 from storage_schema import Manifest, Store
 from storage_schema.comparison import Difference, compare_artifacts
-
-_WHICH = ("same", "other", "only_a", "only_b")
 
 
 class Figure(NamedTuple):
@@ -76,38 +73,27 @@ class Changes:
 
     Args:
         pairs: Of parameters, environment and files what differs, as texts by name.
-        artifacts: For each stage and partition how many artifacts are the same, hold other bytes (`other`), or are
-            in one alone.
+        artifacts: For each stage how many artifacts are the same, hold other bytes (`other`), or are in one alone.
         scores: Those that differ, the greatest change for its size first.
         num_scores: How many there are in either.
     """
 
     pairs: Mapping[str, Mapping[str, tuple[str, str]]]
-    artifacts: Mapping[tuple[str, str], Mapping[str, int]]
+    artifacts: Mapping[str, Mapping[str, int]]
     scores: Sequence[ScoreChange]
     num_scores: int
-
-    @property
-    def by_stage(self) -> dict[str, dict[str, int]]:
-        """Return the numbers of artifacts by stage."""
-        found: dict[str, dict[str, int]] = {}
-        for (stage, _), counts in self.artifacts.items():
-            mine = found.setdefault(stage, dict.fromkeys(_WHICH, 0))
-            for which in _WHICH:
-                mine[which] += counts[which]
-        return found
 
 
 def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
     """Put two runs or versions side by side; raises what reading their scores raises."""
-    counts: dict[tuple[str, str], Counter[str]] = {}
+    counts: dict[str, dict[str, int]] = {}
     for place in {**one.artifacts, **other.artifacts}:
         mine, theirs = one.artifacts.get(place), other.artifacts.get(place)
         if mine is None or theirs is None:
             which = "only_b" if mine is None else "only_a"
         else:
             which = "same" if mine.ref.content_digest == theirs.ref.content_digest else "other"
-        counts.setdefault(place[:2], Counter())[which] += 1
+        counts.setdefault(place[0], dict.fromkeys(("same", "other", "only_a", "only_b"), 0))[which] += 1
     before, after = (_figures_of(store, recorded.artifacts.values()) for recorded in (one, other))
     names = {**before, **after}
     scores = [
@@ -123,7 +109,7 @@ def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
             "files": changed_leaves(one.sources, other.sources),
             "licences": changed_leaves(one.licences, other.licences),
         },
-        artifacts={place: {which: found[which] for which in _WHICH} for place, found in counts.items()},
+        artifacts=counts,
         scores=sorted(scores, key=lambda score: -_size(score)),
         num_scores=len(names),
     )
@@ -192,30 +178,6 @@ def compare(
             beyond = place
             break
     return Comparison(len(compared) - len(differing), tuple(sorted(one.keys() ^ other.keys())), differing, beyond)
-
-
-def changelog(changes: Changes) -> str:
-    """Return as Markdown what is different in a newer version: what came, went and changed, scores before and after."""
-    lines: list[str] = []
-    for heading, found in changes.pairs.items():
-        rows = [(name, shorten(a), shorten(b)) for name, (a, b) in found.items()]
-        lines += _section(heading, ("", "before", "after"), rows)
-    rows_of = [
-        (stage, partition, *(str(counts[which] or "") for which in ("only_b", "only_a", "other", "same")))
-        for (stage, partition), counts in changes.artifacts.items()
-        if counts["same"] < sum(counts.values())
-    ]
-    lines += _section("artifacts", ("stage", "partition", "came", "went", "changed", "same"), rows_of)
-    scores = [(score.name, *score.cells) for score in changes.scores]
-    return "\n".join(lines + _section("scores", ("", "before", "after", "unit"), scores)) + "\n"
-
-
-def _section(heading: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    if not rows:
-        return [f"## {heading.capitalize()}", "", "As before.", ""]
-    table = [header, ["---"] * len(header), *rows]
-    cells = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in table]
-    return [f"## {heading.capitalize()}", "", *(f"| {' | '.join(row)} |" for row in cells), ""]
 
 
 def _size(score: ScoreChange) -> float:

@@ -7,18 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from flows.differences import changelog, differences
 from flows.outcomes import Outcome, Run
-from flows.planning import PlanError
-from flows.recorded import Recorded, artifacts_by_place, read_environment, read_recorded
+from flows.recorded import read_environment
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Level
 from storage_schema import (
     ArtifactRef,
     Dataset,
-    SourceCredit,
-    StorageError,
     canonical_json,
     create_dataset,
     source_credits,
@@ -27,9 +23,6 @@ from storage_schema.ancestry import has_lineage
 from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists
 from tasks.summary import product_verdicts, summary_of
-
-CHANGES_FILE = "CHANGES.md"
-"""File of a dataset: the differences from the version before."""
 
 
 class VerdictError(Exception):
@@ -45,14 +38,12 @@ class Published:
         words: What happened, in one line.
         dataset: The version that holds what the run made; None where nothing is published.
         failures: The verdicts that forbid it, with the figure.
-        is_new: Whether the version was made just now.
     """
 
     name: str
     words: str
     dataset: Dataset | None = None
     failures: tuple[str, ...] = ()
-    is_new: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON values."""
@@ -64,7 +55,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
     """Publish what a run made or found fresh, as its study says; None where the study does not ask for it.
 
     The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
-    study, the environment, the card and what is different from the version before.  A run of a part of a study, one
+    study, the environment and the card.  A run of a part of a study, one
     with a verdict that must not fail and does, and one that made nothing new are not published.  What a version has
     lost is new again.
 
@@ -99,13 +90,13 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         is_same = before is not None and _content(before.refs) == _content(refs) and before.sources == sources
         if before is not None and is_same and has_lineage(store, before.refs, {ref.place for ref in refs}):
             return Published(name, f"{before.label} stays: nothing has changed since", before)
-        files = _files(run, outcome, refs, sources, f"{name}@{version}", before)
         note = f"run {outcome.run_id}"
         try:
-            made = create_dataset(store, name, refs, version=version, note=note, attachments=files)
+            made = create_dataset(store, name, refs, version=version, note=note, attachments=_files(run, outcome))
         except DatasetExists:  # another run was first: what it published is what to compare with
             continue
-        return Published(name, f"{made.label} is published; what is new: {made.path / CHANGES_FILE}", made, is_new=True)
+        new = "" if before is None else f"; what is new: pasdedeux diff {before.label} {made.label} --store {store}"
+        return Published(name, f"{made.label} is published{new}", made)
 
 
 def refuse_unpublished(published: Published | None) -> None:
@@ -135,30 +126,11 @@ def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:
     return Counter((ref.stage, ref.content_digest) for ref in refs)
 
 
-def _files(
-    run: Run,
-    outcome: Outcome,
-    refs: Sequence[ArtifactRef],
-    sources: tuple[SourceCredit, ...],
-    label: str,
-    before: Dataset | None,
-) -> dict[str, bytes]:
-    """Return what goes with the artifacts: the study, the environment, the card, what is different."""
-    environment = read_environment(run.store, outcome.run_id)
-    new = Recorded(label, run.study.resolved(), environment, artifacts_by_place(run.store, refs), frozenset(), sources)
-    lines = [f"# {label}", "", f"Run {outcome.run_id} of the study {run.study.name}, {len(refs)} artifacts.", ""]
-    if before is None:
-        lines.append("The first version.\n")
-    else:
-        try:
-            changes = changelog(differences(run.store, read_recorded(run.store, before.label), new))
-        except (PlanError, StorageError) as error:
-            changes = f"What was before cannot be read: {error}\n"
-        lines += [f"Beside {before.label}:", "", changes]
+def _files(run: Run, outcome: Outcome) -> dict[str, bytes]:
+    """Return what goes with the artifacts: the study, the environment, the card."""
     card = None if outcome.report is None else outcome.report / "card.md"
     return {
-        STUDY_FILE: canonical_json(new.sections),
-        ENVIRONMENT_FILE: canonical_json(environment),
-        CHANGES_FILE: "\n".join(lines).encode(),
+        STUDY_FILE: canonical_json(run.study.resolved()),
+        ENVIRONMENT_FILE: canonical_json(read_environment(run.store, outcome.run_id)),
         **({card.name: card.read_bytes()} if card is not None and card.is_file() else {}),
     }

@@ -141,7 +141,8 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
     if run_record(store, last.run_id).get("status", "finished") != "finished":
         return f"its last run, {last.run_id}, did not finish"
     now = {stage: {ref.content_digest for ref in last.refs(stage)} for stage in last.stages}
-    finished = [record for record in _records_of(store, last.study) if record.get("status") == "finished"]
+    records = (run_record(store, folder.run_id) for folder in list_runs(store))
+    finished = [one for one in records if (one.get("study"), one.get("status")) == (last.study, "finished")]
     for stage in stages:
         # What there was of each stage in the run that last saw to this one.
         runs = ({entry["stage"]: entry for entry in record["stages"]} for record in reversed(finished))
@@ -156,12 +157,6 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
         if changed:
             return f"stage {stage} was computed before {', '.join(sorted(changed))} changed"
     return ""
-
-
-def _records_of(store: Store, study: str) -> list[dict[str, Any]]:
-    """Return what is on record of the runs of a study, oldest first."""
-    records = (run_record(store, folder.run_id) for folder in list_runs(store))
-    return [record for record in records if record.get("study") == study]
 
 
 def report_folder(store: Store, run_id: str) -> Path | None:

@@ -171,17 +171,17 @@ def _overrides(
     for variable in sorted(environment):
         if variable.startswith(ENVIRONMENT_PREFIX):
             path = tuple(variable.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"))
-            yield path, _value(environment[variable]), variable
+            yield path, toml_value(environment[variable]), variable
     for setting in settings:
         name, equals, text = setting.partition("=")
         path = tuple(name.strip().split("."))
         if not equals or not all(path) or len(path) < 2:
             problems.append(f"--set {setting}: expected section.name=value, for example chains.num_chains=4")
             continue
-        yield path, _value(text), f"--set {setting}"
+        yield path, toml_value(text), f"--set {setting}"
 
 
-def _value(text: str) -> Any:
+def toml_value(text: str) -> Any:
     """Read a value as TOML would (4, 0.5, true, [1, 2], "text"); anything else is text as it stands."""
     try:
         return tomllib.loads(f"value = {text.strip()}")["value"]

@@ -100,5 +100,16 @@ def options(
     debug: bool = Option(False, "--debug", help="Show the traceback of an error."),
     version: bool = Option(False, "--version", help="Print the version.", callback=_say_version, is_eager=True),
 ) -> None:
-    """Take the options of all commands."""
+    """Build large, checked datasets of two people in close contact.
+
+    A study (a TOML file) says what is built; a store (a folder) keeps what was built.  Run the same command again after
+    a change, a crash or an interruption: only what is not there yet is computed.
+
+    \b
+      pasdedeux run                              build the built-in duets into ./store
+      pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
+      pasdedeux plan                             what a run would compute, and why; starts nothing
+      pasdedeux study new my.toml --from a.bvh --from b.bvh
+      pasdedeux run my.toml
+    """
     context.obj.is_debug = debug

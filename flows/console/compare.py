@@ -32,20 +32,10 @@ from flows.study import study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import in_use
 
-_DIFF = """Compare two finished runs or two versions of datasets; only differences are shown, scores last.
-
-\b
-  pasdedeux diff 20260301T020000-salsa-3fa9c0 20260302T020000-salsa-77b2d1
-  pasdedeux diff salsa@1 salsa@2 --store /data/store
-  pasdedeux diff salsa@1 salsa@2 --json
-
-It compares the parameters of the resolved studies, the environments, input files by digest, artifacts by stage, and
-scores, largest difference first.
-"""
 _NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run, or a version of a dataset.")]
 
 
-@app.command(help=_DIFF)
+@app.command()
 def diff(
     a: _NameArgument,
     b: _NameArgument,
@@ -53,7 +43,16 @@ def diff(
     rows: Annotated[int, Option(min=0, help="Scores to show.")] = 20,
     as_json: JsonOption = False,
 ) -> None:
-    """Put two runs or versions side by side."""
+    """Compare two finished runs or two versions of datasets; only differences are shown, scores last.
+
+    \b
+      pasdedeux diff 20260301T020000-salsa-3fa9c0 20260302T020000-salsa-77b2d1
+      pasdedeux diff salsa@1 salsa@2 --store /data/store
+      pasdedeux diff salsa@1 salsa@2 --json
+
+    It compares the parameters of the resolved studies, the environments, input files by digest, artifacts by stage, and
+    scores, largest difference first.
+    """
     opened = open_store(store)
     one, other = read_recorded(opened, a), read_recorded(opened, b)
     found = differences(opened, one, other)
@@ -62,7 +61,7 @@ def diff(
         "a": one.label,
         "b": other.label,
         **changed,
-        "artifacts": found.by_stage,
+        "artifacts": found.artifacts,
         "num_scores": found.num_scores,
         "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in found.scores],
     }
@@ -75,7 +74,7 @@ def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
         yield f"{name}: {len(pairs) or 'nothing'} differ{'s' if len(pairs) < 2 else ''}"
         cells = [(f"  {key}", shorten(x) or "-", shorten(y) or "-") for key, (x, y) in pairs.items()]
         yield from format_table(("", "a", "b"), cells, text_columns=range(3)) if cells else ()
-    rows = [(f"  {stage}", *counts.values()) for stage, counts in found.by_stage.items()]
+    rows = [(f"  {stage}", *counts.values()) for stage, counts in found.artifacts.items()]
     yield from format_table(("artifacts", "same", "other", "only a", "only b"), rows)
     yield f"scores: {len(found.scores)} of {found.num_scores} differ"
     scores = [(f"  {score.name}", *score.cells) for score in found.scores[:num_rows]]
@@ -84,19 +83,7 @@ def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
         yield f"  and {counted(len(found.scores) - num_rows, 'more')}; --rows shows them"
 
 
-_RERUN = """Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.
-
-\b
-  pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again
-  pasdedeux rerun salsa@2 --from /data/store --store /tmp/again --json
-
-The study is the recorded one, with all its keys; input files must not have changed.  On one platform the bytes are the
-same.  If they are not, the output names the first table and column that differ by more than the tolerances of the data
-dictionary (exit code 1), and the differences of program, packages and processor.
-"""
-
-
-@app.command(help=_RERUN)
+@app.command()
 def rerun(
     context: typer.Context,
     name: Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run (`pasdedeux status`), or a dataset.")],
@@ -107,7 +94,16 @@ def rerun(
     scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Build what is on record once more, and compare."""
+    """Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.
+
+    \b
+      pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again
+      pasdedeux rerun salsa@2 --from /data/store --store /tmp/again --json
+
+    The study is the recorded one, with all its keys; input files must not have changed.  On one platform the bytes are
+    the same.  If they are not, the output names the first table and column that differ by more than the tolerances of
+    the data dictionary (exit code 1), and the differences of program, packages and processor.
+    """
     cluster = cluster_settings(workers, scheduler=scheduler, oversubscribe=oversubscribe)
     origin, target = open_store(source), open_store(store)
     if origin.root.resolve() == target.root.resolve():

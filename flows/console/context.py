@@ -17,19 +17,7 @@ from typer import Argument, Option
 from storage_schema import Store
 from tasks.graph import Graph, load_graph
 
-_HELP = """Build large, checked datasets of two people in close contact.
-
-A study (a TOML file) says what is built; a store (a folder) keeps what was built.  Run the same command again after a
-change, a crash or an interruption: only what is not there yet is computed.
-
-\b
-  pasdedeux run                              build the built-in duets into ./store
-  pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
-  pasdedeux plan                             what a run would compute, and why; starts nothing
-  pasdedeux study new my.toml --from a.bvh --from b.bvh
-  pasdedeux run my.toml
-"""
-app = typer.Typer(help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 """The program; a module of this package adds its commands when it is imported."""
 
 StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]

@@ -28,17 +28,8 @@ from storage_schema.datasets import dataset_labels, open_dataset
 _group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(_group, name="dataset")
 
-_CREATE = """Name the artifacts of the last run of a study as an immutable version of a dataset.
 
-\b
-  pasdedeux dataset create salsa --study cmu_salsa
-  pasdedeux dataset create salsa --study cmu_salsa --stage augmentation --version 2.0
-
-Then `variants:salsa@2.0` names its rows, here and in Python.
-"""
-
-
-@_group.command(help=_CREATE)
+@_group.command()
 def create(
     name: Annotated[str, Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
     study: Annotated[str, Option("--study", help="Study whose last run is meant.")] = "duets",
@@ -50,7 +41,14 @@ def create(
     store: StoreOption = Path("store"),
     as_json: JsonOption = False,
 ) -> None:
-    """Make a dataset of what the last run of a study built."""
+    """Name the artifacts of the last run of a study as an immutable version of a dataset.
+
+    \b
+      pasdedeux dataset create salsa --study cmu_salsa
+      pasdedeux dataset create salsa --study cmu_salsa --stage augmentation --version 2.0
+
+    Then `variants:salsa@2.0` names its rows, here and in Python.
+    """
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
     today = (list(refs), source_credits(opened, *refs))
@@ -70,7 +68,7 @@ def create(
     answer(_describe(dataset), [line], as_json=as_json)
 
 
-@_group.command("list", help="List the datasets of a store.")
+@_group.command("list")
 def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """List the datasets of a store."""
     opened = open_store(store)
@@ -88,31 +86,26 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
     answer([_describe(one) for one in found], lines or [f"store {store}: no datasets yet"], as_json=as_json)
 
 
-_PUSH = """Copy a version of a dataset, with everything it was computed from, to S3-compatible storage.
-
-\b
-  export AWS_ENDPOINT_URL=https://s3.example.org AWS_REGION=... AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=...
-  pasdedeux dataset push salsa@3 s3://bucket/datasets
-  pasdedeux dataset pull salsa s3://bucket/datasets --store elsewhere
-
-Only what is not there yet is sent, the list last: a push that was cut off leaves nothing half-visible, and the same
-command goes on.
-"""
-_PULL = """Copy a version of a dataset (default: the newest), with everything it was computed from, into a store.
-
-Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
-"""
 _LabelArgument = Annotated[str, Argument(metavar="NAME@V", help="Version of a dataset, or a name: the newest.")]
 _PlaceArgument = Annotated[
     str, Argument(metavar="S3", help="s3://BUCKET/PREFIX; address and credentials from the environment.")
 ]
 
 
-@_group.command(help=_PUSH)
+@_group.command()
 def push(
     label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
 ) -> None:
-    """Put a dataset into S3-compatible storage."""
+    """Copy a version of a dataset, with everything it was computed from, to S3-compatible storage.
+
+    \b
+      export AWS_ENDPOINT_URL=https://s3.example.org AWS_REGION=... AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=...
+      pasdedeux dataset push salsa@3 s3://bucket/datasets
+      pasdedeux dataset pull salsa s3://bucket/datasets --store elsewhere
+
+    Only what is not there yet is sent, the list last: a push that was cut off leaves nothing half-visible, and the same
+    command goes on.
+    """
     from storage_schema.bucket import RemoteStore  # here: a client that the other commands need not load
     from storage_schema.remote import push_dataset
 
@@ -123,11 +116,14 @@ def push(
     _say_moved(dataset, num_new, f"is in {place}", as_json=as_json)
 
 
-@_group.command(help=_PULL)
+@_group.command()
 def pull(
     label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
 ) -> None:
-    """Get a dataset from S3-compatible storage."""
+    """Copy a version of a dataset (default: the newest), with everything it was computed from, into a store.
+
+    Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
+    """
     from storage_schema.bucket import RemoteStore
     from storage_schema.remote import pull_dataset
 

@@ -26,20 +26,8 @@ from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, telemetry_off
 from flows.study import load_study
 
-_DEPLOY = """Deploy a study to a Prefect server, as a build that runs on a schedule or on request.
 
-\b
-  export DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false PREFECT_API_URL=http://127.0.0.1:4200/api
-  prefect server start --background
-  pasdedeux deploy duets --store /data/store --cron "0 2 * * *"
-  prefect worker start --pool pasdedeux
-
-A build in which nothing changed ends after seconds and leaves the store as it was.  A store has one build at a time.
-The same command again changes the deployment in place.
-"""
-
-
-@app.command(help=_DEPLOY)
+@app.command()
 def deploy(
     context: typer.Context,
     study: StudyArgument = "duets",
@@ -53,7 +41,17 @@ def deploy(
     cluster: ClusterOption = None,
     pool: Annotated[str, Option(help="Work pool; made where it is missing.")] = "pasdedeux",
 ) -> None:
-    """Put a study on Prefect's server."""
+    """Deploy a study to a Prefect server, as a build that runs on a schedule or on request.
+
+    \b
+      export DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false PREFECT_API_URL=http://127.0.0.1:4200/api
+      prefect server start --background
+      pasdedeux deploy duets --store /data/store --cron "0 2 * * *"
+      prefect worker start --pool pasdedeux
+
+    A build in which nothing changed ends after seconds and leaves the store as it was.  A store has one build at a
+    time.  The same command again changes the deployment in place.
+    """
     cluster_settings(workers, scheduler=scheduler, cluster=cluster, oversubscribe=oversubscribe)
     graph = graph_of(context)
     chosen, known = load_study(study, graph, settings=settings or ())

@@ -115,21 +115,17 @@ class BarListener(LineListener):
         self._bar.console.print(text, markup=False, highlight=False)
 
 
-def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
-    """Return a plan as lines: a stage a line, then its partitions that need work (`is_long`: all), with the reason."""
+def plan_lines(plan: Plan) -> list[str]:
+    """Return a plan as lines: a stage a line, then its partitions that need work, with the reason."""
     lines: list[str] = []
     for stage in plan.stages:
         lines.append(f"{stage.stage.name:<16}{_stage_words(stage)}")
         if stage.is_pending:
-            if is_long:
-                lines.extend(
-                    f"    {name:<28} {counted(count, 'shard')} last time" for name, count in stage.last_partitions
-                )
             continue
         groups: dict[tuple[str, str], list[str]] = {}
         for name, items in stage.partitions().items():
             todo = [item for item in items if item.state is not State.FRESH]
-            if not todo and not is_long:
+            if not todo:
                 continue
             states = ", ".join(
                 f"{sum(i.state is state for i in items)} {state.value}"

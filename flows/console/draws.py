@@ -31,24 +31,10 @@ from storage_schema import Store, latest_studies
 if TYPE_CHECKING:
     from tasks.seeds.files import DrawSeed
 
-_RESTART = """Start new chains from a draw.
-
-This is the restart of Yin et al. 2018, section 5.3.
-
-Inspect the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, and run
-
-\b
-  pasdedeux restart draws:duets/ic-seed0#17
-  pasdedeux restart draws@3fa9c1#17 --set chains.num_draws=5000 --set chains.proposal=velocity
-
-The draw is written to a JSON file, which you can edit, and becomes the only seed of a new study with the settings of
-the original.  The study runs up to its chains; everything else is in the store already.  The new draws keep the
-lineage: their seed names the draw, with its takes and credits.
-"""
 _NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0}
 
 
-@app.command(help=_RESTART)
+@app.command()
 def restart(
     context: typer.Context,
     draw: Annotated[str, Argument(metavar="DRAW", help="One draw: draws@key#row or draws:study/partition#row.")],
@@ -59,7 +45,20 @@ def restart(
     oversubscribe: OversubscribeOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on from a draw."""
+    """Start new chains from a draw.
+
+    This is the restart of Yin et al. 2018, section 5.3.
+
+    Inspect the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, and run
+
+    \b
+      pasdedeux restart draws:duets/ic-seed0#17
+      pasdedeux restart draws@3fa9c1#17 --set chains.num_draws=5000 --set chains.proposal=velocity
+
+    The draw is written to a JSON file, which you can edit, and becomes the only seed of a new study with the settings
+    of the original.  The study runs up to its chains; everything else is in the store already.  The new draws keep the
+    lineage: their seed names the draw, with its takes and credits.
+    """
     from pasdedeux.formats.pair_file import write_pair_json
     from tasks.seeds.files import pair_of_draw
     from tasks.sweep import merged
@@ -107,22 +106,7 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
     )
 
 
-_COMPLETE = """Fill in the unknown joints of a 3D pair, such as one from a depth camera.
-
-This is the pose completion of Yin et al. 2018, Fig. 12.
-
-\b
-  pasdedeux complete pair.json --draws draws:duets
-  pasdedeux complete pair.json --draws seeds:mine --out whole.json
-
-FILE is a pair as written by `pasdedeux export seeds:... --format json`.  Unknown joints are absent or null; one person
-may lack all joints.  The missing joints come from the draws that are nearest over the known joints; unknown bone
-lengths come from the draws, too.  The spread of these draws is printed for each person, and the completed pair is
-written to --out (default: FILE_completed.json).
-"""
-
-
-@app.command(help=_COMPLETE)
+@app.command()
 def complete(
     file: Annotated[Path, Argument(metavar="FILE", help="JSON file of a pair.")],
     draws: Annotated[str, Option("--draws", metavar="REF", help="Draws or seeds: draws:study, seeds:study.")],
@@ -130,7 +114,19 @@ def complete(
     out: Annotated[Path | None, Option("--out", metavar="FILE", help="The completed pair.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:
-    """Complete a pair."""
+    """Fill in the unknown joints of a 3D pair, such as one from a depth camera.
+
+    This is the pose completion of Yin et al. 2018, Fig. 12.
+
+    \b
+      pasdedeux complete pair.json --draws draws:duets
+      pasdedeux complete pair.json --draws seeds:mine --out whole.json
+
+    FILE is a pair as written by `pasdedeux export seeds:... --format json`.  Unknown joints are absent or null; one
+    person may lack all joints.  The missing joints come from the draws that are nearest over the known joints; unknown
+    bone lengths come from the draws, too.  The spread of these draws is printed for each person, and the completed pair
+    is written to --out (default: FILE_completed.json).
+    """
     import numpy as np
 
     from pasdedeux.completion.occlusion import complete_pair

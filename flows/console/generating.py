@@ -102,10 +102,7 @@ def _generate(
                 out.mkdir(parents=True, exist_ok=True)
                 credits_path = write_credits(source_credits(store, ref), [ref], f"take {take.take_id}", out)
                 files = RigFiles(out, rest_pose="source", units="cm")
-            for person, one in enumerate(people):
-                wanted_m = variant.positions_m[:, person]
-                own = one.own.retargeted(wanted_m, variant.bone_scale[person])
-                files.write((take.take_id, variant_id, one.letter), one, own, wanted_m)
+            files.write_variant(variant_id, people, variant.positions_m, variant.bone_scale)
             num_usable += 1
     finally:  # also where it is interrupted: what lies there has its units beside it
         written = () if files is None else files.close()

@@ -169,7 +169,6 @@ def follow_lines(
             poses = people.push(file.number, op14.positions, op14.confidence)
         times.worked()
         lines.write(poses, times)
-        times.written(poses)
     lines.write(people.finish(), times)
     typer.echo(times.in_words(), err=True)
 
@@ -185,16 +184,12 @@ class _Times:
         self._began = began
         self._arrived: dict[int, float] = {}
         self._work_s: list[float] = []
-        self._answer_s: list[float] = []
-        self._frames_behind: list[int] = []
-        self._num_poses = 0
-        self._number, self._started, self._is_live = 0, 0.0, False
+        self._delays_s: list[float] = []
+        self._started = 0.0
 
     def start(self, file: FollowedFile) -> None:
         """Take a file whose frame is worked on now."""
-        written = file.path.stat().st_mtime
-        self._is_live = written >= self._began
-        self._number, self._arrived[file.number] = file.number, max(written, self._began)
+        self._arrived[file.number] = max(file.path.stat().st_mtime, self._began)
         if len(self._arrived) > 4000:
             self._arrived = dict(list(self._arrived.items())[-2000:])
         self._started = time.perf_counter()
@@ -205,31 +200,16 @@ class _Times:
 
     def delay_s(self, pose: LivePose) -> float:
         """Return how long ago the file of a pose's own image was written."""
-        self._num_poses += 1
-        return time.time() - self._arrived.get(pose.frame, self._began)
-
-    def written(self, poses: list[LivePose]) -> None:
-        """Note that poses were written because a frame had come."""
-        if poses and self._is_live:
-            self._answer_s.append(time.time() - self._arrived[self._number])
-        self._frames_behind += [self._number - pose.frame for pose in poses]
+        self._delays_s.append(time.time() - self._arrived.get(pose.frame, self._began))
+        return self._delays_s[-1]
 
     def in_words(self) -> str:
         """Say all of it."""
-        if not self._num_poses:
+        if not self._delays_s:
             return f"{len(self._work_s)} frames, nobody to be seen"
-        said = [f"{len(self._work_s)} frames, {self._num_poses} poses; work per frame {_spread_ms(self._work_s)}"]
-        if self._frames_behind:
-            said.append(
-                f"a pose left {np.median(self._frames_behind):.0f} frames after its image "
-                f"({max(self._frames_behind)} at most, before a person's bones were known)"
-            )
-        if self._answer_s:
-            said.append(
-                f"{_spread_ms(self._answer_s)} after the file that made it due was written "
-                f"({len(self._answer_s)} files that came while following)"
-            )
-        return ", ".join(said)
+        work, delay = _spread_ms(self._work_s), _spread_ms(self._delays_s)
+        poses = f"{len(self._delays_s)} poses"
+        return f"{len(self._work_s)} frames, {poses}; work per frame {work}, a pose {delay} after its image"
 
 
 def _spread_ms(seconds: list[float]) -> str:

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import typer
+from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store, say
@@ -20,10 +20,12 @@ from flows.console.display import format_table
 from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
 from flows.machine import remembered_ctrl_c
+from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
@@ -31,10 +33,11 @@ from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
+from pasdedeux.settings import first_problem
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
-from tasks.ingest.annotations import find_annotations
+from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations
 from tasks.ingest.parameters import AnnotationOptions
-from tasks.projections import read_database, read_pairs, read_views
+from tasks.projections import read_cameras, read_database, read_pairs
 from tasks.reconstruction import MAX_PAIRS
 
 _LIVE_PITCH_DEG = 10.0
@@ -47,32 +50,28 @@ _HOW_TO_GET_ONE = (
 
 
 def follow_video(
-    folder: Path,
-    database: str,
+    video: AnnotationOptions,
+    database: str | None,
     store: Path,
     out: Path | None,
     *,
-    rate_hz: float = 30.0,
-    size: str | None = None,
-    pitch_deg: float | None = None,
-    idle_s: float = 5.0,
-    lag: int = 6,
-    has_clean_up: bool = True,
+    pitch_deg: float | None,
+    idle_s: float,
+    options: LiveOptions,
 ) -> None:
     """Write a line per person and frame, to a file or standard output, while a folder's files are being written.
 
     Raises:
-        InputError: No folder, no projections, an image size of another form, or keypoints that are not people.
+        InputError: No folder, no projections, or keypoints that are not people.
     """
-    if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder of OpenPose files")
-    image_size = _image_size(size)
+    if not video.path.is_dir():
+        raise InputError(f"{video.path} is not a folder of OpenPose files")
     source, refs = _projections(database, store)
     (searcher,), _ = _searchers(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
-    options = LiveOptions(lag=lag, has_clean_up=has_clean_up)
     warm_up(searcher, options)
-    people = LivePeople(searcher, rate_hz=rate_hz, image_size_px=image_size, options=options)
-    typer.echo(f"following {folder}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
+    rate_hz = video.rate_hz or DEFAULT_RATE_HZ
+    people = LivePeople(searcher, rate_hz=rate_hz, image_size_px=video.image_size_px, options=options)
+    typer.echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
     # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
     with ExitStack() as stack:
         lines = None
@@ -81,20 +80,28 @@ def follow_video(
             lines = stack.enter_context(out.open("w", encoding="utf-8"))
         stack.enter_context(threadpool_limits(limits=1))
         is_stopped = stack.enter_context(remembered_ctrl_c(is_passed_on=False))
-        files = follow_folder(folder, idle_s=idle_s, is_stopped=is_stopped)
+        files = follow_folder(video.path, idle_s=idle_s, is_stopped=is_stopped)
         follow_lines(people, files, lines, rate_hz=rate_hz)
 
 
-def annotation_source(path: Path, size: str | None, **stated: Any) -> AnnotationOptions:
-    """Return the source of 2D poses that a path and options of the command are, as a study would name it."""
+def annotation_source(path: Path, settings: Sequence[str]) -> AnnotationOptions:
+    """Return the source of 2D poses that a path and KEY=VALUE of the command are, as a study would name it.
+
+    Raises:
+        InputError: There is no such key, or its value is not allowed.
+    """
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
-    known = {key: value for key, value in {**stated, "image_size_px": _image_size(size)}.items() if value is not None}
-    return AnnotationOptions.model_validate({"id": name or "video", "path": path, **known})
+    pairs = [setting.partition("=") for setting in settings]
+    stated = {key: toml_value(text) for key, _, text in pairs}
+    try:
+        return AnnotationOptions.model_validate({"id": name or "video", "path": path, **stated})
+    except ValidationError as error:
+        raise InputError(f"--set {first_problem(error)}") from None
 
 
 def reconstruct_video(
     video: AnnotationOptions,
-    database: str,
+    database: str | None,
     store: Path,
     out: Path,
     *,
@@ -108,7 +115,7 @@ def reconstruct_video(
     """Write a BVH and an npz file per person of every sequence of 2D poses, read as a study reads them.
 
     Raises:
-        InputError: Nothing that can be read, no projections, an option of another form, keypoints that are not people,
+        InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
             or nobody who can be reconstructed.
     """
     videos = find_annotations(video)
@@ -196,7 +203,7 @@ def _write_sequence(
     write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), units_text(motion, units))
     people = names.path(sequence.sequence_id, "people", suffix=".csv")
     write_text(people, write_decisions(sequence.decisions))
-    typer.echo(f"{people}: who is who; --people with a changed copy overrules it", err=True)
+    typer.echo(f"{people}: who is who; --set people_file=COPY with changes overrules it", err=True)
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was skipped: {reason}", err=True)
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
@@ -237,48 +244,34 @@ def _statures(texts: Sequence[str], person_ids: list[int]) -> dict[int, float]:
     return statures
 
 
-def _image_size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)
-    if match is None:
-        raise InputError(f"image size '{text}' is not of the form WIDTHxHEIGHT, for example 1920x1080")
-    return int(match[1]), int(match[2])
-
-
-def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef]]:
-    """Return the store and the artifacts that a reference names, or those of the only study of a store's folder."""
-    if not Path(text).is_dir():
-        store = open_store(store_folder)
-        if text == "store" and not store_folder.is_dir():
-            raise InputError(f"there is no database to match with; {_HOW_TO_GET_ONE}")
+def _projections(text: str | None, store_folder: Path) -> tuple[Store, list[ArtifactRef]]:
+    """Return a store and the artifacts that a reference names, or those of the only study that has projections."""
+    store = open_store(store_folder)
+    if text is not None:
         refs = resolve(text, store)
-        if any("projections" not in store.manifest(ref).tables for ref in refs):
+        if not all(_is_part(store, ref) for ref in refs):
             raise InputError(f"'{text}' does not name projections; a reference to them starts with 'projections:'")
         return store, refs
-    store = open_store(Path(text))
-    found = {}
-    for study in latest_studies(store):
-        latest = read_latest(store, study)
-        refs = [] if latest is None else latest.refs("projections")
-        if refs := [ref for ref in refs if "projections" in store.manifest(ref).tables]:
-            found[study] = refs
+    lasts = ((study, read_latest(store, study)) for study in latest_studies(store))
+    every = {study: [] if last is None else last.refs("projections") for study, last in lasts}
+    found = {study: own for study, refs in every.items() if (own := [ref for ref in refs if _is_part(store, ref)])}
     if len(found) != 1:
         names = ", ".join(f"projections:{study}" for study in found)
-        raise InputError(
-            f"store {text} has projections of {len(found)} studies"
-            + (f"; say which with --store {text} --database REF, one of: {names}" if found else f"; {_HOW_TO_GET_ONE}")
-        )
+        which = f"say which with --database, one of: {names}" if found else _HOW_TO_GET_ONE
+        raise InputError(f"store {store} has projections of {len(found)} studies; {which}")
     return store, next(iter(found.values()))
+
+
+def _is_part(store: Store, ref: ArtifactRef) -> bool:
+    return "projections" in store.manifest(ref).tables
 
 
 def _searchers(
     store: Store, refs: list[ArtifactRef], pitch_deg: float | None
 ) -> tuple[list[Searcher], npt.NDArray[np.object_]]:
     """Return the database as each of its cameras sees it, or as one of this pitch does, and the take of each row."""
-    views = read_views([store.manifest(ref) for ref in refs])
-    cameras = views.cameras
+    cameras = read_cameras([store.manifest(ref) for ref in refs])
     if pitch_deg is not None:
-        cameras = (replace(views.level_camera, pitch_rad=math.radians(pitch_deg)),)
+        cameras = (DatabaseCamera(math.radians(pitch_deg)),)
     level, take_ids, _ = read_database(store, refs)
     return [Searcher.of(replace(level, camera=camera)) for camera in cameras], take_ids

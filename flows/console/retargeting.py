@@ -49,44 +49,6 @@ KEPT = "source"
 """Stands for a body that stays as captured."""
 
 
-def retarget_take(
-    take: Sequence[str],
-    bodies: Sequence[str],
-    store_root: Path,
-    out: Path,
-    *,
-    units_m: Sequence[float] = (),
-    body_units_m: Sequence[float] = (),
-    rate_hz: float | None = None,
-    rest_pose: RestPose = "source",
-    units: Units = "cm",
-    model: str | None = None,
-) -> None:
-    """Find take and bodies, solve or ask a trained model, write, and say what came of it.
-
-    Args:
-        take: The take, or its motion files.
-        bodies: A file for each person, or `source`.
-        store_root: Store of the take and of the model.
-        out: Folder for the files.
-        units_m: Metres per unit of the motion files, one for all or one each; guessed from the files where empty.
-        body_units_m: The same of the bodies that are BVH files, in their order.
-        rate_hz: True rate of the motion files.
-        rest_pose: Of the skeletons that are written.
-        units: Lengths of BVH files.
-        model: Trained model in place of the solver.
-
-    Raises:
-        InputError: The take is not there, there are more bodies than people, a body cannot be read or be anybody's, or
-            the model is not there, cannot be read, or is of pairs and the take is none.
-    """
-    weights = None if model is None else find_model(model, store_root)
-    left = iter(body_units_m)
-    targets = [None if body == KEPT else _read_target(Path(body), left) for body in bodies]
-    with find_take(take, store_root, units_m, rate_hz) as (store, ref):
-        _retarget(store, ref, targets, out, rest_pose, units, weights)
-
-
 @contextmanager
 def find_take(
     take: Sequence[str], store_root: Path, units_m: Sequence[float], rate_hz: float | None
@@ -140,6 +102,16 @@ def _take_of_files(
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
         yield store, STAGE.run_shard(shard, store)
+
+
+def read_targets(bodies: Sequence[str], units_m: Sequence[float]) -> list[TargetBody | None]:
+    """Read a body for each person, None for `source`; `units_m` are metres per unit of those that are BVH files.
+
+    Raises:
+        InputError: A body cannot be read.
+    """
+    left = iter(units_m)
+    return [None if body == KEPT else _read_target(Path(body), left) for body in bodies]
 
 
 def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
@@ -196,15 +168,22 @@ def find_model(text: str, store_root: Path) -> Weights:
     return stored_weights(store, found[0])
 
 
-def _retarget(
+def retarget_take(
     store: Store,
     ref: ArtifactRef,
     targets: Sequence[TargetBody | None],
     out: Path,
-    rest_pose: RestPose,
-    units: Units,
-    weights: Weights | None,
+    *,
+    rest_pose: RestPose = "source",
+    units: Units = "cm",
+    weights: Weights | None = None,
 ) -> None:
+    """Solve a take for bodies, or ask a trained model, write its files, and say what came of it.
+
+    Raises:
+        InputError: There are more bodies than people, a body cannot be anybody's, or the model is of pairs and the take
+            is none.
+    """
     take = TakeFacts.of(store.manifest(ref))
     take_id, count = take.take_id, take.num_persons
     if len(targets) > count:
@@ -239,10 +218,7 @@ def _retarget(
         typer.echo(f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}", err=True)
     out.mkdir(parents=True, exist_ok=True)
     files = RigFiles(out, rest_pose=rest_pose, units=units)
-    for index, person in enumerate(people):
-        wanted_m = positions_m[:, index]
-        own = person.own.retargeted(wanted_m, bone_scale[index])
-        files.write((take_id, "retarget", person.letter), person, own, wanted_m)
+    files.write_variant("retarget", people, positions_m, bone_scale)
     credits_path = write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)
     say(map(str, (*files.close(), credits_path)))
     if rows:

@@ -55,28 +55,6 @@ _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.uti
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
 """Defaults of `plan --cost`."""
 
-_RUN = """Build a study: compute what is missing or stale in the store.
-
-\b
-Examples:
-  pasdedeux run                                  the built-in duets, into ./store
-  pasdedeux run my.toml --store /data/store --workers 8
-  pasdedeux run my.toml --set chains.num_chains=4 --until chains
-  pasdedeux run my.toml --preview                on a few seconds of each take, to look at first
-  pasdedeux run my.toml --scheduler tcp://cluster:8786
-  pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
-"""
-_PLAN = """List what a run would compute and why, by stage and partition; nothing is started.
-
-\b
-fresh    it is there and nothing it depends on has changed
-missing  it was never built, or its files are gone
-stale    something it depends on has changed; says what
-pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
-
---cost says what the run would take, from what each shard took when it was last computed.
-"""
-
 
 OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="Only these stages.")]
 FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and all that depend on it.")]
@@ -87,7 +65,7 @@ ForceOption = Annotated[
 ]
 
 
-@app.command(help=_RUN)
+@app.command()
 def run(
     context: typer.Context,
     study: StudyArgument = "duets",
@@ -106,7 +84,17 @@ def run(
     fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Build a study."""
+    """Build a study: compute what is missing or stale in the store.
+
+    \b
+    Examples:
+      pasdedeux run                                  the built-in duets, into ./store
+      pasdedeux run my.toml --store /data/store --workers 8
+      pasdedeux run my.toml --set chains.num_chains=4 --until chains
+      pasdedeux run my.toml --preview                on a few seconds of each take, to look at first
+      pasdedeux run my.toml --scheduler tcp://cluster:8786
+      pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
+    """
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     short = [f"ingest.take_seconds={PREVIEW_S}"] if is_preview else []
     chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
@@ -164,7 +152,7 @@ def build(run: Run, cluster: ClusterSettings, *, is_quiet: bool) -> tuple[Outcom
             return _build(run, made, cluster, is_quiet=is_quiet), made
 
 
-@app.command(help=_PLAN)
+@app.command()
 @uncollected()
 def plan(
     context: typer.Context,
@@ -175,7 +163,6 @@ def plan(
     start: FromOption = None,
     until: UntilOption = None,
     force: ForceOption = None,
-    is_long: Annotated[bool, Option("--long", help="Show fresh partitions too.")] = False,
     cost: Annotated[bool, Option("--cost", help="Estimate the duration, by number of workers.")] = False,
     workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: number of workers.")] = None,
     measured: Annotated[
@@ -183,7 +170,16 @@ def plan(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a run would compute and why."""
+    """List what a run would compute and why, by stage and partition; nothing is started.
+
+    \b
+    fresh    it is there and nothing it depends on has changed
+    missing  it was never built, or its files are gone
+    stale    something it depends on has changed; says what
+    pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+
+    --cost says what the run would take, from what each shard took when it was last computed.
+    """
     if not cost and (workers or measured):
         raise PlanError("--workers and --measured are for --cost; give that too")
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
@@ -195,8 +191,7 @@ def plan(
         described = {"work": work.to_json(), "costs": [asdict(one) for one in costs]}
         answer(described, cost_lines(work, costs), as_json=as_json)
         return
-    lines = plan_lines(made, is_long=is_long)
-    answer({**made.to_json(), "settings": chosen.resolved()}, lines, as_json=as_json)
+    answer({**made.to_json(), "settings": chosen.resolved()}, plan_lines(made), as_json=as_json)
     if as_json:
         return
     refuse_nothing(made.missing)

@@ -23,14 +23,11 @@ from storage_schema.references import what_is_wrong
 from storage_schema.verification import ProblemKind
 from tasks.summary import stage_verdict
 
-_STATUS = "Show what is in a store: the studies built in it, their verdicts, its runs and its size."
-_VERIFY = "Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."
 
-
-@app.command(help=_STATUS)
+@app.command()
 @uncollected()
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Show what is in a store."""
+    """Show what is in a store: the studies built in it, their verdicts, its runs and its size."""
     opened = open_store(store)
     lasts = [last for name in latest_studies(opened) if (last := read_last_run(opened, name)) is not None]
     found = {last.study: last_manifests(opened, last) for last in lasts}
@@ -38,9 +35,9 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     answer(described, _status_lines(opened, described, lasts, found), as_json=as_json)
 
 
-@app.command(help=_VERIFY)
+@app.command()
 def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Read every file of the store again."""
+    """Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."""
     opened = open_store(store)
     if not opened.root.is_dir():
         raise UnknownReference(f"there is no store in {opened}; --store names the folder of one")
@@ -107,28 +104,25 @@ def _describe(
     return {"store": str(store), "studies": studies, "runs": describe_runs(store)}
 
 
-_GC = """Delete what nothing needs from a store; without --yes only list it.
-
-\b
-  pasdedeux gc --store /data/store               dry run, by stage
-  pasdedeux gc --store /data/store --yes
-  pasdedeux gc --store /data/store --days 0 --yes
-
-It keeps what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names, what
-runs of the last days made or read, and everything that any of these were computed from.  Folders of older runs are
-removed with their reports.  Nothing is removed while a run is in progress.  If it is killed, the store stays whole, and
-the same command finishes the work.
-"""
-
-
-@app.command(help=_GC)
+@app.command()
 def gc(
     store: StoreOption = Path("store"),
     days: Annotated[float, Option(min=0, max=36500, metavar="N", help="Also keep all of the last N days.")] = 7.0,
     is_dry: Annotated[bool, Option("--dry-run/--yes", help="List what would be removed, or remove it.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove what nothing needs."""
+    """Delete what nothing needs from a store; without --yes only list it.
+
+    \b
+      pasdedeux gc --store /data/store               dry run, by stage
+      pasdedeux gc --store /data/store --yes
+      pasdedeux gc --store /data/store --days 0 --yes
+
+    It keeps what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names,
+    what runs of the last days made or read, and everything that any of these were computed from.  Folders of older runs
+    are removed with their reports.  Nothing is removed while a run is in progress.  If it is killed, the store stays
+    whole, and the same command finishes the work.
+    """
     opened = open_store(store)
     if not opened.root.is_dir():
         raise UnknownReference(f"there is no store in {opened}; --store names the folder of one")

@@ -24,32 +24,10 @@ _group = typer.Typer(
 )
 app.add_typer(_group, name="study")
 
-_SHOW = """Print the file of a study, or with --resolved every key with inherited values and defaults.
 
-\b
-  pasdedeux study show duets
-  pasdedeux study show sampling_paper --resolved
-"""
-_KEYS = """Print every key that a study may have, with type, default, unit and meaning.
-
-\b
-  pasdedeux study keys chains
-  pasdedeux run --set chains.num_chains=4      a key on the command line
-\b
-In a key, N is a position in a list, counted from 0, and NAME a name of your own.
-"""
-_NEW = """Write a commented study for the given files.
-
-\b
-  pasdedeux study new waltz.toml                               over the built-in duets
-  pasdedeux study new mine.toml --from a.bvh --from b.bvh      two people of one take
-  pasdedeux study new mine.toml --from openpose_json_folder
-"""
-
-
-@_group.command("list", help="List the studies that ship, and what motion each needs.")
+@_group.command("list")
 def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
-    """List the studies that ship."""
+    """List the studies that ship, and what motion each needs."""
     graph = graph_of(context)
     found = [_describe(name, graph) for name in shipped_studies()]
     header = ("name", "what it is", "stages", "data it needs")
@@ -57,7 +35,7 @@ def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     answer(found, format_table(header, rows, text_columns=range(4)), as_json=as_json)
 
 
-@_group.command(help=_SHOW)
+@_group.command()
 def show(
     context: typer.Context,
     name: Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")],
@@ -65,7 +43,12 @@ def show(
     settings: SettingOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Print a study."""
+    """Print the file of a study, or with --resolved every key with inherited values and defaults.
+
+    \b
+      pasdedeux study show duets
+      pasdedeux study show sampling_paper --resolved
+    """
     if not is_resolved and not as_json and not settings:
         typer.echo(study_text(name, Path.cwd()), nl=False)
         return
@@ -73,13 +56,20 @@ def show(
     answer(study.resolved(), _toml_lines("", study.resolved()), as_json=as_json)
 
 
-@_group.command(help=_KEYS)
+@_group.command()
 def keys(
     context: typer.Context,
     section: Annotated[str | None, Argument(metavar="[SECTION]", help="One section; default: all.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the keys of a study."""
+    """Print every key that a study may have, with type, default, unit and meaning.
+
+    \b
+      pasdedeux study keys chains
+      pasdedeux run --set chains.num_chains=4      a key on the command line
+    \b
+    In a key, N is a position in a list, counted from 0, and NAME a name of your own.
+    """
     graph = graph_of(context)
     found = study_keys(graph, section)
     if not found:
@@ -95,17 +85,23 @@ def keys(
     answer([asdict(key) for key in found], format_table(header, rows, text_columns=range(5)), as_json=as_json)
 
 
-@_group.command(help=_NEW)
+@_group.command()
 def new(
     file: Annotated[Path, Argument(metavar="FILE", help="The study to write, a .toml file that is not there yet.")],
     sources: Annotated[
-        list[Path] | None, Option("--from", metavar="PATH", help="Motion, 2D poses, or a folder; may be given again.")
+        list[Path] | None, Option("--from", metavar="PATH", help="Motion of a person, or 2D poses; may be given again.")
     ] = None,
 ) -> None:
-    """Write a commented study to start from."""
+    """Write a commented study for the motion files of one take, a person each, or for 2D poses.
+
+    \b
+      pasdedeux study new waltz.toml                               over the built-in duets
+      pasdedeux study new mine.toml --from a.bvh --from b.bvh      two people of one take
+      pasdedeux study new mine.toml --from openpose_json_folder
+    """
     from flows.console.study_new import write_new_study
 
-    say(write_new_study(file, sources or []).in_lines())
+    say(write_new_study(file, sources or []))
     typer.echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 
 
@@ -113,7 +109,7 @@ def _describe(name: str, graph: Graph) -> dict[str, Any]:
     """Describe a study that ships; `stages` is None for one that others extend only."""
     tree = read_study_tree(name, Path.cwd()).values
     head, ingest = tree[HEAD], tree.get("ingest", {})
-    pairs = ingest.get("pairs", {}).values()
+    pairs = [pair for pair in ingest.get("pairs", {}).values() if pair.get("takes") != []]
     folders = {pair["folder"]: set[str]() for pair in pairs}
     for pair in pairs:
         folders[pair["folder"]].update(pair["subjects"])

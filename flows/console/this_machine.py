@@ -5,18 +5,15 @@ from __future__ import annotations
 import importlib
 import os
 import pkgutil
-import platform
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Argument
 
 import pasdedeux.benchmarks
 from flows.console.context import JsonOption, StoreOption, answer, app
@@ -25,34 +22,22 @@ from flows.machine import GIB, free_bytes, memory_bytes, nearest_folder, usable_
 from flows.planning import PlanError
 from flows.prefect_server import ServerError, check_server, telemetry_off
 from pasdedeux.benchmarks.benchmark import BenchmarkResult
+from storage_schema.provenance import package_versions
 from tasks.shards import ClusterError, ClusterSettings, connect, worker_environment
 
 _MIN_MEMORY_BYTES = 2 * GIB
 _MIN_DISK_BYTES = GIB
-_PACKAGES = [
-    "numpy",
-    "scipy",
-    "numba",
-    "pyarrow",
-    "opencv-contrib-python-headless",
-    "prefect",
-    "dask",
-    "distributed",
-    "pydantic",
-]
-"""Packages that every run needs."""
 
 
 class _BadError(Exception):
     """A check failed; the message is what was found."""
 
 
-@app.command(help="Check the installation; exit code 1 if something is missing.")
+@app.command()
 def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Look at the machine and say what is found."""
+    """Check the installation; exit code 1 if something is missing."""
     checks: dict[str, Callable[[], str]] = {
-        "python": lambda: _at_least(sys.version_info >= (3, 11), platform.python_version()),
-        **{name: partial(_check_package, name) for name in _PACKAGES},
+        "packages": lambda: ", ".join(f"{name} {version}" for name, version in package_versions().items()),
         "cores": lambda: f"{usable_cores()} usable of {os.cpu_count()}; a run starts one worker per usable core",
         "memory": _check_memory,
         "store": partial(_check_store, store),
@@ -66,7 +51,7 @@ def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
             findings.append({"name": name, "found": check(), "is_ok": True})
         except (_BadError, ServerError, ClusterError) as error:
             findings.append({"name": name, "found": str(error), "is_ok": False})
-    lines = [f"{'ok  ' if one['is_ok'] else 'BAD '} {one['name']:<34} {one['found']}" for one in findings]
+    lines = [f"{'ok  ' if one['is_ok'] else 'BAD '} {one['name']:<16} {one['found']}" for one in findings]
     answer(findings, lines, as_json=as_json)
     if not all(one["is_ok"] for one in findings):
         raise typer.Exit(1)
@@ -76,13 +61,6 @@ def _at_least(is_enough: bool, found: str) -> str:
     if not is_enough:
         raise _BadError(found)
     return found
-
-
-def _check_package(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        raise _BadError("not installed") from None
 
 
 def _check_memory() -> str:
@@ -127,15 +105,14 @@ def _check_dask() -> str:
         return f"a local worker starts and answers (process {next(iter(client.run(os.getpid).values()))})"
 
 
-@app.command(help="Measure the compiled kernels on this machine, each relative to its plain form.")
+@app.command()
 def bench(
     stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage; default: all.")] = None,
-    large: Annotated[int | None, Option(min=1, metavar="N", help="Also databases of N projections.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure and show a table."""
+    """Measure the compiled kernels on this machine, each relative to its plain form."""
     os.environ.update(worker_environment())
-    found = find_benchmarks(large=large)
+    found = find_benchmarks()
     if stage is not None and stage not in found:
         raise PlanError(f"there are no benchmarks for '{stage}'; there are for: {', '.join(found)}")
     results: list[tuple[str, BenchmarkResult]] = []
@@ -153,20 +130,11 @@ def bench(
     answer(described, lines, as_json=as_json)
 
 
-def find_benchmarks(*, large: int | None = None) -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Return the benchmarks of every stage that has a module of its name in `pasdedeux.benchmarks`.
-
-    Those of its `LARGE_BENCHMARKS`, which take a size, are among them when a size is given.
-    """
-    found: dict[str, dict[str, Callable[[], BenchmarkResult]]] = {}
-    for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__):
-        benchmarks = importlib.import_module(f"pasdedeux.benchmarks.{module.name}")
-        if hasattr(benchmarks, "BENCHMARKS"):
-            found[module.name] = dict(benchmarks.BENCHMARKS)
-            if large is not None:
-                for label, function in getattr(benchmarks, "LARGE_BENCHMARKS", {}).items():
-                    found[module.name][label] = partial(function, large)
-    return found
+def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
+    """Return the benchmarks of every stage that has a module of its name in `pasdedeux.benchmarks`."""
+    names = [module.name for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__)]
+    modules = {name: importlib.import_module(f"pasdedeux.benchmarks.{name}") for name in names}
+    return {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}
 
 
 def _rate(value: float) -> str:

@@ -82,11 +82,6 @@ def _get(environment: dict[str, str], path: str, body: dict[str, Any] | None = N
         return None
 
 
-def _materialised(environment: dict[str, str], wanted: dict[str, Any]) -> list[str]:
-    found = _get(environment, "/events/filter", {"filter": wanted}) or {"events": []}
-    return [event["resource"]["prefect.resource.id"] for event in found["events"]]
-
-
 def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -129,18 +124,13 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert all(row["computed"] == row["shards"] > 0 for row in tables[-1]), "the first builds"
     assert all(row["computed"] == 0 for row in tables[0]), "the next finds it fresh"
     assert [one["status"] for one in describe_runs(Store(store))] == ["finished"]
-    links = {one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"}
+    said_of_versions = [one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"][-2:]
     heartbeats = _get(environment, "/events/filter", {"filter": {"event": {"name": ["prefect.flow-run.heartbeat"]}}})
     flows = {(_flow(event), _is_watched(event)) for event in heartbeats["events"]}
     assert (dataset.name, True) in flows
     assert all(is_watched is (name == dataset.name) for name, is_watched in flows), "stages have no end of their own"
     (version,) = list_datasets(Store(store))
-    wanted = {"event": {"prefix": ["prefect.asset.materialization.succeeded"]}}
-    wait_until(lambda: len(_materialised(environment, wanted)) > 1, "the assets")
-    assets = _materialised(environment, wanted)
-    assert len(assets) == len(set(assets)), "the second build makes nothing"
-    assert {"pasdedeux://duets/poses", f"pasdedeux://duets/versions/{version.version}"} <= set(assets)
-    assert links == {f"[{version.label}]({(version.path / 'CHANGES.md').as_uri()})"}
+    assert said_of_versions == [f"{version.label} stays: nothing has changed since", f"{version.label} is published"]
 
 
 def _flow(event: dict[str, Any]) -> str:

@@ -339,7 +339,7 @@ def test_studies_that_ship_are_listed_and_printed(capsys: pytest.CaptureFixture[
     assert run_command_line(["study", "list"]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
     assert "all" in lines["duets"]
-    assert "built-in duets" in lines["duets"]
+    assert all("none, built-in duets" in lines[name] for name in ("duets", "augmentation_paper_duets"))
     assert "(to extend)" in lines["salsa"]
     assert "subjects 01, 02, 03, 60, 61" in lines["sampling_paper"]
     assert call("study", "show", "duets") == 0

@@ -33,7 +33,7 @@ from storage_schema import ArtifactRef, CorruptArtifact, Store, create_dataset, 
 from storage_schema.errors import FullDisk
 from tasks.graph import Graph
 from tasks.shards import Call, ClusterPool, ClusterSettings, HereClient, HerePool, Pool, ShardDone, ShardError, connect
-from tasks.stage import Parameters, Shard
+from tasks.stage import EarlyPlan, Parameters, Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
 
@@ -340,6 +340,16 @@ def test_a_stage_that_cannot_be_planned_leaves_others_their_work(tmp_path: Path)
     with pytest.raises(InputError, match="bend: no"):
         run_toys(study, tmp_path / "store", graph=Graph(stages))
     assert {name.split()[0] for name in names(tmp_path / "store")} == {"grow", "aside"}
+
+
+def test_a_stage_of_which_an_early_shard_failed_is_planned_and_its_other_shards_are_computed(tmp_path: Path) -> None:
+    bend = TOYS.stage("bend")
+    some = EarlyPlan(lambda *given: [one for one in bend.plan(*given) if one.name == "s0"], each=("training_log",))
+    graph = Graph(tuple(replace(one, early=(some,)) if one is bend else one for one in TOYS.stages))
+    pool = ManyWorkers(tmp_path / "store", fail=frozenset({"bend t0 s0"}))
+    with pytest.raises(ShardError, match=r"^stage bend, t0, shard s0: broken$"):
+        run_toys(write_study(tmp_path), tmp_path / "store", graph=graph, pool=pool)
+    assert set(EVERYBODY) - set(names(tmp_path / "store")) == {"bend t0 s0", "judge all all"}
 
 
 def test_two_runs_at_once_in_one_store_end_with_the_same_artifacts(undisturbed: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from pathlib import Path
@@ -59,8 +60,10 @@ def test_another_licence_is_a_new_version_and_reaches_exports_without_computing_
     text = exported(study, "models:released@1")
     assert "licence: CC0-1.0" in text
     assert "CC-BY-NC-ND-4.0" not in text
-    changes = (list_datasets(Store(study.parent / "store"))[-1].path / "CHANGES.md").read_text()
-    assert "| t0 | CC0-1.0; made for a test | CC-BY-NC-ND-4.0; made for a test |" in changes.replace('"', "")
+    capsys.readouterr()
+    assert call(study, "diff", "released@1", "released@2", "--json") == 0
+    licences = json.loads(capsys.readouterr().out)["licences"]
+    assert licences["t0"] == {"a": '"CC0-1.0; made for a test"', "b": '"CC-BY-NC-ND-4.0; made for a test"'}
 
 
 def test_a_licence_that_is_taken_back_is_taken_back(study: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from flows.console.app import run_command_line
 from flows.study import load_study
 from flows.study_files import StudyError
-from storage_schema import Dataset, Store, list_datasets, open_table
+from storage_schema import Dataset, Store, list_datasets
 from tests.builders.storage_rows import list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, build_here, write_study
 from tests.builders.toys import TOYS
@@ -38,10 +38,6 @@ def versions(study: Path) -> list[Dataset]:
     return list_datasets(Store(study.parent / "store"))
 
 
-def changes(dataset: Dataset) -> str:
-    return (dataset.path / "CHANGES.md").read_text()
-
-
 def test_a_run_whose_verdicts_do_not_fail_becomes_a_version_of_all_it_made(
     study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -49,11 +45,8 @@ def test_a_run_whose_verdicts_do_not_fail_becomes_a_version_of_all_it_made(
     assert "released@1 is published" in capsys.readouterr().out
     (made,) = versions(study)
     assert {ref.stage for ref in made.refs} == set(TOYS.names)
-    assert "The first version" in changes(made)
     assert json.loads((made.path / "study.json").read_text())["publish"]["name"] == "released"
-    assert {path.name for path in made.path.iterdir()} == {
-        *("dataset.json", "CHANGES.md", "study.json", "environment.json")
-    }
+    assert {path.name for path in made.path.iterdir()} == {"dataset.json", "study.json", "environment.json"}
 
 
 def test_nothing_new_makes_no_new_version(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,25 +107,6 @@ def test_what_a_version_has_lost_is_published_anew_though_the_same_was_made_sinc
     out = capsys.readouterr().out
     assert "released@2 is published" in out
     assert "released@2 stays: nothing has changed" in out
-
-
-def test_the_changelog_says_what_came_went_and_changed_and_the_scores(study: Path) -> None:
-    assert run(study) == 0
-    before = open_table("scores:released@1", study.parent / "store")["value"][0]
-    assert run(study, "--set", "grow.num_takes=3", "--set", "aside.size=5") == 0
-    after = open_table("scores:released@2", study.parent / "store")["value"][0]
-    said = changes(versions(study)[-1])
-    assert "Beside released@1:" in said
-    for line in (
-        "| grow.num_takes | 2 | 3 |",
-        "| grow | t2 | 3 |  |  |  |",
-        "| aside | aside |  |  | 1 |  |",
-        f"| models total sum | {before:.5g} | {after:.5g} |  |",
-    ):
-        assert line in said
-    assert "| grow | t0 |" not in said
-    assert run(study, "--set", "aside.size=5") == 0
-    assert "| grow | t2 |  | 3 |  |  |" in changes(versions(study)[-1])
 
 
 def test_a_verdict_that_fails_publishes_nothing_and_is_named_with_the_figure(

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import pytest
 
 from flows.console.app import run_command_line
-from flows.console.study_new import new_study, write_new_study
+from flows.console.study_new import write_new_study
 from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
@@ -23,24 +25,36 @@ from tasks.seeds import SeedsParameters
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
 from tests.builders.own_sources import write_walk
-from tests.builders.source_samples import bvh_text, csv_text, figure_motion, openpose_text
+from tests.builders.source_samples import bvh_text, csv_text, figure_motion
 
 
-def ingest_of(text: str) -> IngestParameters:
-    return IngestParameters.model_validate(tomllib.loads(text)["ingest"])
+class New(NamedTuple):
+    """A study that was written: its text, its section `ingest`, and what was said of the files."""
+
+    text: str
+    ingest: IngestParameters
+    said: list[str]
+
+
+def new_study(*files: Path, name: str = "mine") -> New:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.toml"
+        said = write_new_study(path, files)
+        text = path.read_text(encoding="utf-8")
+    return New(text, IngestParameters.model_validate(tomllib.loads(text)["ingest"]), said)
 
 
 def test_without_files_it_is_a_study_of_the_built_in_duets() -> None:
-    parameters = ingest_of(new_study("mine").text)
+    parameters = new_study().ingest
     assert len(parameters.resolved_duets()) == 4
 
 
 def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> None:
     for number, name in enumerate(("a one.bvh", "b.bvh")):
         (tmp_path / name).write_text(bvh_text(rate_hz=60.0, seed=number))
-    text = write_new_study(tmp_path / "my study.toml", [tmp_path / "a one.bvh", tmp_path / "b.bvh"]).text
-    parameters = ingest_of(text)
-    take = parameters.takes[0]
+    write_new_study(tmp_path / "my study.toml", [tmp_path / "a one.bvh", tmp_path / "b.bvh"])
+    text = (tmp_path / "my study.toml").read_text()
+    take = IngestParameters.model_validate(tomllib.loads(text)["ingest"]).takes[0]
     assert [path.as_posix() for path in take.files] == ["a one.bvh", "b.bvh"]
     assert (take.layout, take.up_axis, take.rate_hz) == ("body22", "y", 60.0)
     assert [person.metres_per_unit for person in take.persons] == [0.01, 0.01]
@@ -53,10 +67,10 @@ def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> N
 def test_a_unit_that_cannot_be_told_is_left_to_the_user(tmp_path: Path) -> None:
     path = tmp_path / "odd.bvh"
     path.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
-    text = new_study("odd", [path]).text
-    assert "# metres_per_unit = 0.1" in text
-    assert "A GUESS - SET IT" in text
-    assert ingest_of(text).takes[0].persons[0].metres_per_unit is None
+    made = new_study(path)
+    assert "# metres_per_unit = 0.1" in made.text
+    assert "A GUESS - SET IT" in made.text
+    assert made.ingest.takes[0].persons[0].metres_per_unit is None
 
 
 @pytest.mark.parametrize(("units_per_metre", "unit"), [(1.0, 1.0), (100.0, 0.01), (39.3701, 0.0254), (1000.0, 0.001)])
@@ -68,27 +82,15 @@ def test_known_units_are_told_from_the_size_of_the_body(units_per_metre: float, 
     assert guess.up.confidence > 0.8
 
 
-def test_folders_of_motion_are_paired_by_take_and_folders_of_json_are_annotations(tmp_path: Path) -> None:
-    for number, name in enumerate(("60_01", "61_01", "60_02", "61_02", "62_03")):
-        (tmp_path / f"{name}.bvh").write_text(bvh_text(seed=number))
-    walk = tmp_path / "walk"
-    walk.mkdir()
-    (walk / "w_000000000000_keypoints.json").write_text(openpose_text())
-    (tmp_path / "table.csv").write_text(csv_text())
-    parameters = ingest_of(new_study("s", [tmp_path, walk], base=tmp_path).text)
-    assert [(take.id, len(take.files)) for take in parameters.takes] == [("60_01", 2), ("60_02", 2), ("62_03", 1)]
-    assert {source.format for source in parameters.annotations} == {"openpose", "annotation_csv"}
-
-
 def test_what_is_no_motion_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.bvh").write_text("\n")
     with pytest.raises(InputError, match=r"empty.bvh: this file is empty$"):
-        new_study("s", [tmp_path / "empty.bvh"])
+        new_study(tmp_path / "empty.bvh")
     (tmp_path / "x.bvh").write_text("hello")
     with pytest.raises(InputError, match=r"x.bvh: this file is none of the known formats"):
-        new_study("s", [tmp_path / "x.bvh"])
+        new_study(tmp_path / "x.bvh")
     with pytest.raises(InputError, match="does not exist"):
-        new_study("s", [tmp_path / "y.bvh"])
+        new_study(tmp_path / "y.bvh")
 
 
 def new_in_words(capsys: pytest.CaptureFixture[str], folder: Path, *files: Path) -> str:
@@ -104,7 +106,10 @@ def test_one_file_for_two_people_is_refused(tmp_path: Path, capsys: pytest.Captu
     one, copy = tmp_path / "a.bvh", tmp_path / "b.bvh"
     for path in (one, copy):
         path.write_text(bvh_text())
-    for files, words in (((one, one), "a.bvh is given twice"), ((one, copy), "b.bvh are the same, byte for byte")):
+    for files, words in (
+        ((one, one), "a.bvh are the same, byte for byte"),
+        ((one, copy), "b.bvh are the same, byte for byte"),
+    ):
         assert words in new_in_words(capsys, tmp_path, *files)
         assert not (tmp_path / "mine.toml").exists()
 
@@ -113,33 +118,24 @@ def test_files_of_two_takes_are_doubted_and_not_trimmed(tmp_path: Path, capsys: 
     for name, frames in (("60_01", 40), ("61_02", 60)):
         (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames))
     said = new_in_words(capsys, tmp_path, tmp_path / "60_01.bvh", tmp_path / "61_02.bvh")
-    assert "found take 60_01: 60_01.bvh and 61_02.bvh, 40 frames" in said
-    assert "in doubt: take 60_01: its files have 40 and 60 frames: are they of one take?" in said
-    assert "in doubt: take 60_01: by their names its files are of takes 01 and 02" in said
-    assert ingest_of((tmp_path / "mine.toml").read_text()).takes[0].on_unequal == "refuse"
-
-
-def test_a_take_that_copies_another_is_doubted(tmp_path: Path) -> None:
-    for name, frames in (("60_01", 40), ("61_01", 40), ("60_02", 40)):
-        (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames))
-    with (tmp_path / "61_01.bvh").open("a") as file:
-        file.write("\n")
-    made = new_study("s", [tmp_path])
-    assert "take 60_02: 60_02.bvh is the same as 60_01.bvh, byte for byte" in made.doubts
+    assert "found 60_01.bvh: 40 frames" in said
+    assert "in doubt: the files have 40 and 60 frames: are they of one take?" in said
+    ingest = tomllib.loads((tmp_path / "mine.toml").read_text())["ingest"]
+    assert "on_unequal" not in ingest["takes"][0]
 
 
 def test_a_frame_more_or_less_is_one_take(tmp_path: Path) -> None:
     for name, frames in (("a", 100), ("b", 99)):
         (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames))
-    made = new_study("s", [tmp_path / "a.bvh", tmp_path / "b.bvh"])
-    assert ingest_of(made.text).takes[0].on_unequal == "trim"
-    assert made.doubts == ("take a: its files have 100 and 99 frames: are they of one take?",)
+    made = new_study(tmp_path / "a.bvh", tmp_path / "b.bvh")
+    assert made.ingest.takes[0].on_unequal == "trim"
+    assert made.said[2:] == ["in doubt: the files have 100 and 99 frames: are they of one take?"]
 
 
 def test_a_giant_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "tall.bvh").write_text(write_bvh(figure_motion(), units_per_metre=121.0))
     said = new_in_words(capsys, tmp_path, tmp_path / "tall.bvh")
-    assert "in doubt: take tall: tall.bvh: in units of one centimetre the body is 2.08 m tall; check metres" in said
+    assert "in doubt: tall.bvh: in units of one centimetre the body is 2.08 m tall; check metres" in said
     text = (tmp_path / "mine.toml").read_text()
     assert re.search(r"metres_per_unit = 0.01 .*A GUESS - CHECK IT", text)
     assert "likely" not in text
@@ -148,26 +144,18 @@ def test_a_giant_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 def test_a_rate_that_only_a_name_tells_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_walk(tmp_path)
     said = new_in_words(capsys, tmp_path, path)
-    assert "in doubt: take 90_01: no file states its frame rate; 120 Hz is a guess from its name" in said
+    assert "in doubt: no file states its frame rate; 120 Hz is a guess from its name" in said
     assert (
         "rate_hz = 120         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
         in (tmp_path / "mine.toml").read_text()
     )
     note_fetched(path, path.read_bytes())
-    assert new_study("s", [path]).doubts == ()
-
-
-def test_a_person_without_a_partner_among_many_files_is_said(tmp_path: Path) -> None:
-    for name, frames in (("60_01", 40), ("61_01", 40), ("60_02", 40), ("61_02", 50)):
-        (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames, seed=int(name[1]) + 10 * int(name[-1])))
-    made = new_study("s", [tmp_path])
-    assert [line.split(":")[0] for line in made.found] == ["take 60_01", "take 60_02", "take 61_02"]
-    assert made.doubts[0].startswith("takes 60_02, 61_02: it has one person")
+    assert not [line for line in new_study(path).said if "in doubt" in line]
 
 
 def test_salsa_files_are_known_to_lie_by_their_names(data_dir: Path) -> None:
     folder = data_dir / "cmu_salsa_bvh"
-    text = new_study("salsa", [folder / "60_10.bvh", folder / "61_10.bvh"]).text
+    text = new_study(folder / "60_10.bvh", folder / "61_10.bvh").text
     assert 'layout = "cmu_daz"' in text
     assert "rate_hz = 60         # known of CMU's files; the header says 120" in text
     assert "metres_per_unit = 1.263   # known" in text
@@ -177,7 +165,7 @@ def test_salsa_files_are_known_to_lie_by_their_names(data_dir: Path) -> None:
 def test_salsa_files_of_another_name_get_the_guess_and_the_doubt_they_deserve(data_dir: Path, tmp_path: Path) -> None:
     for name, other in (("60_10.bvh", "leader.bvh"), ("61_10.bvh", "follower.bvh")):
         (tmp_path / other).symlink_to(data_dir / "cmu_salsa_bvh" / name)
-    text = new_study("salsa", [tmp_path / "leader.bvh", tmp_path / "follower.bvh"]).text
+    text = new_study(tmp_path / "leader.bvh", tmp_path / "follower.bvh").text
     assert "rate_hz = 120         # stated by the file" in text  # it lies: 60 Hz is true
     assert text.count("A GUESS - SET IT") == 2  # 1.29 m tall in metres: not believed
 
@@ -205,6 +193,6 @@ def test_key_frames_are_lifted_and_no_motion_is_asked_of_them(tmp_path: Path) ->
     frames = [re.sub(r"^(\d+),", lambda found: f"{500 * int(found[1])},", line) for line in rows]
     second = [line.replace(",0,", ",1,", 1) for line in frames if line[0].isdigit()]
     (tmp_path / "keys.csv").write_text("\n".join([*frames, *second]))
-    sections = tomllib.loads(new_study("keys", [tmp_path / "keys.csv"]).text)
+    sections = tomllib.loads(new_study(tmp_path / "keys.csv", name="keys").text)
     assert {"views", "seeds", "chains", "lifting"} <= set(sections)
     assert not {"projections", "reconstruction"} & set(sections)

@@ -1,4 +1,4 @@
-"""Draws of chains, and grown seeds beside them, as `lifting` and the evaluation read them from the store."""
+"""Draws of chains, and grown pairs beside them, as `lifting` and the evaluation read them from the store."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
 
 GROWN = "grown_seeds"
-"""Name under which grown seeds stand beside the densities."""
+"""Name under which grown pairs stand beside the densities."""
 
 
 @dataclass(frozen=True)
 class DrawSet:
-    """Draws of one density, or grown seeds.
+    """Draws of one density, or grown pairs.
 
     Args:
         name: The density, or `grown_seeds`.
@@ -51,22 +51,22 @@ def reference_to(table: str, ref: ArtifactRef) -> str:
 
 
 def density_of(manifest: Manifest) -> str:
-    """Return the name of the density of an artifact with draws; grown seeds have their own."""
+    """Return the name of the density of an artifact with draws; grown pairs have their own."""
     return GROWN if "seeds" in manifest.tables else DrawFacts.of(manifest).density
 
 
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:
-    """Return the artifacts with draws, and those with grown seeds, which count as draws."""
+    """Return the artifacts with draws, and those with grown pairs, which count as draws."""
     return [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if SeedFacts.of(seed).kind == GROWN)]
 
 
 def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawSet]:
-    """Return the draws of each density, all seeds and chains, and the grown seeds, by name in order."""
+    """Return the draws of each density, all seeds and chains, and the grown pairs, by name in order."""
     return {name: _join(name, parts) for name, parts in _read_parts(store, refs).items()}
 
 
 def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
-    """Return all draws of all densities, and the grown seeds, as one set."""
+    """Return all draws of all densities, and the grown pairs, as one set."""
     return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
 
 

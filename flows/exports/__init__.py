@@ -5,13 +5,17 @@ A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in 
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 from flows.exports.credits import write_credits
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
-from storage_schema import Store, parse_reference, referenced_credits, resolve
+from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
+from storage_schema.encoding import encode
+from tasks.selection import READS, select_pairs
 
 __all__ = [
     "EXPORT_FORMATS",
@@ -21,6 +25,7 @@ __all__ = [
     "Units",
     "export_format",
     "export_reference",
+    "export_selection",
     "write_credits",
 ]
 
@@ -65,7 +70,44 @@ def export_reference(
         raise InputError(
             f"rest pose and units can be chosen for BVH files of {tables}, not for '{text}' as {file_format.upper()}"
         )
-    sources = referenced_credits(store, reference, export.refs)
+    return _written(export, kind, out)
+
+
+def export_selection(store: Store, text: str, file_format: str, out: Path, *, count: int) -> tuple[list[Path], str]:
+    """Write the pairs that differ most of all draws and grown pairs of a study; return files and what was selected.
+
+    Raises:
+        InputError: The format is not known or holds no table, a study is not named as a whole, or nothing is plausible.
+        UnknownReference: The reference names nothing.
+    """
+    reference = parse_reference(text)
+    if (
+        reference.table != "draws"
+        or reference.key_prefix
+        or reference.partition is not None
+        or reference.row is not None
+    ):
+        raise InputError(
+            f"'{text}': pairs are selected among all of a study, draws:study, or of a dataset, draws:name@1"
+        )
+    kind = export_format(file_format)
+    if not kind.can_write(reference):
+        raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
+    refs = resolve(reference, store)
+    for table in READS[1:]:
+        with suppress(UnknownReference):  # what has no joint limits of its own is judged by the published ones
+            refs += resolve(replace(reference, table=table), store)
+    found = select_pairs(store, tuple(dict.fromkeys(refs)), count)
+    if not found.columns:
+        raise InputError(f"'{text}': no draw and no grown pair of it is plausible")
+    made = TABLES["selected_pairs"]
+    rows = TableData(made, encode(made, found.columns))
+    export = Export(store, text, replace(reference, table=made.name), found.refs, selected=rows)
+    return _written(export, kind, out), found.in_words()
+
+
+def _written(export: Export, kind: ExportFormat, out: Path) -> list[Path]:
+    sources = referenced_credits(export.store, export.reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)
-    credits_path = write_credits(sources, export.refs, text, out)  # first: no file lies there without them
+    credits_path = write_credits(sources, export.refs, export.text, out)  # first: no file lies there without them
     return [*kind.write(export, out), credits_path]

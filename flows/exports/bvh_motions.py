@@ -61,10 +61,9 @@ def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:
     rows = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "body22_m"])
     scales = {key: quality["bone_scale"][part[0]] for key, part in _groups(quality, "take_id", "variant_id")}
     for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
-        for person, one in enumerate(people):
-            body22_m = rows["body22_m"][part[rows["person"][part] == person]].astype(np.float64)
-            own = one.own.retargeted(body22_m, scales[take_id, variant_id].reshape(len(people), -1)[person])
-            files.write((take_id, variant_id, one.letter), one, own, body22_m)
+        each = [rows["body22_m"][part[rows["person"][part] == person]] for person in range(len(people))]
+        scale = scales[take_id, variant_id].reshape(len(people), -1)
+        files.write_variant(variant_id, people, np.stack(each, axis=1).astype(np.float64), scale)
 
 
 def _motions(export: Export) -> Iterator[tuple[tuple[str | int, ...], Motion]]:

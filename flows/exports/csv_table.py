@@ -12,7 +12,7 @@ import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames
 from pasdedeux.skeletons.working import WORKING_SKELETONS
-from storage_schema import TABLES, TableData, iter_rows
+from storage_schema import TABLES, TableData
 from storage_schema.columns import Column
 
 
@@ -23,7 +23,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([name for column in columns for name in _names(column)])
-        for batch in iter_rows(export.text, export.store):
+        for batch in export.batches():
             cells = [_cells(column, batch) for column in columns]
             for index in range(batch.num_rows):
                 writer.writerow([cell for column in cells for cell in column[index]])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, Reference, Store
+from storage_schema import ArtifactRef, Reference, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
 
 RestPose = Literal["source", "standing"]
@@ -28,6 +28,7 @@ class Export:
         refs: The artifacts that it names.
         rest_pose: Rest pose of the skeletons of takes and variants: the source's, or a standing T-pose.
         units: Lengths of their BVH files: centimetres, metres, or the units of each source's file.
+        selected: Rows that were made of what is named, and are given out in its place.
     """
 
     store: Store
@@ -36,6 +37,11 @@ class Export:
     refs: tuple[ArtifactRef, ...]
     rest_pose: RestPose = "source"
     units: Units = "cm"
+    selected: TableData | None = None
+
+    def batches(self) -> Iterator[TableData]:
+        """Return the rows to be given out, some 10,000 at a time."""
+        return iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
 from flows.records import read_last_run
+from flows.templates import render
 from pasdedeux.learning.registry import Weights, write_weights
 from storage_schema import Manifest, Store, latest_studies
 from tasks.facts import ModelFacts, TakeFacts
@@ -26,7 +27,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
         facts = ModelFacts.of(manifest)
         path = names.path(facts.split, facts.model, suffix=".safetensors")
         path.write_bytes(write_weights(stored_weights(export.store, manifest)))
-        paths += [path, write_text(path.with_suffix(".md"), "\n".join(_card(export.store, manifest)) + "\n")]
+        paths += [path, write_text(path.with_suffix(".md"), _card(export.store, manifest))]
     return paths
 
 
@@ -50,28 +51,17 @@ def _read(store: Store, manifest: Manifest) -> list[Manifest]:
     return [one for one in found if one is not None]
 
 
-def _card(store: Store, manifest: Manifest) -> Iterator[str]:
-    facts, settings = ModelFacts.of(manifest), manifest.parameters.get("settings", {})
-    yield from (f"# {facts.model}, split {facts.split}", "")
-    counted = {part: sum(map(len, getattr(facts, part).values())) for part in ("train", "validation", "test")}
-    yield f"- class: `{facts.class_name}`; artifact: {manifest.ref.stage} {manifest.ref.key}"
-    yield f"- skeleton: {facts.skeleton}"
-    yield f"- split: `{facts.split}`, seed {manifest.seed}; variants: " + ", ".join(
-        f"{part} {count}" for part, count in counted.items()
+def _card(store: Store, manifest: Manifest) -> str:
+    facts = ModelFacts.of(manifest)
+    return render(
+        "model_card.md",
+        facts=facts,
+        manifest=manifest,
+        counts={part: sum(map(len, getattr(facts, part).values())) for part in ("train", "validation", "test")},
+        settings=json.dumps(manifest.parameters.get("settings", {}), indent=1),
+        verdict=verdict_of(manifest),
+        metrics=list(dict.fromkeys(_metrics(store, manifest))),
     )
-    yield f"- takes trained on: {', '.join(facts.takes) or 'none'}"
-    if facts.shares_takes:
-        yield "- the takes of its test variants are those it was trained on, at other scales"
-    yield f"- trained by pasdedeux {manifest.code_version}, stage version {manifest.version}"
-    yield from ("", "## Parameters", "", "```json", json.dumps(settings, indent=1), "```", "")
-    yield from ("## Metrics", "", "| what | value | baseline |", "|---|---|---|")
-    said = verdict_of(manifest)
-    if said is not None and said.figure:
-        beside = f"{said.baseline_name} {said.baseline:.4g} {said.unit}" if said.baseline_name else ""
-        yield f"| {said.figure} | {said.value:.4g} {said.unit} | {beside} |"
-    yield from dict.fromkeys(_metrics(store, manifest))
-    yield from ("", "## Data", "", "Stage, key, content digest of what was read:", "")
-    yield from (f"- {ref.stage} {ref.key} {ref.content_digest}" for ref in manifest.inputs)
 
 
 def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames
-from storage_schema import open_table
+from storage_schema import TABLES
+from storage_schema.table_data import concatenate
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
     """Write every column as an array; one of varying length as its values end to end and the rows' offsets."""
-    rows = open_table(export.text, export.store)
+    rows = concatenate(TABLES[export.reference.table], export.batches())
     arrays: dict[str, Any] = {}
     for name in rows.column_names:
         values = rows[name]

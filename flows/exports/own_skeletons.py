@@ -126,6 +126,14 @@ class RigFiles:
         axes = f"{_AXES}; the rest pose is {_POSED[self._rest_pose]}"
         self._paths[-1].write_bytes(write_motion_npz(motion, axes=axes, **facts))
 
+    def write_variant(
+        self, variant_id: str, people: Sequence[Person], motion_m: np.ndarray, bone_scale: np.ndarray
+    ) -> None:
+        """Write a variant's motion (frame, P, 22, 3), metres, with scales (P, 22), on the skeletons of its people."""
+        for person, wanted_m, scale in zip(people, np.moveaxis(motion_m, 1, 0), bone_scale, strict=True):
+            own = person.own.retargeted(wanted_m, scale)
+            self.write((person.take_id, variant_id, person.letter), person, own, wanted_m)
+
     def close(self) -> Sequence[Path]:
         """Write what someone who finds the files has to know, and return all files."""
         said = [

@@ -164,3 +164,28 @@ CHAIN_INFO = Table(
         text("note", "What is unusual about the annotations it was sampled with; empty when nothing is"),
     ),
 )
+
+SELECTED_PAIRS = Table(
+    name="selected_pairs",
+    meaning="One row per pair that `export draws:STUDY --select N` chose of all draws and grown pairs; in no store.",
+    sorted_by=("rank",),
+    columns=(
+        integer("rank", "Order of choice, from 0: the first n rows are the selection of n"),
+        float64("distance_m", "Distance D_C to the nearest row before; null for the first", unit="m", is_nullable=True),
+        float64("weight", "Independent pairs among all that are nearer to this row than to any other"),
+        text("origin", "draw (of a chain) or grown (from a seed)"),
+        text("reference", "Reference of that draw or seed"),
+        text("density", "Density that the chain sampled; null for a grown pair", is_nullable=True),
+        SEED_INDEX.with_meaning("Seed the chain started from; the index of a grown pair itself"),
+        integer("chain", "Chain of that seed; null for a grown pair", is_nullable=True),
+        integer("draw", "Index of the draw in its chain; null for a grown pair", is_nullable=True),
+        integer("parent_seed_index", "Seed or pair that a grown pair was lifted from; else null", is_nullable=True),
+        SEQUENCE_ID.with_meaning("Annotation nearest to a draw, or that was lifted; else null", is_nullable=True),
+        integer("sequence_frame", "Frame of that annotation, else null", is_nullable=True),
+        integer("sequence_person_id", "Person A of that annotation, else null", is_nullable=True),
+        float64("log_prior", "Log of the prior (lift eq. 2)"),
+        text("verdict", "Verdict on the chain, or on growth as a whole: pass, warn or fail"),
+        VERDICT[1],
+        positions("pair17", "Positions, gauge-fixed as in `draws`", num_people=2),
+    ),
+)

@@ -30,19 +30,24 @@ from pasdedeux.interaction.coverage import CoverageCurve, coverage_curve
 from pasdedeux.interaction.nearest import Coverage
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
-from storage_schema import ArtifactRef, Store
+from storage_schema import ArtifactRef, Manifest, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
+from tasks.selection import READS, SelectedPairs, select_pairs
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
 """Measures of coverage: where a curve has them, and their unit."""
+_ALONE = "draws without grown pairs"
+"""What is judged beside all sets: draws of chains, which say something about densities."""
 _REAL = "real_frames"
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
 """Sizes of the sets of real frames (the counts of the published scale)."""
+_SELECTED, _RANDOM = "selected_pairs", "random_pairs"
+_SET_METRIC = "coverage_of_a_set_D_C"
 _MAX_DRAWS, _MAX_REAL = 200, 1500
 """Draws and real pairs whose distances are compared for realism, at most."""
 _NUM_MAPPED = 150
@@ -79,7 +84,7 @@ class CoverageParameters(CoverageSettings):
 
 
 def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
-    """Plan one shard per part of the real frames, over the draws of every density and the grown seeds."""
+    """Plan one shard per part of the real frames, over the draws of every density and the grown pairs."""
     draws = draw_manifests(inputs)
     takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons == 2]
     annotations = [
@@ -88,7 +93,8 @@ def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
     if not draws or not takes:
         return []
     seeds = [seed for seed in inputs.of("seeds") if SeedFacts.of(seed).kind != GROWN]
-    named = {"takes": takes, "annotations": annotations, "first_seed": seeds[:1], "draws": draws}
+    named: dict[str, Sequence[Manifest]] = {"takes": takes, "annotations": annotations, "draws": draws}
+    named |= {"first_seed": seeds[:1], "chains": inputs.of("chain_info"), "limits": inputs.of("joint_limits")}
     has_held_out = any(TakeFacts.of(take).is_held_out for take in takes)
     return [
         TOPIC.shard(inputs, split, settings.part(CoverageParameters, split=split), **named)
@@ -141,8 +147,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             "lie, and nowhere else."
         )
         pictures.append(Picture(f"coverage-map-{split}.svg", caption, shown))
-    items = Items(nearest, *known.where(places)) if split == "held_out" else Items()
-    return TopicResult(scores, pictures, notes, {"": items}, _baselines({score.method for score in scores}))
+    where = known.where(places) if split == "held_out" else None
+    chosen_from = (*draw_refs, *shard.refs("chains"), *shard.refs("limits"))
+    pool = {name: draws[name] for name in mapped if name != PRIOR_ONLY}
+    found, said = set_scores(
+        truth, select_pairs(store, chosen_from, _REAL_COUNTS[-1]), pool, levels, generator, split=split
+    )
+    scores, notes = [*scores, *found], [*notes, *said]
+    items = {name: Items(own, *where) if where else Items() for name, own in (("", nearest), (_ALONE, alone(nearest)))}
+    return TopicResult(scores, pictures, notes, items, _baselines({score.method for score in scores}))
 
 
 def _annotated_frames(store: Store, shard: Shard) -> set[tuple[str, int]]:
@@ -211,10 +224,67 @@ def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[n
 
 
 def nearest_by_method(curves: Mapping[str, CoverageCurve], grown: str) -> dict[str, Array]:
-    """Return the least D_C of each real pair (truth,), metres, to draws, and to draws and grown seeds together."""
+    """Return the least D_C of each real pair (truth,), metres, to draws, and to draws and grown pairs together."""
     alone = {method: curve.min_cartesian_m for method, curve in curves.items()}
     others = [name for name in alone if name != grown and grown in alone]
     return alone | {f"{name}_and_{grown}": np.minimum(alone[name], alone[grown]) for name in others}
+
+
+def alone(nearest_m: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what `nearest_by_method` gave for sets without grown pairs: with these in all of them, all are alike."""
+    return {method: found for method, found in nearest_m.items() if not method.endswith(GROWN)}
+
+
+def set_scores(
+    truth: Array,
+    selected: SelectedPairs,
+    pool: Mapping[str, npt.NDArray[np.floating]],
+    levels: CoverageCurve,
+    generator: np.random.Generator,
+    *,
+    split: str,
+) -> tuple[list[Score], list[str]]:
+    """Return coverage by selected pairs, by random ones of the pool and by real frames, and what was selected.
+
+    All three are sets of the same sizes, those of real frames, as far as so many pairs were selected.
+    """
+    count = len(selected.columns.get("rank", ()))
+    if not count:
+        return [], []
+    sizes = [size for size in levels.num_draws.tolist() if size <= count]
+    parts, starts = list(pool.values()), np.cumsum([0, *map(len, pool.values())])
+    some = generator.permutation(starts[-1])[:count]
+    part = np.searchsorted(starts, some, side="right") - 1
+    sets = {
+        _SELECTED: np.stack(selected.columns["pair17_m"]),
+        _RANDOM: np.stack([parts[at][row] for at, row in zip(part, some - starts[part], strict=True)]),
+    }
+    curves = {name: coverage_curve(truth, pairs.astype(np.float64), sizes) for name, pairs in sets.items()}
+    scores = [
+        Score(_SET_METRIC, name, float(value), "m", split=split, at=float(size), count=len(truth))
+        for name, curve in {**curves, _REAL: levels}.items()
+        for size, value in zip(curve.num_draws, curve.cartesian_m, strict=True)
+        if size in sizes
+    ]
+    return scores, [f"Selected were {selected.in_words()}."]
+
+
+def set_table(scores: Sequence[Score]) -> list[TextTable]:
+    """Lay out how well as many selected pairs, random ones and real frames cover, a row for each part and number."""
+    own = [score for score in scores if score.metric == _SET_METRIC]
+    if not own:
+        return []
+    return [
+        pivot_table(
+            own,
+            "Sets of one size: distance from a real pair to the nearest one of the set, D_C",
+            ("frames", "size of the set"),
+            lambda score: (score.split.replace("_", " "), f"{score.at:.0f}"),
+            {name: in_words(name) for name in (_SELECTED, _RANDOM, _REAL)},
+            lambda score: score.method,
+            lambda found: format_value(found[0].value, found[0].unit),
+        )
+    ]
 
 
 def _baselines(methods: Iterable[str]) -> set[str]:
@@ -358,10 +428,16 @@ TOPIC = Topic(
     heading="Coverage",
     introduction="Whether draws reach captured poses: distance from real pairs to their nearest draw, beside chains of "
     "the prior alone (the baseline) and beside real pairs in place of draws.",
-    reads=("draws", "seeds", "poses", "annotations"),
+    reads=(*READS, "poses", "annotations"),
     plan=_plan,
     run=_run,
     settings=CoverageSettings,
-    criteria=(Criterion("coverage_D_C", "distance from a real pair to the nearest draw", "m", "real pairs"),),
-    tables=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
+    criteria=tuple(
+        Criterion("coverage_D_C", f"distance from a real pair to the nearest {what}", "m", "real pairs", name=name)
+        for name, what in {"": "draw", _ALONE: "draw of a chain"}.items()
+    ),
+    tables=lambda scores: [
+        *exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
+        *set_table(scores.get("coverage", ())),
+    ],
 )

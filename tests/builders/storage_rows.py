@@ -118,15 +118,16 @@ def put(
     facts: dict[str, Any],
     inputs: tuple[Manifest, ...] = (),
     source: SourceCredit = MADE_UP,
+    **told: Any,
 ) -> Manifest:
-    """Commit what an earlier stage would have written."""
+    """Commit what an earlier stage would have written, with further parameters."""
     ref = store.commit(
         stage=stage,
         key=artifact_key(stage=stage, version=1, parameters={"name": name}, input_digests=[], seed=0),
         partition=name,
         name=name,
         version=1,
-        parameters={"name": name},
+        parameters={"name": name, **told},
         seed=0,
         inputs=[manifest.ref for manifest in inputs],
         files=[],

@@ -12,6 +12,7 @@ from pasdedeux.interaction.coverage import CoverageCurve
 from storage_schema import Store
 from tasks import chains
 from tasks.chains import ChainsParameters
+from tasks.draw_sets import read_draw_sets
 from tasks.evaluation import coverage, reconstruction
 from tasks.evaluation.coverage import (
     TOPIC,
@@ -71,17 +72,34 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
 def sampled(inputs: Any) -> tuple[Store, StageInputs]:
     """Return the store with chains of one seed, and what the topic reads of it."""
     store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",)}
+    given = with_seeds(store, tables, num_seeds=1, num_grown=4)
+    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
     made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
     return store, StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
 
 
-def test_only_takes_that_are_held_out_are_judged(inputs: Any) -> None:
+def test_only_takes_that_are_held_out_are_judged_and_draws_without_grown_pairs_too(inputs: Any) -> None:
     store, known = sampled(inputs)
     planned = TOPIC.plan(known, CoverageSettings(num_truth_pairs=300, num_curve_points=2))
-    judged = {shard.name: set(TOPIC.run(shard, store).items[""].takes) for shard in planned}
-    assert judged == {"annotated": set(), "unannotated": set(), "held_out": {"kept_back"}}
+    items = {shard.name: TOPIC.run(shard, store).items for shard in planned}
+    names = [one.name for one in TOPIC.criteria]
+    for split, takes in {"annotated": set(), "unannotated": set(), "held_out": {"kept_back"}}.items():
+        assert [set(items[split][name].takes) for name in names] == [takes, takes]
+    every, drawn = (set(items["held_out"][name].values) for name in names)
+    assert drawn == {"prior_only"}
+    assert every == {"prior_only", "grown_seeds", "prior_only_and_grown_seeds"}
+
+
+def test_chains_that_run_side_by_side_cover_in_the_order_in_which_they_drew(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=2)
+    made = run(chains.plan(given, ChainsParameters(**QUICK, densities=("prior_only",))), chains, store)
+    refs = [one.ref for one in made if "draws" in one.tables]
+    (found,) = read_draw_sets(store, refs).values()
+    parts = [store.read(ref, "draws", columns=["draw", "pair17_m"]) for ref in refs]
+    numbers, pairs = (np.concatenate([part[name] for part in parts]) for name in ("draw", "pair17_m"))
+    by_draw = [pair for number in range(QUICK["num_draws"]) for pair in pairs[numbers == number]]
+    np.testing.assert_array_equal(found.in_order, by_draw)
 
 
 def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,203 @@
+"""Selection of pairs that differ: farthest-point selection among any number of pairs, in bounded memory.
+
+Pairs are compared by D_C, by which coverage is judged.  A pair that is nearer than a radius to one that is kept is
+dropped, and its weight goes there.  When more are kept than there is room for, the radius doubles (Charikar et al.
+2004), so that no pair is farther than two radii from all that are kept.  Of these the soundest one is chosen first,
+then time and again the one that is farthest from all chosen (Gonzalez 1985): asking for more keeps the first ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.arrays import Array
+from pasdedeux.compiled import compiled
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.kernels import best_turn, turned_gap
+
+DUPLICATE_M = 0.02
+"""D_C below which two pairs count as one: the error of an annotated joint."""
+MIN_LOG_PRIOR = -200.0
+"""Log prior below which a pair is not plausible: every joint 17 cm off, where sigma_p is 5 cm."""
+MIN_ROOM = 4096
+"""Pairs kept at least, to choose from: the more, the less the radius has to grow."""
+_ROOM_FOR_EACH = 4
+_SLACK_M = 1e-9
+"""Rounding error allowed for a bound."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Chosen pairs, in the order in which they were chosen.
+
+    Args:
+        index: Which of all the pairs that were added, (n,), from 0.
+        distance_m: D_C to the nearest one chosen before, (n,), metres; inf for the first.
+        weight: Sum of the weights of all pairs that are nearest to each, (n,).
+        radius_m: Pairs nearer to each other than this, metres, counted as one.
+    """
+
+    index: npt.NDArray[np.int64]
+    distance_m: Array
+    weight: Array
+    radius_m: float
+
+
+class _Kept(NamedTuple):
+    """Centred pairs (pair, n, 3), metres, distances of their joints from the centre (pair, n), and what is known."""
+
+    points: Array
+    lengths: Array
+    weight: Array
+    soundness: Array
+    number: npt.NDArray[np.int64]
+
+
+class PairSelector:
+    """Selection of pairs that arrive in batches; it depends on their order, not on how they are cut into batches.
+
+    Args:
+        num_selected: How many are to be chosen, at most.
+        min_room: Room for pairs to choose from; there is more for very many.
+
+    Raises:
+        InputError: None is to be chosen.
+    """
+
+    def __init__(self, num_selected: int, *, min_room: int = MIN_ROOM) -> None:
+        if num_selected < 1:
+            raise InputError(f"{num_selected} pairs were asked for; at least 1 can be selected")
+        self._num_selected = num_selected
+        self._room = max(min_room, _ROOM_FOR_EACH * num_selected)
+        self._radius_m = DUPLICATE_M
+        self._kept: _Kept | None = None
+        self._num_kept = self._num_added = 0
+
+    def add(self, pairs_m: npt.NDArray[np.floating], weight: Array, soundness: Array) -> npt.NDArray[np.bool_]:
+        """Take in pairs (pair, person=2, joint, 3), metres; return which are like none before, (pair,).
+
+        Args:
+            pairs_m: Pairs, all with the same joints.
+            weight: What each counts, (pair,).
+            soundness: How plausible each is, (pair,), greater is better.
+
+        Raises:
+            InputError: A coordinate is not finite.
+        """
+        if not np.isfinite(pairs_m).all():
+            raise InputError("pairs to select from have a coordinate that is not finite")
+        points = np.asarray(pairs_m, dtype=np.float64).reshape(len(pairs_m), pairs_m.shape[1] * pairs_m.shape[2], 3)
+        points = points - points.mean(axis=1, keepdims=True)
+        number = self._num_added + np.arange(len(points))
+        new = _kept(points, weight, soundness, number)
+        if self._kept is None:
+            empty = np.zeros(self._room + 1)
+            self._kept = _kept(np.zeros((len(empty), *points.shape[1:])), empty, empty, empty.astype(np.int64))
+        is_new = np.zeros(len(points), dtype=bool)
+        row = 0
+        while row < len(points):
+            row, self._num_kept = _keep(new, row, len(points), self._kept, self._num_kept, self._radius_m, is_new)
+            while self._num_kept > self._room:
+                self._radius_m *= 2.0
+                scratch = np.zeros(self._num_kept, dtype=bool)
+                _, self._num_kept = _keep(self._kept, 0, self._num_kept, self._kept, 0, self._radius_m, scratch)
+        self._num_added += len(points)
+        return is_new
+
+    def selection(self) -> Selection:
+        """Choose among the pairs so far; fewer than asked for where fewer differ, none where there is none."""
+        count = min(self._num_selected, self._num_kept)
+        if self._kept is None or not count:
+            return Selection(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), self._radius_m)
+        points, lengths, weight, soundness, number = self._kept
+        rows = slice(self._num_kept)
+        kept = _Kept(points[rows], lengths[rows], weight[rows], soundness[rows], number[rows])
+        nearest = np.zeros(self._num_kept, dtype=np.int64)
+        chosen, distance_m = np.empty(count, dtype=np.int64), np.empty(count)
+        _choose(kept, int(np.argmax(kept.soundness)), chosen, distance_m, nearest)
+        total = np.asarray(np.bincount(nearest, kept.weight, count), dtype=np.float64)
+        return Selection(kept.number[chosen], distance_m, total, self._radius_m)
+
+
+def _kept(points: Array, weight: Array, soundness: Array, number: npt.NDArray[np.int64]) -> _Kept:
+    lengths = np.linalg.norm(points, axis=-1)
+    return _Kept(np.ascontiguousarray(points), lengths, np.array(weight, float), np.array(soundness, float), number)
+
+
+@compiled()
+def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-untyped-def]
+    """Take in rows of `new` until one too many is kept; return the next row and the number kept.
+
+    `new` may be `kept` itself, emptied: a row is read before anything is written there.
+    """
+    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    room, last = kept.points.shape[0] - 1, 0
+    while row < stop and count <= room:
+        found = -1
+        if count and _is_within(radius_m, new, row, kept, last, key, m, q, rotmat):
+            found = last
+        other = 0
+        while found < 0 and other < count:
+            if _is_within(radius_m, new, row, kept, other, key, m, q, rotmat):
+                found = other
+            other += 1
+        if found >= 0:
+            kept.weight[found] += new.weight[row]
+            last = found
+        else:
+            kept.points[count], kept.lengths[count] = new.points[row], new.lengths[row]
+            kept.weight[count], kept.soundness[count] = new.weight[row], new.soundness[row]
+            kept.number[count] = new.number[row]
+            is_new[row] = True
+            last = count
+            count += 1
+        row += 1
+    return row, count
+
+
+@compiled()
+def _is_within(limit_m, one, row, other, column, key, m, q, rotmat):  # type: ignore[no-untyped-def]
+    return _least_gap(limit_m, one, row, other, column, key, m, q, rotmat) < limit_m
+
+
+@compiled()
+def _least_gap(limit_m, one, row, other, column, key, m, q, rotmat):  # type: ignore[no-untyped-def]
+    """Return D_C of two pairs, or infinity where a bound shows that it is not below a limit.
+
+    The bound is the mean difference of the distances of their joints from the centre, which no turn changes.
+    """
+    first, second = one.lengths[row], other.lengths[column]
+    num_points = len(first)
+    bound, limit = 0.0, (limit_m + _SLACK_M) * num_points
+    for k in range(num_points):
+        bound += abs(first[k] - second[k])
+        if bound > limit:
+            return np.inf
+    moving, fixed = one.points[row], other.points[column]
+    best_turn(moving, fixed, key, m, q, rotmat)
+    total = 0.0
+    for k in range(num_points):
+        u, v, w = turned_gap(rotmat, moving, fixed, k)
+        total += np.sqrt(u * u + v * v + w * w)
+    return total / num_points
+
+
+@compiled()
+def _choose(kept, first, chosen, distance_m, nearest):  # type: ignore[no-untyped-def]
+    """Write the rows that are chosen, how far each was from those before, and the chosen one nearest to each row."""
+    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    count = kept.points.shape[0]
+    gap = np.full(count, np.inf)
+    latest = first
+    for place in range(len(chosen)):
+        chosen[place], distance_m[place] = latest, gap[latest]
+        for row in range(count):
+            found = _least_gap(gap[row], kept, row, kept, latest, key, m, q, rotmat)
+            if found < gap[row]:
+                gap[row], nearest[row] = found, place
+        gap[latest], nearest[latest] = 0.0, place
+        latest = np.argmax(gap)

@@ -1,0 +1,183 @@
+"""The pairs of a study that differ most, of all draws of its chains and all grown pairs, and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
+from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.sampling.seeds import seed_quality
+from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
+from pasdedeux.verdict import Level
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.draw_sets import GROWN, density_of, reference_to
+from tasks.facts import DrawFacts, SeedFacts
+from tasks.priors import read_limits
+from tasks.stage import verdict_of
+
+READS = ("draws", "seeds", "chain_info", "joint_limits")
+"""Tables of a study that pairs are selected by; the last one may be missing."""
+_SHARED = ("seed_index", "sequence_id", "sequence_frame", "sequence_person_id", "log_prior", "pair17_m")
+_OWN = {"draws": ("density", "chain", "draw"), "seeds": ("parent_seed_index",)}
+"""Columns that selected pairs have of draws and of seeds: of both, and of one alone."""
+
+
+@dataclass(frozen=True)
+class SelectedPairs:
+    """Selected pairs, and how many they were selected from.
+
+    Args:
+        columns: Columns of the table `selected_pairs`; none where nothing is plausible.
+        refs: Artifacts that they are in.
+        num_draws: Draws of chains, but for those of the prior alone.
+        num_grown: Grown pairs.
+        num_plausible: How many of both are plausible.
+        num_independent: Effective sample size of all chains, and number of grown pairs that differ, both of what is
+            plausible.
+        radius_m: D_C below which two pairs counted as one, metres.
+    """
+
+    columns: Mapping[str, Any]
+    refs: tuple[ArtifactRef, ...]
+    num_draws: int
+    num_grown: int
+    num_plausible: int
+    num_independent: float
+    radius_m: float
+
+    def in_words(self) -> str:
+        """Say what was selected from what, and how many independent pairs there are."""
+        return (
+            f"{len(self.columns.get('rank', ())):,} pairs, at least {100 * self.radius_m:.0f} cm from each other, of "
+            f"{self.num_draws:,} draws and {self.num_grown:,} grown pairs, {self.num_plausible:,} of them plausible, "
+            f"which are worth {self.num_independent:,.0f} independent ones"
+        )
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """A chain: for how many independent pairs a draw stands, and what is thought of it."""
+
+    share: float
+    verdict: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Plausible pairs of an artifact: number of the first of them, and their rows."""
+
+    first: int
+    manifest: Manifest
+    rows: np.ndarray
+
+
+@lru_cache(maxsize=1)
+def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> SelectedPairs:
+    """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are passed over.
+
+    Draws of the prior alone, a baseline, are passed over too.  Plausible is what keeps the joint limits and has a log
+    prior of `MIN_LOG_PRIOR` at least.  One artifact is in memory at a time.
+
+    Raises:
+        InputError: Nobody knows how a chain went.
+    """
+    manifests = [store.manifest(ref) for ref in refs]
+    grown = [one for one in manifests if "seeds" in one.tables and SeedFacts.of(one).kind == GROWN]
+    drawn = [one for one in manifests if "draws" in one.tables and density_of(one) != PRIOR_ONLY]
+    limits = read_limits(store, refs)
+    chains = _read_chains(store, manifests)
+    selector = PairSelector(count)
+    parts: list[_Part] = []
+    first = num_plausible = 0
+    num_independent = 0.0
+    for manifest in (*grown, *drawn):
+        table = store.read(manifest.ref, _table(manifest), columns=["log_prior", "pair17_m"])
+        pairs, log_prior = np.asarray(table["pair17_m"]), np.asarray(table["log_prior"])
+        rows, share = np.flatnonzero(log_prior >= MIN_LOG_PRIOR), 1.0
+        if _table(manifest) == "draws":
+            share = _chain_of(chains, manifest).share
+            num_plausible += len(rows)
+        elif len(rows):
+            prior = PriorSettings.model_validate(dict(manifest.parameters), extra="ignore")
+            rows = rows[seed_quality(pairs[rows], limits, prior).is_possible]
+            num_plausible += len(rows)
+            rows = rows[PairSelector(1, min_room=len(rows)).add(pairs[rows], *np.ones((2, len(rows))))]
+        selector.add(pairs[rows], np.full(len(rows), share), log_prior[rows])
+        num_independent += share * len(rows)
+        parts.append(_Part(first, manifest, rows))
+        first += len(rows)
+    found = selector.selection()
+    which = np.searchsorted([part.first for part in parts], found.index, side="right") - 1
+    chosen = [(parts[at], parts[at].rows[one - parts[at].first]) for at, one in zip(which, found.index, strict=True)]
+    columns: dict[str, Any] = {}
+    if chosen:
+        distance_m = np.where(np.isfinite(found.distance_m), found.distance_m, np.nan)
+        columns = {"rank": np.arange(len(chosen)), "distance_m": distance_m, "weight": found.weight}
+        columns |= _origins(store, chosen, chains)
+    return SelectedPairs(
+        columns=columns,
+        refs=tuple(dict.fromkeys(part.manifest.ref for part, _ in chosen)),
+        num_draws=sum(one.tables["draws"].rows for one in drawn),
+        num_grown=sum(one.tables["seeds"].rows for one in grown),
+        num_plausible=num_plausible,
+        num_independent=num_independent,
+        radius_m=found.radius_m,
+    )
+
+
+def _read_chains(store: Store, manifests: Sequence[Manifest]) -> dict[tuple[Any, ...], _Chain]:
+    """Return all chains by density, seed and number; one that never moved is worth one pair."""
+    found = {}
+    for manifest in manifests:
+        if "chain_info" in manifest.tables:
+            table = store.read(manifest.ref, "chain_info")
+            for row in range(table.num_rows):
+                num_draws = float(table["num_draws"][row])
+                size = float(np.clip(np.nan_to_num(table["ess_min"][row], nan=1.0), 1.0, num_draws))
+                place = (str(table["density"][row]), int(table["seed_index"][row]), int(table["chain"][row]))
+                found[place] = _Chain(size / num_draws, table["verdict"][row], table["reason"][row])
+    return found
+
+
+def _table(manifest: Manifest) -> str:
+    return "seeds" if "seeds" in manifest.tables else "draws"
+
+
+def _chain_of(chains: Mapping[tuple[Any, ...], _Chain], manifest: Manifest) -> _Chain:
+    """Return the chain that a segment is of."""
+    facts = DrawFacts.of(manifest)
+    if (place := (facts.density, facts.seed_index, facts.chain)) not in chains:
+        raise InputError(f"nobody knows how chain {facts.chain} of {manifest.partition} went; run its study again")
+    return chains[place]
+
+
+def _origins(
+    store: Store, chosen: Sequence[tuple[_Part, np.int64]], chains: Mapping[tuple[Any, ...], _Chain]
+) -> dict[str, list[Any]]:
+    """Return what is known of the chosen rows of artifacts, as columns, reading each artifact once."""
+    found: dict[int, dict[str, Any]] = {}
+    for part in {part.first: part for part, _ in chosen}.values():
+        name, verdict = _table(part.manifest), verdict_of(part.manifest)
+        thought = {"verdict": verdict.level.value, "reason": verdict.reason} if verdict else {}
+        if name == "draws":
+            chain = _chain_of(chains, part.manifest)
+            thought = {"verdict": chain.verdict, "reason": chain.reason}
+        table = store.read(part.manifest.ref, name, columns=[*_SHARED, *_OWN[name]])
+        for rank, row in ((rank, row) for rank, (one, row) in enumerate(chosen) if one is part):
+            found[rank] = {
+                "verdict": Level.NOT_JUDGED.value,
+                "reason": "",
+                **thought,
+                "origin": "draw" if name == "draws" else "grown",
+                "reference": f"{reference_to(name, part.manifest.ref)}#{row}",
+                **dict.fromkeys(column for own in _OWN.values() for column in own),
+                **{column: table[column][row] for column in table},
+            }
+    return {name: [found[rank][name] for rank in range(len(chosen))] for name in found[0]}

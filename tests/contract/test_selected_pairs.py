@@ -1,0 +1,54 @@
+"""Selected pairs name the draws and grown pairs that they are, weigh what is independent, and go out as a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flows.exports import export_selection
+from pasdedeux.errors import InputError
+from storage_schema import TABLES, ShardRecord, open_table, record_latest
+from tasks import chains
+from tasks.chains import ChainsParameters
+from tasks.selection import select_pairs
+from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
+
+__all__ = ["inputs"]  # the fixture
+
+
+def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_and_go_out_as_a_table(
+    inputs: Any, tmp_path: Path
+) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=12)
+    asked = ChainsParameters(**QUICK, densities=("ic", "prior_only"), starts="seeds")
+    made = run(chains.plan(given, asked), chains, store)
+    stages = {"seeds": [*given.of("seeds")], "chains": made}
+    shards = {name: [ShardRecord.of(one, store) for one in of] for name, of in stages.items()}
+    record_latest(store, "mine", "run", shards)
+    found = select_pairs(store, tuple(one.ref for of in stages.values() for one in of), 1000)
+    rows = found.columns
+    assert (found.num_draws, found.num_grown) == (2 * QUICK["num_draws"], 12)
+    assert set(rows["density"]) == {"ic", None}
+    for reference, pair in zip(rows["reference"], rows["pair17_m"], strict=True):
+        np.testing.assert_array_equal(open_table(reference, store)["pair17_m"][0], pair)
+    info = [store.read(one.ref, "chain_info") for one in made if "chain_info" in one.tables]
+    sizes = [size for table in info if table["density"][0] == "ic" for size in table["ess_min"]]
+    effective = np.clip(np.nan_to_num(sizes, nan=1.0), 1.0, QUICK["num_draws"])
+    # No grown pair repeats another here, and all are plausible.
+    assert found.num_plausible == found.num_draws + found.num_grown
+    np.testing.assert_allclose(found.num_independent, effective.sum() + 12)
+    np.testing.assert_allclose(rows["weight"].sum(), found.num_independent)
+    names = [column.name for column in TABLES["selected_pairs"].columns]
+    (path, _), words = export_selection(store, "draws:mine", "npz", tmp_path, count=4)
+    with np.load(path) as arrays:
+        assert list(arrays) == names
+        assert arrays["pair17_m"].shape == (4, 2, 17, 3)
+        assert np.isnan(arrays["distance_m"][0])
+    assert words.startswith("4 pairs, at least 2 cm from each other, of 16 draws and 12 grown pairs, ")
+    for text, form, said in (("draws:mine/ic-seed0", "npz", "all of a study"), ("draws:mine", "json", "cannot be")):
+        with pytest.raises(InputError, match=said):
+            export_selection(store, text, form, tmp_path, count=4)

@@ -84,7 +84,7 @@ class VariantOrigin(Settings):
 
 
 class VariantFacts(PeopleFacts):
-    """A batch of variants of a take; `told` is how they were solved, for what solves more of them.
+    """A batch of variants of a take; `parameters` is how they were solved, for what solves more of them.
 
     Those of a model have an `origin`, those of the solver none.
     """
@@ -93,7 +93,7 @@ class VariantFacts(PeopleFacts):
     take_id: str
     variants: tuple[str, ...] = ()
     closest_m: float | None = None
-    told: dict[str, Any] = Field({})
+    parameters: dict[str, Any] = Field({}, alias="told")
     origin: VariantOrigin | None = None
 
 
@@ -216,13 +216,13 @@ class LiftedFacts(Facts):
 
 
 class ProjectionFacts(Facts):
-    """A part of a projection database; `views` is what cameras see it."""
+    """A part of a projection database; `pitches_deg` are those of the cameras that see it."""
 
     kind: Literal["projections"] = "projections"
     origin: str = ""
     num_poses: int = 0
     rate_hz: float
-    views: dict[str, Any]
+    pitches_deg: tuple[float, ...]
 
 
 class MotionFacts(Facts):
@@ -236,7 +236,6 @@ class MotionFacts(Facts):
     num_persons: int = 0
     camera_height_m: float | None = None
     lens_factor: float | None = None
-    camera: str = ""
     pitch_deg: float = 0.0
     pitch_deviation_deg: float = 0.0
     num_projections: int = 0

@@ -176,7 +176,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         rate_hz=take.source.rate_hz,
         is_held_out=facts.is_held_out,
         closest_m=take.source.closest_m,
-        told=BatchParameters(contacts=facts.contacts, variants=names).model_dump(mode="json", exclude={"limits"}),
+        parameters=BatchParameters(contacts=facts.contacts, variants=names).model_dump(mode="json", exclude={"limits"}),
         origin=VariantOrigin(
             model=options.model,
             split=options.split,

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, Rate, measure
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
-from pasdedeux.projections.camera import DatabaseCamera, pitch_of_height
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.published import Clusters, PublishedIndex, box_images, cluster_places, place_projections
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
@@ -45,13 +45,11 @@ _NUM_CLUSTERS = 500
 _NUM_SIGNALS = 5
 _NUM_QUERIES = 300
 _LIVE_FRAMES = 240
-_OWN_RAD = 0.15
-"""Turns of each bone of its own in large databases."""
 _NUM_TRIES = 3
 """Each query is made this many times and the best counts: what other processes take is not the search's."""
 
 
-def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0, own_rad: float = 0.0) -> Database:
+def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0) -> Database:
     """Return a database of smooth made-up motion: bones turn about the T-pose with a few common signals, sums of sines.
 
     People's joints move together, so poses of other motions lie near those of a database; how signals move the bones is
@@ -60,8 +58,6 @@ def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0, own_rad: flo
     Args:
         num_poses: Poses, at 24 Hz.
         seed: Draws the signals.
-        own_rad: Standard deviation of turns of each bone of its own, radians, besides the common ones: variety that no
-            other motion has, which makes a large database hard to search.
     """
     shared = np.random.default_rng(0)
     mixing = shared.normal(0.0, 0.25, (_NUM_SIGNALS, OP14.num_joints, 3))
@@ -72,11 +68,6 @@ def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0, own_rad: flo
         phase, pace = rng.uniform(0.0, 2.0 * np.pi, _NUM_SIGNALS), rng.uniform(0.8, 1.2, _NUM_SIGNALS)
         signals += np.sin(2.0 * np.pi * hz * pace * time_s[:, None] + phase) / np.sqrt(1.5)
     rotvec = np.einsum("ts,sjd->tjd", signals, mixing)
-    if own_rad > 0:
-        for bone in np.ndindex(OP14.num_joints, 3):
-            for hz in (0.31, 0.77):
-                start, factor = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.7, 1.3)
-                rotvec[:, *bone] += own_rad * np.sin(2.0 * np.pi * hz * factor * time_s + start)
     rotvec[:, OP14.root] *= 0.2
     poses = place_bone_rotations(unitquat_from_rotvec(rotvec), REFERENCE_LENGTHS_M, np.zeros((num_poses, 3)))
     return Database(centre_and_face(poses).poses_m.astype(np.float32), np.arange(num_poses) % 300 == 0)
@@ -111,13 +102,13 @@ def search_brute_force(
     return Neighbours(found.reshape(shape), distance.reshape(shape), database.num_yaws)
 
 
-def _queries(*, own_rad: float = 0.0) -> npt.NDArray[np.float64]:
+def _queries() -> npt.NDArray[np.float64]:
     """Return noisy images of a motion that the database does not hold, 1 cm a joint.
 
     About as far from their best match as people's motion is from other people's, 5 to 10 cm a joint.
     """
     rng = np.random.default_rng(1)
-    poses = made_up_database(24 * _NUM_QUERIES, seed=1, own_rad=own_rad).poses_m[::24].astype(np.float64)
+    poses = made_up_database(24 * _NUM_QUERIES, seed=1).poses_m[::24].astype(np.float64)
     return np.asarray(poses[..., :2] + rng.normal(0.0, 0.01, (_NUM_QUERIES, OP14.num_joints, 2)))
 
 
@@ -141,9 +132,8 @@ def _in_words(waits_ms: Waits) -> str:
     return f"median {np.median(waits_ms):.2f} ms, 99th percentile {np.quantile(waits_ms, 0.99):.2f} ms"
 
 
-def _query(num_projections: int = 30 * _NUM_POSES, *, own_rad: float = 0.0) -> BenchmarkResult:
-    database = made_up_database(-(-num_projections // 30), own_rad=own_rad)
-    queries = _queries(own_rad=own_rad)
+def _query() -> BenchmarkResult:
+    database, queries = made_up_database(), _queries()
     started = time.process_time()
     index = build_index(database)
     build_s = time.process_time() - started
@@ -208,7 +198,7 @@ def _live() -> BenchmarkResult:
     searcher = Searcher.of(made_up_database())
     motions = [made_up_database(_LIVE_FRAMES, seed=seed).poses_m.astype(np.float64) for seed in (1, 2)]
     rng = np.random.default_rng(2)
-    camera = DatabaseCamera(pitch_of_height(1.5, 4.0), 4.0)
+    camera = DatabaseCamera(np.deg2rad(8.2))
     places = np.array([[760.0, 540.0], [1160.0, 540.0]])
     px = np.stack([camera.project(one) * np.array([350.0, -350.0]) for one in motions], axis=1) + places[:, None]
     px += rng.normal(0.0, 1.0, px.shape)
@@ -252,6 +242,3 @@ BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "published": _published,
     "live": _live,
 }
-
-LARGE_BENCHMARKS: dict[str, Callable[[int], BenchmarkResult]] = {"large": partial(_query, own_rad=_OWN_RAD)}
-"""Those that take the number of projections."""

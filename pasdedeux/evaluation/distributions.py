@@ -92,6 +92,17 @@ def density_coverage(real: Array, made: Array) -> tuple[float, float]:
     return float(is_within.sum(axis=0).mean() / _NEIGHBOURS), float(is_within.any(axis=1).mean())
 
 
+def mean_distance(features: Array) -> float:
+    """Return the mean distance of two of some features (n, d): their diversity; NaN of fewer than two.
+
+    >>> mean_distance(np.array([[0.0], [1.0], [3.0]]))
+    2.0
+    """
+    from scipy.spatial.distance import pdist  # here: planning need not wait for it
+
+    return float(pdist(features).mean()) if len(features) > 1 else float("nan")
+
+
 def halves(strata: Sequence[tuple[str, ...]], generator: np.random.Generator) -> tuple[list[int], list[int]]:
     """Return things (n,) by index, dealt into two halves; of things of a stratum in turn, so both are made up alike.
 

@@ -13,7 +13,11 @@ _METHODS = {
     "ridge_scale": ("ridge regression on scales", "linear in the bone scales, fitted for each take"),
     "ridge_adapted": ("adapted ridge regression", "the same, adapted to variants of the test take with near scales"),
     "solver": ("the solver", "the converged variant itself, which models approximate: a bound"),
-    "with_augmentation": ("with augmentation", "trained on takes and their variants"),
+    "real_halves": ("real halves", "one half of the real clips beside the other: chance level, a bound"),
+    "strangers": ("strangers", "one person of a clip and one of another interaction: a baseline"),
+    "augmented_by_solver": ("augmented by the solver", "trained on takes and their variants by the solver"),
+    "augmented_by_model": ("augmented by the model", "trained on takes and as many variants sampled from a model"),
+    "generated": ("generated motion", "sampled from a trained model"),
     "without_augmentation": ("without augmentation", "trained on the same takes alone: a baseline"),
     "last_pose_held": ("last pose held", "the last known pose in every frame: a baseline"),
     "largest_class": ("largest class", "the most frequent class for every clip: a baseline"),
@@ -46,11 +50,11 @@ _METHODS = {
     "prior_only": ("prior alone", "chains that sample joint limits and bone lengths without annotations: the baseline"),
     "grown_seeds": ("grown pairs", "annotations lifted from the seeds nearest to them, step by step"),
     "real_frames": ("real frames", "as many captured pairs as there are draws: a bound"),
+    "selected_pairs": ("selected pairs", "the draws and grown pairs that differ most"),
+    "random_pairs": ("random pairs", "as many draws and grown pairs at random: a baseline"),
     "nearest_annotation": ("nearest annotation", "the most similar image among those used, without any 3D: a baseline"),
     "fitted": ("fitted draws", "mean of the nearest draws, fitted to the image"),
     "blended": ("blended draws", "the nearest draws, aligned with the visible joints"),
-    "ic_and_grown_seeds": ("interaction coordinates and grown pairs", "the draws of both"),
-    "prior_only_and_grown_seeds": ("prior alone and grown pairs", "the draws of both"),
     "blended_10": ("ten blended draws", "the same with the ten nearest draws alone"),
     "median": ("median of draws", "joint-wise median of the nearest draws"),
     "neighbours": ("mean of draws", "mean of the nearest draws"),
@@ -93,6 +97,7 @@ _METRICS = {
         "pair_place_error": ("error of the place", "error of the relative position of the two people"),
         "leave_one_out_d_I": ("leave-one-out distance", "distance of an image that was not used to the nearest draw"),
         "coverage_D_C": ("coverage", "mean distance from a real pair to the nearest draw"),
+        "coverage_of_a_set_D_C": ("coverage by a set", "the same with as many pairs of every set"),
         "coverage_D_I": ("coverage by interaction", "the same by interaction coordinates"),
         "coverage_D_S": ("coverage by shape", "the same by shape contexts"),
         "draw_to_nearest_real_D_C": ("realism of draws", "distance from a draw to the nearest real pair"),
@@ -113,7 +118,10 @@ _METRICS = {
         "contact_error": ("contact error", "deviation of contacts from their distance in the source"),
         "energy_gap": ("energy gap", "excess of the mesh's energy over that of the solver's answer"),
         "foot_slide": ("slide of feet", "mean horizontal displacement of standing feet in a frame"),
-        "KID": ("KID", "unbiased kernel distance of distributions, times 1000; that of the solver is chance level"),
+        "KID": (
+            "KID",
+            "unbiased kernel distance of distributions, times 1000; of few clips it can be strongly negative",
+        ),
         "FID": ("FID", "Fréchet distance of distributions, biased for few clips"),
         "JME": ("JME", "joint error of predicted motion in place"),
         "AME": ("AME", "joint error of predicted poses aligned with the true ones"),
@@ -126,23 +134,27 @@ _METRICS = {
     "": {
         "log_prior": ("log prior", "log density of poses under the prior, images aside"),
         "expected_interval_share": ("errors inside 80 %", "share of true errors within their 80 % interval"),
+        "diversity": ("diversity", "mean distance of features of two clips; good where it is that of real ones"),
+        "multimodality": ("multimodality", "mean distance of features of two motions of one take at the same time"),
         "density": ("density", "mean number of real neighbourhoods that a clip lies in; about 1 for real ones"),
     },
 }
 """Words and a sentence of each metric that is not declared as a figure, by which values are better."""
-_ENDINGS = {"mean": "mean", "median": "median", "p90": "90 %", "p95": "95 %", "worst": "worst"}
-_ENDINGS |= {"min": "least", "max": "most"}
+_ENDINGS = {"mean": ", mean", "median": ", median", "p90": ", 90 %", "p95": ", 95 %", "worst": ", worst"}
+_ENDINGS |= {"min": ", least", "max": ", most", "clean": ", cleaned up"}
+_ENDINGS |= {"first_seed": " from the first seed", "and_grown_seeds": " and grown pairs"}
+"""What is said after a name for what ends it."""
 
 
 def in_words(name: str) -> str:
     """Return a method's or metric's name as people say it; of unknown ones the words of the name.
 
-    >>> in_words("hand_contact_drift_p95"), in_words("fit_clean"), in_words("new_score")
-    ('drift of hands and feet in contact, 95 %', 'fit to the image, cleaned up', 'new score')
+    >>> in_words("hand_contact_drift_p95"), in_words("cartesian_and_grown_seeds"), in_words("new_score")
+    ('drift of hands and feet in contact, 95 %', 'Cartesian and grown pairs', 'new score')
     """
     base, *endings = _parts(name)
     words = known[0] if (known := _known(base)) else re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", base)
-    return ", ".join([words, *endings])
+    return "".join([words, *endings])
 
 
 def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:
@@ -153,7 +165,15 @@ def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:
 
 def is_bound(method: str) -> bool:
     """Tell whether a method knows the ground truth, so that it is no answer but a bound for answers."""
-    return method in {"truth", "solver", "real_frames", "standing_still", "best_hypothesis", "best_of_50"}
+    return method in {
+        "truth",
+        "solver",
+        "real_halves",
+        "real_frames",
+        "standing_still",
+        "best_hypothesis",
+        "best_of_50",
+    }
 
 
 def better_sign(metric: str) -> int:
@@ -194,6 +214,5 @@ def _parts(name: str) -> list[str]:
 
 def _without_ending(name: str) -> tuple[str, str]:
     """Return a name without its last ending, and that ending in words; empty where it has none."""
-    base, _, ending = name.rpartition("_")
-    words = {**_ENDINGS, "clean": "cleaned up"}.get(ending, "")
-    return (base, words) if words else (name, "")
+    ending = next((one for one in _ENDINGS if name.endswith(f"_{one}")), "")
+    return (name.removesuffix(f"_{ending}"), _ENDINGS[ending]) if ending else (name, "")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
 from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
-from pasdedeux.evaluation.verdicts import figure_words
+from pasdedeux.evaluation.verdicts import figure_words, verdict_words
 from pasdedeux.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"figure_words": figure_words, "coded": _coded}
+    environment.filters |= {"figure_words": figure_words, "verdict_words": verdict_words, "coded": _coded}
     return environment
 
 
-def render_report(report: Report) -> str:
-    """Return the report as one HTML page; the same report always gives the same text."""
-    return _environment().get_template("report.html").render(report=report)
+def render(template: str, **values: Any) -> str:
+    """Return a template with its gaps filled; the same values always give the same text."""
+    return _environment().get_template(template).render(**values)

@@ -15,6 +15,7 @@ from tasks.evaluation import (
     coverage,
     detector,
     downstream,
+    generation,
     leave_one_out,
     lifting,
     models,
@@ -44,6 +45,7 @@ TOPICS: tuple[Topic, ...] = (
     augmentation.TOPIC,
     models.TOPIC,
     realism.TOPIC,
+    generation.TOPIC,
     downstream.RECOGNITION,
     downstream.PREDICTION,
 )

@@ -53,7 +53,7 @@ _MAX_KNOWN = 600
 _CELL_M = np.array([1.75, 2.7])
 """Width and height that a pair has in a picture of many, metres."""
 _MAX_DRAWS = 20_000
-"""Draws of chains that joints are completed from, at most; grown seeds are all used."""
+"""Draws of chains that joints are completed from, at most; grown pairs are all used."""
 
 
 class LiftedPairsSettings(Parameters):
@@ -333,7 +333,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
     truth = GroundTruth.read(store, shard.refs("takes"), ())
     refuse_learned(store, shard.refs("draws"), truth.held_out)
     sets = read_draw_sets(store, shard.refs("draws"))
-    # Neighbouring draws of a chain are alike: a spread of them is enough, grown seeds are all taken.
+    # Neighbouring draws of a chain are alike: a spread of them is enough, grown pairs are all taken.
     generator = stream(shard.seed, TOPIC.name, "completed")
     nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
     grown = sets[GROWN].pairs_m if GROWN in sets else nothing
@@ -361,7 +361,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
             between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
             errors = {method: np.concatenate(spans) for method, spans in filled.items()}
             judged[_BETWEEN] += _held_out(split, Items(errors, *between))
-    notes = [f"Joints were completed from {len(pool):,} draws and grown seeds."]
+    notes = [f"Joints were completed from {len(pool):,} draws and grown pairs."]
     items = {name: Items.joined(found) for name, found in judged.items()}
     return TopicResult(scores, notes=notes, items=items, baselines=_BASELINES)
 

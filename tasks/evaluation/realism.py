@@ -68,23 +68,18 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         return TopicResult(
             notes=[f"Skipped: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
         )
-    refuse_without_torch("the classifier of clips", "evaluation.num_realism_variants=0")
-    from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
-
     settings = shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
-    learned = [take for take in takes if not TakeFacts.of(take).is_held_out]
-    real = _real_clips(store, learned)
-    if len(real) < 2:
-        return TopicResult(notes=["Skipped: takes that are not held out are of one interaction alone."])
-    classifier = train_classifier(real, settings.classifier, stream(shard.seed, "evaluation", "classifier"))
+    classifier, notes = train_on_real(shard, store, takes, settings.classifier)
+    if classifier is None:
+        return TopicResult(notes=notes)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
     kinds = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
     splits: dict[str, list[Manifest]] = {}
     for ref in shard.refs("models"):
         manifest = store.manifest(ref)
         splits.setdefault(ModelFacts.of(manifest).split, []).append(manifest)
-    scores, notes = [], []
+    scores = []
     for split, manifests in splits.items():
         test = [(take_id, name) for take_id, names in ModelFacts.of(manifests[0]).test.items() for name in names]
         step = max(len(test) / settings.num_realism_variants, 1.0)
@@ -111,22 +106,38 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             if len(clips) > 1:
                 scores += _compare(classifier, clips, *dealt, split=f"{split} test", item=of)
         tested = {take_id for take_id, _ in chosen}
-        seen = sorted(tested.intersection(TakeFacts.of(take).take_id for take in learned))
+        seen = [take for take in takes if TakeFacts.of(take).take_id in tested and not TakeFacts.of(take).is_held_out]
         notes.append(f"Split {split}: of {len(tested)} tested takes the classifier learned from {len(seen)}.")
+    return TopicResult(scores, notes=notes, baselines=BASELINES)
+
+
+def train_on_real(
+    shard: Shard, store: Store, takes: Sequence[Manifest], settings: ClassifierSettings
+) -> tuple[ClipClassifier | None, list[str]]:
+    """Train the classifier on real clips of takes that are not held out, the same for every topic, with notes on it.
+
+    None where these takes are of one interaction alone.
+
+    Raises:
+        InputError: torch is missing.
+    """
+    refuse_without_torch("the classifier of clips", "evaluation.num_realism_variants=0")
+    from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
+
+    learned = [take for take in takes if not TakeFacts.of(take).is_held_out]
+    real = real_clips(store, learned)
+    if len(real) < 2:
+        return None, ["Distributions are skipped: takes that are not held out are of one interaction alone."]
+    classifier = train_classifier(real, settings, stream(shard.seed, "evaluation", "classifier"))
     counted = ", ".join(f"{kind} {len(found)}" for kind, found in real.items())
-    return TopicResult(
-        scores,
-        notes=[
-            f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
-            f"{classifier.accuracy(real):.0f} % of them right, and has the digest {classifier.digest}.",
-            f"Takes of the classifier: {', '.join(sorted(TakeFacts.of(take).take_id for take in learned))}.",
-            *notes,
-        ],
-        baselines=BASELINES,
-    )
+    return classifier, [
+        f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
+        f"{classifier.accuracy(real):.0f} % of them right, and has the digest {classifier.digest}.",
+        f"Takes of the classifier: {', '.join(sorted(TakeFacts.of(take).take_id for take in learned))}.",
+    ]
 
 
-def _real_clips(store: Store, takes: Sequence[Manifest]) -> dict[str, np.ndarray]:
+def real_clips(store: Store, takes: Sequence[Manifest]) -> dict[str, np.ndarray]:
     """Return the clips of takes by interaction."""
     found: dict[str, list[np.ndarray]] = {}
     for take in takes:

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from pasdedeux.evaluation.names import meanings
 from pasdedeux.evaluation.pictures import PLAYER, Picture
-from pasdedeux.evaluation.report import Report, Section, render_report
+from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.summary import Summary, folded, listed
-from pasdedeux.evaluation.verdicts import part_name, verdict_columns, verdict_words
+from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
@@ -85,7 +85,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
         shard,
         store,
         tables={"verdicts": verdict_columns(judged)} if judged else {},
-        attachments={**figures, "report.html": page.encode(), "card.md": render_card(card).encode()},
+        attachments={**figures, "report.html": page.encode(), "card.md": render("card.md", card=card).encode()},
         facts=Facts(takes=merge_takes(*inputs)),
     )
 
@@ -100,7 +100,7 @@ def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> st
     beyond = [sentence for section in report.sections for sentence in _beyond(section)]
     skipped = Section("Skipped, and why", (*beyond, *notes) or ("Nothing was skipped.",))
     sections = [*map(_bounded, report.sections), skipped, Section("Sources and licences", tables=tuple(card))]
-    return render_report(replace(report, sections=sections))
+    return render("report.html", report=replace(report, sections=sections))
 
 
 def _bounded(section: Section) -> Section:
@@ -226,26 +226,6 @@ def _card(settings: PageSettings, topics: Sequence[Topic], inputs: Sequence[Mani
         is_held_out=dict(sorted((take.take_id, take.is_held_out) for take in takes)),
         cautions=tuple(sentence for topic in topics for table, sentence in topic.cautions if table in rows),
     )
-
-
-def render_card(card: DatasetCard) -> str:
-    """Return the card as Markdown; the same card always gives the same text."""
-    lines = [f"# {card.title}", "", card.description]
-    lines += ["", f"- built: {card.summary.built}", f"- from: {card.summary.origin}"]
-    if card.summary.verdicts:
-        judged = card.summary.verdicts.items()
-        lines += ["", "## Is it good?", "", *(f"- {name}: {verdict_words(verdict)}" for name, verdict in judged)]
-    lines += ["", "## Contents", "", "| table | rows |", "|---|---|"]
-    lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
-    lines += ["", "## Takes", ""]
-    lines += [f"- {take}{' (held out for evaluation)' * is_held_out}" for take, is_held_out in card.is_held_out.items()]
-    lines += ["", "## Sources, licences and credits", ""]
-    lines += [f"- **{source.name}** - {source.licence}. {source.credit}" for source in card.summary.sources]
-    lines += ["", "## Skipped", ""]
-    lines += [f"- {sentence}" for sentence in card.summary.skipped] or ["- Nothing."]
-    lines += ["", "## Know before you use it", ""]
-    lines += [f"- {sentence}" for sentence in card.cautions]
-    return "\n".join(lines) + "\n"
 
 
 def card_tables(card: DatasetCard) -> list[TextTable]:

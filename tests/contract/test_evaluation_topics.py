@@ -20,7 +20,7 @@ from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, SourceCredit, Store
-from tasks import ingest, reconstruction, training
+from tasks import generation, ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of, verdicts_of_parts
@@ -89,13 +89,15 @@ def _learn_to_draw(store: Store) -> None:
         "models": ["copy", "naive_fk", "ridge_scale", "actor_like"],
         "actor_like": {"num_steps": 1},
     }
-    for shard in training.STAGE.plan(inputs_of(store, training.STAGE), training.STAGE.parameters.model_validate(told)):
-        training.STAGE.run_shard(shard, store)
+    drawn = {"model": "actor_like", "num_variants": 2}
+    for stage, section in ((training.STAGE, told), (generation.STAGE, drawn)):
+        for shard in stage.plan(inputs_of(store, stage), stage.parameters.model_validate(section)):
+            stage.run_shard(shard, store)
 
 
 def _detect(store: Store) -> None:
     """Put the held-out take as a detector sees it into the small study's store, and what is reconstructed of that."""
-    section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "detector": {}}}
+    section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "has_detector": True}}
     planned = ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate(section))
     (seen,) = (ingest.run_shard(one, store) for one in planned if (one.partition, one.name) == ("hug", "detector"))
     database = [made for made in store.artifacts("projections") if "projections" in made.tables]

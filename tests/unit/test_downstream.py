@@ -1,5 +1,10 @@
 """The classifier of clips and the predictor of motion: what they cannot see, what they learn, that they repeat it."""
 
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,15 +15,24 @@ from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, jo
 from pasdedeux.learning.networks.clip_classifier import train_classifier
 from pasdedeux.learning.networks.motion_predictor import train_predictor
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
+from storage_schema import Store
+from tasks.evaluation import evaluation_stage
 from tasks.evaluation.downstream import (
+    BY_MODEL,
+    BY_SOLVER,
+    PREDICTION,
+    RECOGNITION,
     STILL,
-    WITH,
     WITHOUT,
+    OneTraining,
     prediction_scores,
     prediction_table,
     recognition_table,
 )
+from tasks.evaluation.topic import Topic
+from tasks.stage import Shard, StageInputs
 from tests.builders.moving_pairs import swaying_pair
+from tests.builders.storage_rows import put, random_columns, take_rows
 
 MOTION = swaying_pair(120)
 
@@ -100,22 +114,110 @@ def test_ame_is_blind_to_where_people_are_and_jme_is_not() -> None:
 
 
 def test_effects_are_paired_by_seed_and_have_their_interval() -> None:
+    methods = ((BY_SOLVER, 92.0), (BY_MODEL, 91.0), (WITHOUT, 90.0))
     scores = [
         Score("accuracy", method, value + seed, "%", split="80/10/10", item=f"seed {seed}")
         for seed in range(4)
-        for method, value in ((WITH, 92.0), (WITHOUT, 90.0))
+        for method, value in methods
     ]
     (table,) = recognition_table(scores)
-    assert table.rows == (("80/10/10", "93.50", "91.50", "+2.00 (+2.00 to +2.00)"),)
+    spreads = tuple(f"{value + 1.5:.2f} ± 1.29" for _, value in methods)
+    effects = ("+2.00 (+2.00 to +2.00)", "+1.00 (+1.00 to +1.00)", "-1.00 (-1.00 to -1.00)")
+    assert table.rows == (("80/10/10", *spreads, *effects),)
     errors = np.tile(np.arange(1.0, 11.0), (3, 1))
     made = [
         score
         for seed in range(5)
-        for method, factor in ((WITH, 1.0), (WITHOUT, 2.0), (STILL, 3.0))
-        for score in prediction_scores(factor * errors, errors, method, split="80/10/10", item=f"hug, seed {seed}")
+        for motion, factor in (("hug", 1.0), ("waltz", 3.0))
+        for method, more in ((BY_SOLVER, 1.0), (WITHOUT, 2.0), (STILL, 3.0))
+        for score in prediction_scores(
+            factor * more * errors, errors, method, split="80/10/10", item=f"{motion}, seed {seed}"
+        )
     ]
-    (table,) = prediction_table(made)
-    assert table.rows[0][:3] == ("hug", "JME", "2.00 / 4.00 / 6.00")
-    assert table.rows[1][1:3] == ("JME", "-2.00 (-2.00 to -2.00)")
-    assert table.rows[3][2] == "+0.00 (+0.00 to +0.00)"
+    jme, ame, by_motion, _ = prediction_table(made)
+    assert jme.rows[0][1:] == ("11.00 ± 0.00", "22.00 ± 0.00", "33.00 ± 0.00", "-11.00 (-11.00 to -11.00)")
+    assert ame.rows[0][-1] == "+0.00 (+0.00 to +0.00)"
+    assert by_motion.rows[0][:2] == ("hug", "2.00 / - / 4.00 / 6.00")
     assert recognition_table([]) == prediction_table([]) == []
+
+
+FRAMES = 31
+TAKES = [f"{kind}_{number}" for kind in ("hug", "judo", "push", "waltz") for number in range(3)]
+SEEN = {*TAKES[:6]}
+MODEL = {"model": "sampler", "split": "cross_interaction", "artifact": "0", "segment": 0, "seed": 0}
+
+
+def _study(store: Store, seen: set[str]) -> StageInputs:
+    """Return takes of 3.0 s, each at a height of its own, three variants of the solver and two of a model."""
+    first, *others = sorted(seen)
+    split = {"train": {one: ["x"] for one in others}, "validation": {first: ["x"]}, "test": {}, "shares_takes": False}
+    facts: dict[str, Any] = {"kind": "model", "class": "paper_cvae", **MODEL, **split}
+    found = {"models": [put(store, "training", "sampler", {"models": random_columns("models", 1)}, facts)]}
+    for number, take_id in enumerate(TAKES):
+        motion = swaying_pair(FRAMES, seed=number) + np.array([0.0, 10.0 * number, 0.0])
+        people = np.swapaxes(motion, 0, 1).reshape(-1, 22, 3)
+        poses, facts = take_rows(take_id, 2, FRAMES, rate_hz=10.0, body22_m=people)
+        takes = random_columns("takes", 2) | {"person": np.arange(2), "body22_rest_m": np.zeros((2, 22, 3))}
+        duet = {"name": take_id.partition("_")[0]}
+        made = put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts, duet=duet)
+        found.setdefault("poses", []).append(made)
+        for by, count, origin in (("solver", 3, None), ("sampler", 2, MODEL)):
+            names = [f"{by}-{index}" for index in range(count)]
+            frames, scale = np.full(count, FRAMES), [np.ones(44)] * count
+            own = {"variant_id": names, "bone_scale": scale, "num_frames": frames, "verdict": ["pass"] * count}
+            body = {"body22_m": np.tile(motion.reshape(-1, 22, 3), (count, 1, 1))}
+            rows = random_columns("variants", 2 * FRAMES * count) | body
+            tables = {"variants": rows, "variant_quality": random_columns("variant_quality", count) | own}
+            facts = {"kind": "variants", "take_id": take_id, "num_persons": 2, "origin": origin}
+            facts["told"] = {"contacts": [], "variants": names}
+            found.setdefault("variants", []).append(put(store, "augmentation", f"{take_id} {by}", tables, facts))
+    return StageInputs(found, seed=3)
+
+
+def _shards(inputs: StageInputs, topic: Topic) -> list[Shard]:
+    told = {"num_downstream_seeds": 3, "predictor": {"num_steps": 2}}
+    return topic.plan(inputs, evaluation_stage([topic]).parameters.model_validate(told))
+
+
+def _takes_of(clips: Mapping[str, np.ndarray]) -> list[str]:
+    """Return the take of every clip, by its height."""
+    return [TAKES[int(clip[..., 1].mean() / 10.0)] for own in clips.values() for clip in own]
+
+
+def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_either(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learned: list[list[str]] = []
+    asked: list[list[str]] = []
+
+    def learn(clips: Mapping[str, np.ndarray], *_: object) -> SimpleNamespace:
+        learned.append(_takes_of(clips))
+        return SimpleNamespace(accuracy=lambda clips: float(asked.append(_takes_of(clips)) is None))
+
+    monkeypatch.setattr("pasdedeux.learning.networks.clip_classifier.train_classifier", learn)
+    store = Store(tmp_path)
+    drawn = set()
+    for shard in _shards(_study(store, SEEN), RECOGNITION):
+        learned.clear()
+        asked.clear()
+        assert {BY_SOLVER, BY_MODEL, WITHOUT} <= {score.method for score in RECOGNITION.run(shard, store).scores}
+        by_solver, by_model, without = learned
+        assert sorted(by_solver) == sorted(by_model), "as many variants of the same takes"
+        assert len(by_solver) == 3 * len(without), "two beside each"
+        tested = {take for one in asked for take in one}
+        assert tested.isdisjoint({*by_solver, *without} | SEEN)
+        assert {take.partition("_")[0] for take in tested} == {"push", "waltz"}
+        drawn.add(frozenset(tested))
+    assert len(drawn) > 1, "seeds test on other takes"
+    for shard in _shards(_study(Store(tmp_path / "saw_all"), set(TAKES)), RECOGNITION):
+        assert (shard.refs("generated"), shard.options(OneTraining).seen) == ((), ()), "the model is left out"
+
+
+def test_seeds_change_what_is_found_and_the_order_of_the_work_does_not(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    shards = _shards(_study(store, SEEN), PREDICTION)
+    once, again = (
+        {shard.name: PREDICTION.run(shard, store).scores for shard in order} for order in (shards, shards[::-1])
+    )
+    assert once == again
+    assert len({tuple(score.value for score in scores if score.metric == "JME_mean") for scores in once.values()}) == 3

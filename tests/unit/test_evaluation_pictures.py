@@ -19,7 +19,7 @@ from pasdedeux.evaluation.pictures import (
     people_panel,
     shown_frames,
 )
-from pasdedeux.evaluation.report import Report, Section, render_report
+from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
 from pasdedeux.evaluation.summary import Credit, Made, Summary
@@ -27,7 +27,7 @@ from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.verdict import Level, Verdict
 from storage_schema.tables import TABLES
-from tasks.evaluation.report import DatasetCard, card_tables, render_card
+from tasks.evaluation.report import DatasetCard, card_tables
 from tasks.evaluation.takes import take_scores
 from tests.builders.pages import Page, in_browser
 
@@ -124,7 +124,7 @@ def _page() -> str:
     rows = tuple((f"row <{n}>", str(value)) for n, value in enumerate((10, 9, 1000, 2)))
     table = TextTable("<scores>", ("method", "value"), rows)
     sections = [Section("Takes & <all>", ("text",), (table,), tuple(pictures)), Section("Nothing")]
-    return render_report(Report("A <study>", "made from <duets>", SUMMARY, sections))
+    return render("report.html", report=Report("A <study>", "made from <duets>", SUMMARY, sections))
 
 
 def test_the_page_needs_no_other_file_and_names_everything_and_escapes_what_it_shows() -> None:
@@ -229,7 +229,7 @@ def test_the_card_names_every_source_with_its_licence() -> None:
         is_held_out={"hug": True, "waltz": False},
         cautions=["synthetic"],
     )
-    text = render_card(card)
+    text = render("card.md", card=card)
     for part in (
         "| poses | 1,200 |",
         "- hug (held out for evaluation)",
@@ -254,12 +254,12 @@ def test_page_card_and_console_give_the_same_answers() -> None:
         "is it good: 1 warn",
         "chains: warn: chains do not mix; effective sample size 1.4 against 500 (kept)",
     ]
-    card = render_card(DatasetCard("Duets", "d", SUMMARY, {}, {}, []))
+    card = render("card.md", card=DatasetCard("Duets", "d", SUMMARY, {}, {}, []))
     assert [line.removeprefix("- ") for line in card.splitlines() if line.startswith("- ")][:3] == [
         *lines[:2],
         lines[3],
     ]
-    page = render_report(Report("Duets", "d", SUMMARY, []))
+    page = render("report.html", report=Report("Duets", "d", SUMMARY, []))
     for words in ("1 min 15 s, 2.0 MB", "CMU (free for all uses)", "1 warn", "chains do not mix", "against 500 (kept)"):
         assert words in page
 

@@ -11,16 +11,14 @@ import pytest
 import torch
 
 from flows.console.app import run_command_line
-from flows.exports import export_reference
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.registry import Weights, write_weights
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.settings import PaperCvaeConfig
 from pasdedeux.learning.window_vae import PaperCvaeModel
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, EXPI18, Skeleton
 from storage_schema import Manifest, Store
 from tasks.generation import STAGE, GenerationParameters, check_study
 from tasks.graph import load_graph
@@ -28,19 +26,19 @@ from tasks.ingest import STAGE as INGEST
 from tasks.ingest import IngestParameters
 from tasks.stage import StageInputs
 from tasks.takes import read_take
-from tasks.training.items import StoredVariants
 from tasks.training.parameters import TrainingParameters
 from tests.builders.stored_models import put_model
 
 SMALL = PaperCvaeConfig(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=1, kernel=1)
 
 
-def make_model() -> PaperCvaeModel:
+def make_model(skeleton: Skeleton = BODY22) -> PaperCvaeModel:
     """Return a model with weights that somebody might have learned in a moment."""
-    network, generator = InteractionCvae(SMALL), torch.Generator().manual_seed(5)
+    network, generator = InteractionCvae(SMALL, skeleton), torch.Generator().manual_seed(5)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, 0.0, 0.02, generator)
-    return PaperCvaeModel(SMALL, np.stack([np.ones(22), np.full(22, 0.05)]).astype(np.float32), network)
+    known = np.stack([np.ones(skeleton.num_joints), np.full(skeleton.num_joints, 0.05)])
+    return PaperCvaeModel(SMALL, known.astype(np.float32), network)
 
 
 class Here:
@@ -68,30 +66,6 @@ class Here:
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Here:
     return Here(tmp_path_factory.mktemp("generation") / "store")
-
-
-def test_sampled_variants_are_variants_with_their_origin(here: Here, tmp_path: Path) -> None:
-    (made,) = here.made(num_variants=2)
-    assert set(made.tables) == {"variants", "variant_quality", "variant_frames"}
-    assert made.facts["origin"] == {
-        **{"model": "paper_cvae", "split": "random", "artifact": here.model.ref.key},
-        **{"segment": 0, "seed": 1},
-    }
-    stored = StoredVariants(here.store, [here.take.ref], [made.ref])
-    names = [("waltz", "B-paper_cvae-0000"), ("waltz", "B-paper_cvae-0001")]
-    one, other = stored.items(names)
-    source = read_take(here.store, here.take.ref).source
-    for item in (one, other):
-        wanted = source.lengths_m * item.request.bone_scale
-        found = bone_lengths(BODY22, item.motion_m)
-        bones = [child for _, child in BODY22.bones]
-        np.testing.assert_allclose(found[..., bones], np.broadcast_to(wanted, found.shape)[..., bones], atol=1e-6)
-    assert np.abs(one.request.bone_scale[1] - other.request.bone_scale[1]).max() > 1e-6
-    quality = here.store.read(made.ref, "variant_quality")
-    assert set(quality["solver"]) == {"model"}
-    assert quality["contact_drift_m"].max() < 0.01
-    paths = export_reference(here.store, f"variants@{made.ref.key[:12]}", "bvh", tmp_path)
-    assert sum(path.suffix == ".bvh" for path in paths) == 4
 
 
 def test_what_is_sampled_depends_on_neither_blocks_nor_how_many_there_are(here: Here, tmp_path: Path) -> None:
@@ -197,10 +171,20 @@ def test_the_command_refuses_with_a_sentence_and_writes_nothing(
 ) -> None:
     take = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--out", str(tmp_path / "no")]
     far = write_keys(tmp_path / "far.json", [99], np.zeros((1, 22, 3)))
-    (tmp_path / "bad.safetensors").write_bytes(b"no weights")
+    weights = write_weights(Weights(make_model()))
+    for name, data in (
+        ("bad", b"no weights"),
+        ("newer", weights.replace(b"window_s", b"window_t")),
+        ("other", write_weights(Weights(make_model(EXPI18)))),
+    ):
+        (tmp_path / f"{name}.safetensors").write_bytes(data)
+    Store(tmp_path / "empty")
     for words, sentence in (
         (["oracle", *take], "0 models of the store have this name"),
         ([str(tmp_path / "bad.safetensors"), *take], "these are no weights of a model"),
+        ([str(tmp_path / "newer.safetensors"), *take], "its settings do not fit"),
+        ([str(tmp_path / "other.safetensors"), *take], "weights of another topology: it is of expi18, 18 joints"),
+        (["paper_cvae", *take, "--store", str(tmp_path / "empty")], "the store has none"),
         (["ridge_scale", *take], "ridge_scale draws no bodies: say --scales"),
         (["paper_cvae", *take, "--scales", "0.9;1"], "numbers separated by commas"),
         (["paper_cvae", *take, "--scales", "99"], "allowed are 0.05 to 20"),

@@ -1,0 +1,208 @@
+"""Topic `generation`: motion that a model generated for its test takes, beside real motion, chance and the solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval, mean_distance
+from pasdedeux.evaluation.models import SOLVER, ModelMeter
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.pictures import Picture
+from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
+from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.learning.clips import CLIP_FRAMES, clips_of, pair_frame
+from pasdedeux.spread import evenly_spread
+from storage_schema import Manifest, Store
+from tasks.evaluation.augmentation import contact_drifts, variant_player
+from tasks.evaluation.realism import LearnedSettings, train_on_real
+from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
+from tasks.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.stage import Shard, StageInputs, stream
+from tasks.training.items import StoredVariants, interaction_of
+
+if TYPE_CHECKING:
+    from pasdedeux.learning.networks.clip_classifier import ClipClassifier
+
+_CHANCE, _STRANGERS, _PLAIN = "real_halves", "strangers", "naive_fk"
+_SHOWN = 2
+"""Generated motions in the player, beside the take."""
+
+Clips = Mapping[str, Sequence[Array]]
+"""By take the clips (n, 20, 2, 22, 3), metres, of one motion or of several that begin alike."""
+
+
+def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
+    """Plan one shard for each model that motion was generated from."""
+    takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
+    shards = []
+    for model in inputs.of("models"):
+        facts = ModelFacts.of(model)
+        made: dict[str, list[Manifest]] = {"generated": [], "solved": []}
+        for manifest in inputs.of("variants"):
+            found = VariantFacts.of(manifest)
+            if found.take_id in facts.test and (found.origin is None or found.origin.artifact == model.ref.key):
+                made["solved" if found.origin is None else "generated"].append(manifest)
+        if made["generated"]:
+            own = settings.part(LearnedSettings)
+            shards.append(TOPIC.shard(inputs, f"{facts.model} {facts.split}", own, model=[model], takes=takes, **made))
+    return shards
+
+
+def _run(shard: Shard, store: Store) -> TopicResult:
+    """Score what was generated for every test take; as a distribution where the study asks for these."""
+    facts, settings = ModelFacts.of(store.manifest(shard.ref("model"))), shard.options(LearnedSettings)
+    takes = [store.manifest(ref) for ref in shard.refs("takes")]
+    variants = StoredVariants(store, shard.refs("takes"), (*shard.refs("generated"), *shard.refs("solved")))
+    clips: dict[str, dict[str, list[Array]]] = {facts.model: {}, SOLVER: {}}
+    errors_mm: dict[str, list[Array]] = {}
+    parts: list[Items] = []
+    pictures: list[Picture] = []
+    for method, take_id, wanted in _wanted(store, shard, facts.model):
+        source, items = variants.takes[take_id].source, list(variants.items(wanted))
+        clips[method][take_id] = [clips_of(item.motion_m, source.rate_hz) for item in items]
+        contacts = ModelMeter(items[0].request).contacts
+        drifts = contact_drifts(contacts, source, ((one.request.bone_scale, one.motion_m) for one in items))
+        ours_mm, plain_mm = (1e3 * found.ravel() for found in drifts.found_m.values())
+        errors_mm.setdefault(method, []).append(ours_mm)
+        if method == SOLVER:
+            continue
+        errors_mm.setdefault(_PLAIN, []).append(plain_mm)
+        times_s = np.tile(drifts.frames / source.rate_hz, len(items))
+        parts.append(Items({method: ours_mm, _PLAIN: plain_mm}, [take_id] * len(times_s), times_s, len(items)))
+        if not pictures:
+            shown = {"take": source.positions_m} | {one.variant_id: one.motion_m for one in items[:_SHOWN]}
+            caption = f"{take_id}, and what was generated for it; contacts of the take are black lines."
+            pictures = [Picture(f"generated-{take_id}.player.json", caption, variant_player(source, shown))]
+    more = {"split": f"{facts.split} test"}
+    scores = [
+        score
+        for method, found in errors_mm.items()
+        if len(values := np.concatenate(found))
+        for score in scores_of({"contact_error": values.mean()}, method, "mm", count=len(values), **more)
+    ]
+    seen = "it learned from other scales of them" if facts.shares_takes else "it did not learn from them"
+    count = sum(map(len, clips[facts.model].values()))
+    notes = [f"{in_words(facts.model)}: {count} motions of {len(parts)} test take{'s' * (len(parts) != 1)}; {seen}."]
+    if settings.num_realism_variants:
+        classifier, said = train_on_real(shard, store, takes, settings.classifier)
+        notes += said
+        if classifier is not None:
+            kinds = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
+            real = {
+                take_id: clips_of(take.source.positions_m, take.source.rate_hz)
+                for take_id, take in variants.takes.items()
+            }
+            generator = stream(shard.seed, "evaluation", "generation", facts.model, facts.split)
+            scores += distribution_scores(classifier, real, kinds, clips, generator, **more)
+    return TopicResult(scores, pictures, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS))
+
+
+def _wanted(store: Store, shard: Shard, model: str) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
+    """Yield method, take and variants: those generated, and as many of the solver's, evenly spread."""
+    found: dict[str, dict[str, list[tuple[str, str]]]] = {"generated": {}, "solved": {}}
+    for name, by_take in found.items():
+        for facts in VariantFacts.read(store, shard.refs(name)):
+            by_take.setdefault(facts.take_id, []).extend((facts.take_id, variant) for variant in facts.variants)
+    for take_id, made in sorted(found["generated"].items()):
+        yield model, take_id, made
+        if solved := found["solved"].get(take_id):
+            yield SOLVER, take_id, [solved[at] for at in evenly_spread(len(solved), len(made))]
+
+
+def distribution_scores(
+    classifier: ClipClassifier,
+    real: Mapping[str, Array],
+    kinds: Mapping[str, str],
+    made: Mapping[str, Clips],
+    generator: np.random.Generator,
+    *,
+    split: str,
+) -> list[Score]:
+    """Return FID, KID, density, coverage and diversity of motions beside one half of the real clips of their takes.
+
+    Each method has a clip for every one of the other half, of the same time, so all are equally many.  Of several
+    motions of a take, each such set has another one in turn, and figures are means over the sets.
+
+    Args:
+        classifier: Gives the features.
+        real: Clips (n, 20, 2, 22, 3), metres, of every take.
+        kinds: Interaction of every take.
+        made: By method the clips of the motions of each take that is scored.
+        generator: Deals the halves and the strangers.
+        split: Split of the scores.
+    """
+    scored = sorted(set.union(*(set(found) for found in made.values())))
+    places = [(take_id, at) for take_id in scored for at in range(len(real[take_id]))]
+    first, second = ([places[at] for at in half] for half in halves([(one,) for one, _ in places], generator))
+    if min(len(first), len(second)) < 2:
+        return []
+    everywhere = [(take_id, at) for take_id in sorted(real) for at in range(len(real[take_id]))]
+
+    def stranger(take_id: str, at: int) -> Array:
+        others = [one for one in everywhere if kinds[one[0]] != kinds[take_id]]
+        other, when = others[generator.integers(len(others))]
+        return np.stack([real[take_id][at][:, 0], real[other][when][:, 1]], axis=1)
+
+    strangers = pair_frame(np.stack([stranger(*place) for place in first]), CLIP_FRAMES // 2)
+    reference = classifier.features(np.stack([real[take_id][at] for take_id, at in second]))
+    sets = {_CHANCE: [np.stack([real[take_id][at] for take_id, at in first])], _STRANGERS: [strangers]}
+    for method, of_takes in made.items():
+        if set(scored) == set(of_takes):
+            sets[method] = [
+                np.stack([own[(number + turn) % len(own)][at] for number, (own, at) in enumerate(places)])
+                for places in [[(of_takes[take_id], at) for take_id, at in first]]
+                for turn in range(max(map(len, of_takes.values())))
+            ]
+    units = [[take_id for take_id, _ in half] for half in (second, first)]
+    scores = []
+    for method, found in sets.items():
+        features = [classifier.features(one) for one in found]
+        rows = [distances(reference, one) | {"diversity": mean_distance(one)} for one in features]
+        figures = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
+        if len(features) > 1:
+            figures["multimodality"] = float(np.mean([mean_distance(one) for one in np.stack(features, axis=1)]))
+        more: dict[str, Any] = {"split": split, "count": len(first)}
+        low, high = KID_FACTOR * np.mean([kernel_interval(reference, one, *units) for one in features], axis=0)
+        scores.append(Score("KID", method, figures.pop("KID"), low=float(low), high=float(high), **more))
+        scores += scores_of(figures, method, **more)
+    return scores
+
+
+def _tables(scores: ScoresOf) -> list[TextTable]:
+    """Return one row a method, of every split."""
+    columns = ("FID", "KID", "diversity", "multimodality", "contact_error")
+    return [
+        pivot_table(
+            scores["generation"],
+            "Generated motion of test takes beside chance (real_halves), strangers and the solver",
+            ("split", "motion"),
+            lambda s: (s.split, in_words(s.method)),
+            {name: in_words(name) for name in columns},
+            lambda s: s.metric,
+            lambda found: format_score(found[0]),
+        )
+    ]
+
+
+TOPIC = Topic(
+    name="generation",
+    heading="Generated motion",
+    introduction="Motion that the stage generation sampled from a model for the takes that the model is tested on. "
+    "Contact error is the mean change of the distance of the take's contacts; plain kinematics has the same bodies. "
+    "FID, KID, density and coverage compare with one half of the real clips of these takes, in features of the "
+    "classifier of clips; the other half is chance level. Clips of a take overlap, and a copy of the take is at chance "
+    "level too: read them with multimodality, the mean distance of the features of two motions of a take at the same "
+    "time. Diversity is that of any two clips. Strangers are A of one clip and B of another interaction. KID is "
+    "unbiased, so of few clips it can be strongly negative, and then says nothing.",
+    reads=("models", "poses", "variants", "variant_quality"),
+    plan=_plan,
+    run=_run,
+    settings=LearnedSettings,
+    criteria=(Criterion("contact_error", "contact error", "mm", "motions", ()),),
+    tables=_tables,
+)

@@ -149,7 +149,7 @@ def batch_of(manifest: Manifest) -> BatchParameters:
         InputError: They are not allowed any more: names the setting.
     """
     try:
-        return BatchParameters.model_validate(VariantFacts.of(manifest).told, extra="ignore")
+        return BatchParameters.model_validate(VariantFacts.of(manifest).parameters, extra="ignore")
     except ValidationError as error:
         raise InputError(
             f"variants of take '{manifest.partition}' were made by an earlier version and cannot be read: "
@@ -203,7 +203,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         is_held_out=TakeFacts.of(manifest).is_held_out,
         closest_m=take.source.closest_m,
         # What reads variants solves more of them: how is part of the content, where the bytes do not tell.
-        told=parameters.model_dump(mode="json", exclude={"limits"}),
+        parameters=parameters.model_dump(mode="json", exclude={"limits"}),
     )
     verdicts: list[Verdict] = []
     with store.writer(**artifact_fields(shard, store), facts=facts.to_json()) as writer:

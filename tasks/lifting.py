@@ -315,5 +315,5 @@ STAGE = Stage(
     run_shard=run_shard,
     meaning="annotations lifted to 3D by the draws that look like them",
     needs="annotations of two people ([[ingest.annotations]]), and draws of a density "
-    "beside prior_only (chains.densities) or grown seeds (seeds.num_grown)",
+    "beside prior_only (chains.densities) or grown pairs (seeds.num_grown)",
 )

@@ -1,18 +1,17 @@
-"""Stage `projections`: the poses of a projection database, from takes, and from draws and variants when asked."""
+"""Stage `projections`: the poses of a projection database, from takes, and from draws."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
-from pasdedeux.projections.camera import CameraModel, DatabaseCamera, cameras_of
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.published import Clusters, cluster_projections
@@ -29,7 +28,7 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, VariantFacts
+from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts
 from tasks.stage import (
     EarlyPlan,
     Parameters,
@@ -48,70 +47,26 @@ PROJECTIONS = StageName("projections", 6)
 
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
-NUM_YAWS = 30
-"""Yaw steps over the full turn, of 12 degrees (Yiannakides et al. 2019)."""
 _DENSITY = "ic"
 """Density whose draws enter: the one that compares with annotations."""
 
 
-class CameraSettings(Parameters):
-    """What cameras see the poses of a database."""
-
-    camera: CameraModel = Field(
-        "orthographic", description="Rays of the camera: parallel, or through a pinhole distance_m from the mid-hip"
-    )
-    pitches_deg: tuple[float, ...] = Field(
-        (-10.0, 0.0, 20.0, 30.0, 45.0),
-        description="Pitches of the camera, which looks at the mid-hip, below 0 upwards; that of a sequence is found "
-        "between these and those of the heights",
-    )
-    heights_m: tuple[float, ...] = Field(
-        (1.5,),
-        description="Heights of the camera over the floor: more pitches, those at which it looks at the mid-hip of who "
-        "stands distance_m away",
-    )
-    distance_m: float = Field(4.0, gt=1.5, le=100, description="Distance of the camera from the mid-hip")
-
-    @property
-    def cameras(self) -> tuple[DatabaseCamera, ...]:
-        """The cameras by rising pitch."""
-        return cameras_of(
-            self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m
-        )
-
-    @model_validator(mode="after")
-    def _check_cameras(self) -> Self:
-        """Refuse cameras that cannot be."""
-        try:
-            assert self.cameras
-        except InputError as error:
-            raise ValueError(str(error)) from None
-        return self
+Pitches = tuple[Annotated[float, Field(gt=-90, lt=90)], ...]
 
 
-class ViewsOfPoses(CameraSettings):
-    """How the poses of a database are seen: yaw steps over the full turn, and the cameras."""
-
-    num_yaws: int
-
-    @property
-    def level_camera(self) -> DatabaseCamera:
-        """The camera at the height of the mid-hip."""
-        return replace(self.cameras[0], pitch_rad=0.0)
-
-
-class ProjectionsParameters(CameraSettings):
+class ProjectionsParameters(Parameters):
     """Which poses enter the database, and what cameras see them."""
 
+    pitches_deg: Pitches = Field(
+        (-10.0, 0.0, 8.2, 20.0, 30.0, 45.0),
+        min_length=1,
+        description="Pitches of the camera, which looks at the mid-hip, below 0 upwards (8.2: from 1.5 m over the "
+        "floor, 4 m away); that of a sequence is found between these",
+    )
     include_draws: bool | None = Field(
         None,
         description="Poses of the chains' draws enter the database; when not given they do where no take is there to "
         "enter",
-    )
-    include_variants: bool = Field(
-        False,
-        description="Poses of the variants enter the database; to search 14 million projections a worker needs 4.5 GB "
-        "(--worker-memory 6)",
     )
     num_clusters: int = Field(
         0,
@@ -120,18 +75,13 @@ class ProjectionsParameters(CameraSettings):
         "the paper); 0: none",
     )
 
-    @property
-    def views(self) -> ViewsOfPoses:
-        """How the poses are seen."""
-        return self.part(ViewsOfPoses, num_yaws=NUM_YAWS)
-
 
 class PoseShard(Parameters):
-    """The parameters of a shard of poses: where they come from, their rate, and how they are seen."""
+    """The parameters of a shard of poses: where they come from, their rate, and the pitches they are seen at."""
 
-    origin: Literal["take", "draw", "variant"]
+    origin: Literal["take", "draw"]
     rate_hz: float
-    views: ViewsOfPoses
+    pitches_deg: Pitches
 
 
 class ClusterShard(Parameters):
@@ -151,28 +101,19 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
 
 
 def plan_poses(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
-    """Plan a shard per take that is not held out, per artifact of draws and per artifact of variants."""
+    """Plan a shard per take that is not held out, and per artifact of draws."""
+    takes = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
+    found: list[tuple[Literal["take", "draw"], str, Manifest]] = [
+        ("take", take.take_id, manifest) for take, manifest in takes if not take.is_held_out
+    ]
+    if parameters.include_draws or (parameters.include_draws is None and not found):
+        draws = [manifest for manifest in inputs.of("draws") if DrawFacts.of(manifest).density == _DENSITY]
+        found += [("draw", manifest.partition, manifest) for manifest in draws]
     shards = []
-    wanted: list[tuple[Literal["take", "draw", "variant"], str]] = [("take", "poses")]
-    has_takes = any(not take.is_held_out for take in map(TakeFacts.of, inputs.of("poses")))
-    if parameters.include_draws or (parameters.include_draws is None and not has_takes):
-        wanted.append(("draw", "draws"))
-    if parameters.include_variants:
-        wanted.append(("variant", "variants"))
-    for origin, table in wanted:
-        for manifest in inputs.of(table):
-            if origin == "draw":
-                if DrawFacts.of(manifest).density != _DENSITY:
-                    continue
-                partition = manifest.partition
-            else:
-                shown = TakeFacts.of(manifest) if origin == "take" else VariantFacts.of(manifest)
-                if shown.is_held_out:
-                    continue
-                partition = shown.take_id
-            options = PoseShard(origin=origin, rate_hz=_RATE_HZ, views=parameters.views)
-            name = f"{origin}-{manifest.partition}-{manifest.name}"
-            shards.append(PROJECTIONS.shard(inputs, partition, name, options, {"poses": [manifest]}))
+    for origin, partition, manifest in found:
+        options = PoseShard(origin=origin, rate_hz=_RATE_HZ, pitches_deg=parameters.pitches_deg)
+        name = f"{origin}-{manifest.partition}-{manifest.name}"
+        shards.append(PROJECTIONS.shard(inputs, partition, name, options, {"poses": [manifest]}))
     return shards
 
 
@@ -183,10 +124,7 @@ def _plan_early(inputs: StageInputs, parameters: ProjectionsParameters) -> list[
 
 def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:
     """Return the tables whose poses do not enter."""
-    return (
-        *(("draws",) if parameters.include_draws is False else ()),
-        *(() if parameters.include_variants else ("variants",)),
-    )
+    return ("draws",) if parameters.include_draws is False else ()
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -236,7 +174,7 @@ def _project(shard: Shard, store: Store) -> ArtifactRef:
         takes=merge_takes(store.manifest(ref)),
         num_poses=len(positions),
         rate_hz=options.rate_hz,
-        views=options.views.model_dump(mode="json"),
+        pitches_deg=options.pitches_deg,
     )
     verdict = Verdict(
         Level.PASS if len(positions) else Level.WARN,
@@ -245,16 +183,10 @@ def _project(shard: Shard, store: Store) -> ArtifactRef:
     return commit(shard, store, tables={"projections": columns}, facts=facts, verdict=verdict)
 
 
-def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
-    """Return how the poses of a database's parts are seen.
-
-    Raises:
-        InputError: Parts differ, or are of an earlier version and do not tell.
-    """
-    stated = [ProjectionFacts.of(part).views for part in parts]
-    if any(views != stated[0] for views in stated):
-        raise InputError("parts of the projection database differ in yaw steps or camera; build them with one study")
-    return ViewsOfPoses(**stated[0])
+def read_cameras(parts: Sequence[Manifest]) -> tuple[DatabaseCamera, ...]:
+    """Return the cameras that see a database of these parts, by rising pitch; the same pitch twice gives one."""
+    pitches = sorted({pitch for part in parts for pitch in ProjectionFacts.of(part).pitches_deg})
+    return tuple(DatabaseCamera(float(np.deg2rad(pitch))) for pitch in pitches)
 
 
 def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, np.ndarray, np.ndarray]:
@@ -266,13 +198,12 @@ def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, 
     manifests = [store.manifest(ref) for ref in refs]
     columns = ["op14_m", "body22_unitquat", "is_sequence_start", "take_id", "frame"]
     parts = [store.read(ref, "projections", columns=columns) for ref in refs]
-    views = read_views(manifests)
+    if len({ProjectionFacts.of(part).pitches_deg for part in manifests}) > 1:
+        raise InputError("parts of the projection database differ in their cameras; build them with one study")
     database = Database(
         np.concatenate([np.asarray(part["op14_m"]) for part in parts]),
         np.concatenate([np.asarray(part["is_sequence_start"]) for part in parts]),
-        num_yaws=views.num_yaws,
         rate_hz=ProjectionFacts.of(manifests[0]).rate_hz,
-        camera=views.level_camera,
         body22_unitquat=np.concatenate([np.asarray(part["body22_unitquat"]) for part in parts]),
     )
     return (
@@ -350,22 +281,7 @@ def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
     return [_Group(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)]
 
 
-def _of_variants(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
-    """Return everybody of every variant at the database's rate."""
-    facts = VariantFacts.of(store.manifest(ref))
-    table = store.read(ref, "variants", columns=["variant_id", "person", "frame", "body22_m"])
-    order = np.lexsort((table["frame"], table["person"], table["variant_id"].astype(str)))
-    poses = np.asarray(table["body22_m"], dtype=np.float64)[order]
-    everybody = poses.reshape(-1, facts.num_persons, facts.num_frames, *poses.shape[1:])
-    return [
-        _resampled(facts, op14_from_working(people, BODY22), [rotations_from_t_pose(own) for own in people], rate_hz)
-        for people in everybody
-    ]
-
-
-def _resampled(
-    facts: TakeFacts | VariantFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarray], rate_hz: float
-) -> _Group:
+def _resampled(facts: TakeFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarray], rate_hz: float) -> _Group:
     """Return people at another rate."""
     rates = {"from_hz": facts.rate_hz, "to_hz": rate_hz}
     moved = np.stack([resample_positions(own, **rates) for own in op14_m])
@@ -399,18 +315,17 @@ def _rows(groups: Sequence[_Group]) -> dict[str, Any]:
     return rows
 
 
-_READERS = {"take": _of_take, "draw": _of_draws, "variant": _of_variants}
+_READERS = {"take": _of_take, "draw": _of_draws}
 
 STAGE = Stage(
     *PROJECTIONS,
-    reads=("poses", "draws", "variants"),
+    reads=("poses", "draws"),
     writes=("projections", "projection_clusters"),
     parameters=ProjectionsParameters,
     plan=plan,
     run_shard=run_shard,
     meaning="Builds the projection database: poses on one body, mid-hip at the origin, heading removed",
-    needs="takes that are not held out ([[ingest.takes]], ingest.held_out), or draws or variants "
-    "(projections.include_draws, projections.include_variants)",
-    early=(EarlyPlan(_plan_early, each=("poses", "draws", "variants")),),
+    needs="takes that are not held out ([[ingest.takes]], ingest.held_out), or draws (projections.include_draws)",
+    early=(EarlyPlan(_plan_early, each=("poses", "draws")),),
     unread=_unread,
 )

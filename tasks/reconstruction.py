@@ -28,7 +28,7 @@ from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import MotionFacts, SequenceFacts
-from tasks.projections import clusters_of, read_clusters, read_database, read_pairs, read_views
+from tasks.projections import clusters_of, read_cameras, read_clusters, read_database, read_pairs
 from tasks.stage import (
     Parameters,
     Shard,
@@ -57,18 +57,10 @@ class SequenceSettings(Parameters):
         description="Methods, each gives a motion; the last one is cleaned up (planted feet still, nothing below "
         "the floor), as one more motion `<method>_clean`, and written as BVH",
     )
-    has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
     has_pairs: bool = Field(
         True,
         description="Pairs of the database that look like two partners say how far apart they are, beside the floor, "
         "people's sizes and what touches",
-    )
-    camera_height_m: float | None = Field(
-        None,
-        gt=0,
-        le=100,
-        description="Height of the camera over the floor where it is known, which gives people their true size (as "
-        "exactly as pitches_deg of [projections] has the true pitch); else people are about 1.68 m tall",
     )
 
 
@@ -207,13 +199,13 @@ def _reconstruct(
 ) -> tuple[list[dict[str, Any]], dict[str, bytes], dict[str, Verdict]]:
     """Return the rows of `motions` of every method and person, and of each person files and how good it is."""
     sequence_id = parameters.sequence_id
-    options = ReconstructionOptions(has_own_proportions=parameters.has_own_proportions)
+    options = ReconstructionOptions()
     if all(store.manifest(ref).tables["projections"].rows == 0 for ref in database_refs):
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}, {}
-    views = read_views([store.manifest(ref) for ref in database_refs])
+    cameras = read_cameras([store.manifest(ref) for ref in database_refs])
     level, take_ids, frames = read_database(store, database_refs)
-    databases = [replace(level, camera=camera) for camera in views.cameras]
+    databases = [replace(level, camera=camera) for camera in cameras]
     pitch = choose_camera(databases, people, options)
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
     chosen = Searcher.of(suited, *(read_clusters(store, ref) for ref in clusters))
@@ -224,15 +216,13 @@ def _reconstruct(
         parameters.methods,
         options,
         pairs_m=read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None,
-        camera_height_m=parameters.camera_height_m,
         pitch=pitch,
     )
     pitch = found.pitch
     if found.scene is not None:
         facts["camera_height_m"] = found.scene.camera_height_m
         facts["lens_factor"] = found.scene.lens_factor
-    facts["camera"] = views.camera
-    pitches = [camera.pitch_rad for camera in views.cameras]
+    pitches = [camera.pitch_rad for camera in cameras]
     facts["pitch_deg"] = float(np.rad2deg(pitch.pitch_rad))
     facts["pitch_deviation_deg"] = float(np.rad2deg(pitch.deviation_rad))
     facts["num_projections"] = chosen.database.num_projections

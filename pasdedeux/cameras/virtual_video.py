@@ -12,7 +12,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.errors import InputError, check_positive
+from pasdedeux.errors import InputError
 
 PERSON_HEIGHT_PX = 600.0
 """Height of a person in the image at which noise in pixels is meant."""
@@ -85,7 +85,6 @@ def look_at_camera(
     At yaw 0 and pitch 0 the camera stands on +Z of the target and looks along -Z; yaw turns it towards +X, a positive
     pitch lifts it.  Straight above (pitch 90 degrees) the image's up is where the camera came from, so nothing jumps.
     """
-    check_positive(distance_m, "camera: the distance in metres")
     direction = _towards(yaw_rad, pitch_rad)
     right = np.array([np.cos(yaw_rad), 0.0, -np.sin(yaw_rad)])
     return PinholeCamera(
@@ -161,9 +160,6 @@ def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_p
 
     Detectors do so with joints that they do not find.  A person who is not seen at all gets none.
     """
-    num_joints = seen.confidence.shape[-1]
-    if not 0 <= count <= num_joints:
-        raise InputError(f"virtual video: {count} junk joints of {num_joints}")
     chosen = np.argsort(rng.random(seen.confidence.shape), axis=-1) < count
     chosen &= (seen.confidence > 0).any(axis=-1, keepdims=True)
     places = rng.random(seen.px.shape) * np.array(image_size_px, dtype=np.float64)

@@ -193,7 +193,7 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
     if len(known) < len(sizes):
         raise InputError(
             "nearly all coordinates lie within 2; they seem to be shares of the image, not pixels: say the size of the "
-            "image (image_size_px, --size), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
+            "image (image_size_px), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
         )
     return replace(frames, keypoints_px=points * np.array(known, dtype=np.float64).reshape(-1, 1, 2))
 

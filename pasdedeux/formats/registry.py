@@ -48,12 +48,6 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     )
 
 
-def is_companion(data: bytes) -> bool:
-    """Tell whether a file is no motion itself, but what a motion file needs beside it."""
-    start = FileStart(data)
-    return any(one.is_companion(start) for one in MOTION_FORMATS.values())
-
-
 def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
     """Return the format of this name, or for "auto" the one that a file's content shows."""
     if name != "auto":
@@ -120,7 +114,7 @@ def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> A
             focals[name] = stated.focal_px
         elif stated.fov_deg:
             if size is None:
-                raise InputError("a field of view needs the size of the image (image_size_px, --size)")
+                raise InputError("a field of view needs the size of the image (image_size_px)")
             focals[name] = 0.5 * size[0] / math.tan(math.radians(0.5 * stated.fov_deg))
     rate_hz = stated.rate_hz or frames.rate_hz or video.rate_hz
     return replace(frames, image_size_px=sizes, focal_px=focals, rate_hz=rate_hz)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -32,7 +32,6 @@ SIZE = (1.0 / 3.0, 3.0)
 """Overall sizes against the source outside these are no person's either."""
 
 _COLUMNS = ("from", "to", "distance_m")
-_NOTHING = "nothing"
 _TRUNK = [
     BODY22.indices(["spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]),
     BODY22.indices(["spine2", "spine3", "neck", "head", "left_shoulder", "right_shoulder"]),
@@ -98,7 +97,7 @@ def read_body(name: str, data: bytes) -> TargetBody:
     """Read a body from a table of joint distances (CSV) or joint positions (npz, JSON), metres.
 
     The table has the columns `from`, `to`, `distance_m`.  An npz has `positions_m` (joint, 3) or (frame, joint, 3) and
-    `joint_names`, and may have `parents`; a JSON object the same keys, or a joint's name with its three numbers each.
+    `joint_names`; a JSON object the same keys, or a joint's name with its three numbers each.
     Joints have the names of body22 or of SMPL; distances of frames are their medians.
     """
     with named(name):
@@ -174,8 +173,8 @@ def _arrays_of_json(data: bytes) -> dict[str, npt.NDArray[Any]]:
     if "positions_m" not in tree:
         tree = {"joint_names": list(tree), "positions_m": list(tree.values())}
     try:
-        arrays = {key: np.array(tree[key]) for key in ("joint_names", "parents") if key in tree}
-        return arrays | {"positions_m": np.array(tree["positions_m"]).astype(np.float64)}
+        names = {key: np.array(tree[key]) for key in ("joint_names",) if key in tree}
+        return names | {"positions_m": np.array(tree["positions_m"]).astype(np.float64)}
     except (ValueError, TypeError, OverflowError):
         raise FormatError("each joint needs three numbers, metres") from None
 
@@ -186,37 +185,10 @@ def _of_arrays(name: str, arrays: dict[str, npt.NDArray[Any]]) -> TargetBody:
     positions = get_array(arrays, "positions_m", "fiu", (None, None, 3)).astype(np.float64)
     names = get_array(arrays, "joint_names", "U", positions.shape[1:2])
     joint_names = [OTHER_NAMES.get(str(one), str(one)) for one in names]
-    if "parents" in arrays:
-        _check_tree(joint_names, get_array(arrays, "parents", "iu", names.shape).tolist())
     known = [at for at, joint in enumerate(joint_names) if joint in BODY22.joint_names]
     if not np.isfinite(positions[:, known]).all():
         raise FormatError(f"the position of '{joint_names[known[0]]}' or another joint is not finite")
     return _of_positions(name, positions[:, known], [joint_names[at] for at in known], BODY22.name)
-
-
-def _check_tree(joint_names: Sequence[str], parents: Sequence[int]) -> None:
-    """Refuse joints that hang on others than in body22; joints that it does not have may lie between."""
-    names = [*joint_names, _NOTHING]
-    its = {joint: names[one if 0 <= one < len(parents) else -1] for joint, one in zip(names, parents, strict=False)}
-    names = [*BODY22.joint_names, _NOTHING]
-    ours = {joint: names[one] for joint, one in zip(names, BODY22.parents, strict=False)}
-    shared = its.keys() & ours.keys()
-    for joint in BODY22.joint_names:
-        if joint in shared:
-            found, expected = _carrier(joint, its, shared), _carrier(joint, ours, shared)
-            if expected not in (found, _NOTHING):
-                raise FormatError(
-                    f"its tree is another one: '{joint}' hangs on '{found}'; in body22 it hangs on '{expected}'"
-                )
-
-
-def _carrier(joint: str, parent_of: Mapping[str, str], shared: Collection[str]) -> str:
-    """Return the nearest of the shared joints above a joint."""
-    above = parent_of[joint]
-    for _ in parent_of:  # once round, should the tree be a ring
-        if above not in shared and above != _NOTHING:
-            above = parent_of[above]
-    return above
 
 
 def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layout: str) -> TargetBody:

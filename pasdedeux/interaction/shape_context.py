@@ -110,8 +110,8 @@ class ShapeCoverage:
     def add(self, draws_m: Array) -> None:
         """Take more pairs (draw, person=2, joint=17, 3), metres, into account."""
         for start in range(0, len(draws_m), _CHUNK):
-            bins = np.sort(shape_bins(draws_m[start : start + _CHUNK]), axis=-1)
-            lower_shape_minima(self._counts, bins, self._best)
+            bins = shape_bins(draws_m[start : start + _CHUNK])
+            lower_shape_minima(self._counts, bins, shared_gains(bins.shape[2]), self._best)
             self.num_draws += len(bins)
 
     @property
@@ -121,43 +121,30 @@ class ShapeCoverage:
 
 
 @compiled()
-def lower_shape_minima(counts, bins, best):  # type: ignore[no-untyped-def]
+def lower_shape_minima(counts, bins, gains, best):  # type: ignore[no-untyped-def]
     """Lower the running minima of D_S of each real pair to what others reach.
 
     With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count.
 
     Args:
         counts: Joints in each bin, (real, joint, bin), uint8.
-        bins: Bins of the others, sorted, (other, joint, joint - 1).
+        bins: Bins of the others, (other, joint, joint - 1).
+        gains: What one joint more in a bin takes off the cost, see `shared_gains`.
         best: Running minima (real,); changed in place.
     """
-    num_joints, num_seen = bins.shape[1], bins.shape[2]
-    shared = np.zeros((num_seen + 1, num_seen + 1))
-    for a in range(1, num_seen + 1):
-        for b in range(1, num_seen + 1):
-            shared[a, b] = 2.0 * a * b / (a + b) / num_seen
-    distinct, times = np.empty_like(bins), np.zeros_like(bins)
-    lengths = np.zeros(bins.shape[:2], dtype=np.int64)
-    for column in range(bins.shape[0]):
-        for joint in range(num_joints):
-            last = -1
-            for other in range(num_seen):
-                value = bins[column, joint, other]
-                if last < 0 or distinct[column, joint, last] != value:
-                    last += 1
-                    distinct[column, joint, last] = value
-                times[column, joint, last] += 1
-            lengths[column, joint] = last + 1
+    num_joints = bins.shape[1]
+    own = np.zeros(counts.shape[2], dtype=np.int64)
     for row in range(counts.shape[0]):
         for column in range(bins.shape[0]):
             limit = best[row] * num_joints
             cost = 0.0
             for joint in range(num_joints):
                 cost += 1.0
-                for at in range(lengths[column, joint]):
-                    found = counts[row, joint, distinct[column, joint, at]]
-                    if found:
-                        cost -= shared[found, times[column, joint, at]]
+                for at in bins[column, joint]:
+                    cost -= gains[own[at], counts[row, joint, at]]
+                    own[at] += 1
+                for at in bins[column, joint]:
+                    own[at] = 0
                 if cost >= limit:
                     break
             if cost < limit:

@@ -66,19 +66,10 @@ class RepairedCrowd:
     is_masked: Flags
 
     @property
-    def is_swapped(self) -> Flags:
-        """Joints whose label was put right within a person (person, frame, 14)."""
-        return np.asarray(self.source_joint != np.arange(OP14.num_joints))
-
-    @property
-    def is_exchanged(self) -> Flags:
-        """Joints that were given back to the person they belong to (person, frame, 14)."""
-        return np.asarray(self.source_person != np.arange(len(self.source_person))[:, None, None])
-
-    @property
     def is_touched(self) -> Flags:
         """Joints that are not as they were given (person, frame, 14)."""
-        return self.is_swapped | self.is_exchanged | self.is_masked
+        is_own = self.source_person == np.arange(len(self.source_person))[:, None, None]
+        return self.is_masked | ~is_own | (self.source_joint != np.arange(OP14.num_joints))
 
 
 def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> RepairedCrowd:

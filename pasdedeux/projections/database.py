@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy.typing as npt
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.skeletons import BODY22, OP14
+from pasdedeux.skeletons import OP14
 
 Floats32 = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
@@ -34,7 +33,7 @@ class Database:
             known; nothing is searched in them.
 
     Raises:
-        InputError: Shapes do not fit, no row, no yaw, or a value is not finite.
+        InputError: Shapes do not fit, no row, or a value is not finite.
     """
 
     poses_m: Floats32
@@ -58,15 +57,6 @@ class Database:
             raise InputError("a projection database needs at least one pose")
         if not np.isfinite(poses).all():
             raise InputError(f"database row {int(np.argwhere(~np.isfinite(poses))[0][0])}: a value is not finite")
-        if self.num_yaws < 1:
-            raise InputError(f"num_yaws is {self.num_yaws}; at least 1 is needed")
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise InputError(f"the database's rate is {self.rate_hz} Hz; it must be positive")
-        if self.body22_unitquat is not None and self.body22_unitquat.shape != (len(poses), BODY22.num_joints, 4):
-            raise InputError(
-                f"rotations of the database's bodies have shape {self.body22_unitquat.shape}, "
-                f"expected {(len(poses), BODY22.num_joints, 4)}"
-            )
         starts[0] = True
         object.__setattr__(self, "poses_m", poses)
         object.__setattr__(self, "is_sequence_start", starts)
@@ -128,33 +118,6 @@ class Database:
         turned[..., 1] = y
         turned[..., 2] = cosine * z - sine * x
         return np.asarray(self.camera.project(turned), dtype=np.float32)
-
-
-def concatenate(databases: Sequence[Database]) -> Database:
-    """Join databases of one camera, yaw step and rate into one, rows in the order given.
-
-    Raises:
-        InputError: None given, or they differ in camera, yaw steps or rate.
-    """
-    if not databases:
-        raise InputError("no projection database to join")
-    first = databases[0]
-    for other in databases[1:]:
-        if (other.camera, other.num_yaws, other.rate_hz) != (first.camera, first.num_yaws, first.rate_hz):
-            raise InputError(
-                f"projection databases differ: {first.camera}, {first.num_yaws} yaws, {first.rate_hz} Hz against "
-                f"{other.camera}, {other.num_yaws} yaws, {other.rate_hz} Hz"
-            )
-    starts = [np.concatenate([[True], part.is_sequence_start[1:]]) for part in databases]
-    bodies = [part.body22_unitquat for part in databases if part.body22_unitquat is not None]
-    return Database(
-        poses_m=np.concatenate([part.poses_m for part in databases]),
-        is_sequence_start=np.concatenate(starts),
-        num_yaws=first.num_yaws,
-        rate_hz=first.rate_hz,
-        camera=first.camera,
-        body22_unitquat=np.concatenate(bodies) if len(bodies) == len(databases) else None,
-    )
 
 
 @compiled(error_model="numpy")

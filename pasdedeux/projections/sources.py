@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.kinematics.motion import frames_at_rate
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import OP14, Skeleton
@@ -38,12 +37,7 @@ def resample_positions(positions: Array, *, from_hz: float, to_hz: float) -> Arr
     """Return positions (frame, *batch, 3) at another rate, linearly between frames, from the first frame on.
 
     Bones shrink a little between frames that turn; proportions are retargeted afterwards, which puts that right.
-
-    Raises:
-        InputError: A rate is not positive.
     """
-    if not (from_hz > 0 and to_hz > 0):
-        raise InputError(f"frame rates must be positive: {from_hz} Hz to {to_hz} Hz")
     if from_hz == to_hz or len(positions) < 2:
         return np.array(positions, dtype=np.float64)
     before, after, share = frames_at_rate(len(positions), from_hz=from_hz, to_hz=to_hz)

@@ -7,7 +7,7 @@ max(|qx - cx| - hx, 0) because px lies in an interval of half-width hx about cx,
     sum_k w_k |q_k - p_k|  >=  sum_k w_k sqrt(max(|qx - cx| - hx, 0)^2 + max(|qy - cy| - hy, 0)^2)
 
 for all w_k >= 0.  Nothing is assumed of the camera: the boxes are taken from the projections themselves, so the bound
-holds for orthographic, pitched and pinhole cameras alike.  (For a level orthographic camera and the node "all yaws of
+holds for level and pitched cameras alike.  (For a level camera and the node "all yaws of
 a frame" the box is [-r, r] x [y, y], which is the bound sqrt(max(|qx| - r, 0)^2 + dy^2) of one frame; splitting by
 median where the projections spread most, across frames and yaws alike, gives far smaller boxes.)  Boxes are widened
 and the bound is lowered by more than float32 rounding can raise it, so pruning never loses a neighbour.

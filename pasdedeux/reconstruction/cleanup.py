@@ -85,8 +85,6 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
     """
     if positions_m.ndim not in (3, 4) or positions_m.shape[-2:] != (14, 3) or len(positions_m) == 0:
         raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, *people, 14, 3)")
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InputError(f"clean-up: the frame rate is {rate_hz}, it must be positive")
     people = positions_m.reshape(len(positions_m), -1, OP14.num_joints, 3)
     present = np.ones(people.shape[:2], dtype=bool) if is_present is None else is_present.reshape(people.shape[:2])
     positions = np.stack(

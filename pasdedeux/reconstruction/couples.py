@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.kinematics.rotations import rotate, swing_between
-from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
@@ -68,7 +67,7 @@ def pair_depths(
     couples = [(first, second) for first, second in enumerate(partners) if first < second]
     if not couples or not len(pairs_m):
         return []
-    pairs = pair_database(pairs_m, num_yaws=database.num_yaws, camera=DatabaseCamera(database.camera.pitch_rad))
+    pairs = pair_database(pairs_m, num_yaws=database.num_yaws, camera=database.camera)
     index = build_index(pairs)
     depths = [_depth(pairs, index, (people[one], people[other]), (one, other)) for one, other in couples]
     return [one for one in depths if one is not None]

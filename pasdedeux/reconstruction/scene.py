@@ -26,7 +26,6 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.errors import check_positive
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import conjugate, rotate
@@ -346,8 +345,6 @@ def estimate_scene(
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.
     """
-    if camera_height_m is not None:
-        check_positive(camera_height_m, "the height of the camera over the floor")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
     x, variance = solve(problem, robust=_ROBUST, variance_of=_PITCH)
     return SceneEstimate(

@@ -32,8 +32,6 @@ def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 
     Fitting components and normalising is exact to second order in the angle turned within the window.  The window
     shrinks for short motions; with fewer frames than `order` + 2 nothing is smoothed.
     """
-    if num_frames % 2 == 0 or num_frames <= order:
-        raise InputError(f"the smoothing window is {num_frames} frames; it must be odd and more than {order}")
     window = min(num_frames, len(unitquat) - (len(unitquat) + 1) % 2)
     if window < order + 2:
         return np.array(unitquat)

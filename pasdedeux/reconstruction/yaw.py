@@ -52,7 +52,7 @@ def refine_yaws(
         database.poses_m,
         row,
         database.yaw_step_rad,
-        np.array([np.cos(camera.pitch_rad), np.sin(camera.pitch_rad), camera.distance_m]),
+        np.array([np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)]),
         yaw,
         distance,
     )
@@ -65,7 +65,7 @@ def refine_yaws(
 
 @compiled(error_model="numpy")
 def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array, total: float, rays: Array) -> float:
-    """Return the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch, and the distance."""
+    """Return the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     summed = 0.0
     for joint in range(query.shape[0]):
@@ -73,10 +73,8 @@ def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array
             continue
         x = cosine * pose[joint, 0] + sine * pose[joint, 2]
         z = cosine * pose[joint, 2] - sine * pose[joint, 0]
-        y = rays[0] * pose[joint, 1] - rays[1] * z
-        shrink = 1.0 / (1.0 - (rays[1] * pose[joint, 1] + rays[0] * z) / rays[2])
-        dx = query[joint, 0] - x * shrink
-        dy = query[joint, 1] - y * shrink
+        dx = query[joint, 0] - x
+        dy = query[joint, 1] - (rays[0] * pose[joint, 1] - rays[1] * z)
         summed += weight[joint] * np.sqrt(dx * dx + dy * dy)
     return summed / total
 

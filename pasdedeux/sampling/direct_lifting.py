@@ -213,13 +213,8 @@ def choose_medoids(matrix: Array, count: int) -> Indices:
 
     Farthest-first from the member nearest to all others, then Voronoi iteration: everyone joins the nearest medoid, and
     each group takes the member nearest to the rest of it, until nothing changes.  No randomness; ties go to the lower
-    index.
-
-    Raises:
-        InputError: `count` is not between 1 and the size of the set.
+    index.  `count` is at least 1, and at most the size of the set.
     """
-    if not 1 <= count <= len(matrix):
-        raise InputError(f"between 1 and {len(matrix)} medoids can be chosen, {count} were asked for")
     chosen = [int(np.argmin(matrix.sum(axis=1)))]
     while len(chosen) < count:
         distance = matrix[chosen].min(axis=0)

@@ -16,10 +16,13 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths, rotation_kernels
+from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths
+from pasdedeux.kinematics.rotation_kernels import mix, put_row, put_unitquat, row_of, unitquat_of
+from pasdedeux.kinematics.rotation_kernels import multiply as turned_by
+from pasdedeux.kinematics.rotation_kernels import rotate as carried_by
+from pasdedeux.kinematics.rotation_kernels import unitquat_from_rotvec as unitquat_of_rotvec
 from pasdedeux.kinematics.rotations import (
     multiply,
-    rotate,
     rotvec_from_unitquat,
     unitquat_from_rotmat,
     unitquat_from_rotvec,
@@ -99,29 +102,9 @@ class PairChart:
 
     def positions(self, parameters: Array) -> Array:
         """Return the positions (*batch, person=2, joint=17, 3), metres, of parameters (*batch, 108)."""
-        batch = parameters.shape[:-1]
-        positions = np.empty((*batch, 2, NUM_JOINTS, 3))
-        for person in range(2):
-            own = parameters[..., NUM_PER_PERSON * person : NUM_PER_PERSON * (person + 1)]
-            frames: dict[int, Array] = {}
-            for joint in PAIR17.order:
-                if joint == _PELVIS:
-                    frames[joint] = unitquat_from_rotvec(own[..., :3])
-                    positions[..., person, joint, :] = own[..., 3:6]
-                    continue
-                parent = PAIR17.parents[joint]
-                start = 3 + 3 * joint
-                turn = np.einsum("...k,kx->...x", own[..., start : start + 2], self.axes[person, joint])
-                frames[joint] = multiply(frames[parent], unitquat_from_rotvec(turn))
-                length = self.lengths_m[person, joint] * (1.0 + own[..., start + 2])
-                bone = rotate(frames[joint], np.broadcast_to(self.directions[person, joint], (*batch, 3)))
-                positions[..., person, joint, :] = positions[..., person, parent, :] + length[..., None] * bone
-        return positions
-
-    def positions_fast(self, parameters: Array) -> Array:
-        """Return the positions (2, 17, 3) of one parameter vector (108,): `positions` as a compiled loop."""
-        positions = np.empty((2, NUM_JOINTS, 3))
-        _place(parameters, self.directions, self.axes, self.lengths_m, _ORDER, _PARENTS, positions)
+        positions = np.empty((*parameters.shape[:-1], 2, NUM_JOINTS, 3))
+        flat = np.ascontiguousarray(parameters).reshape(-1, NUM_PARAMETERS)
+        _place(flat, self.directions, self.axes, self.lengths_m, positions.reshape(-1, 2, NUM_JOINTS, 3))
         return positions
 
     @staticmethod
@@ -136,7 +119,7 @@ class PairChart:
 
     def gauge_fixed(self, parameters: Array) -> Array:
         """Return the parameters (108,) of the same pair, moved rigidly into the gauge of `gauge_fix`."""
-        positions = self.positions_fast(parameters)
+        positions = self.positions(parameters)
         rotmat, shift = _gauge(positions, self.seed_m)
         quaternion = unitquat_from_rotmat(rotmat)
         fixed = parameters.copy()
@@ -169,33 +152,25 @@ def _gauge(pair_m: Array, reference_m: Array | None) -> tuple[Array, Array]:
 
 
 @compiled()
-def _place(parameters, directions, axes, lengths, order, parents, positions):  # type: ignore[no-untyped-def]
-    frames = np.empty((parents.shape[0], 4))
-    for person in range(2):
-        start = person * (6 + 3 * (parents.shape[0] - 1))
-        for at in range(order.shape[0]):
-            joint = order[at]
-            parent = parents[joint]
-            if parent < 0:
-                turn = rotation_kernels.unitquat_from_rotvec(
-                    (parameters[start], parameters[start + 1], parameters[start + 2])
-                )
-                frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = turn
-                for axis in range(3):
-                    positions[person, joint, axis] = parameters[start + 3 + axis]
-                continue
-            first = start + 3 + 3 * joint
-            one, two = rotation_kernels.row_of(axes[person, joint], 0), rotation_kernels.row_of(axes[person, joint], 1)
-            turn = rotation_kernels.unitquat_from_rotvec(
-                rotation_kernels.mix(parameters[first], one, parameters[first + 1], two)
-            )
-            above = (frames[parent, 0], frames[parent, 1], frames[parent, 2], frames[parent, 3])
-            frame = rotation_kernels.multiply(above, turn)
-            frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = frame
-            bone = rotation_kernels.rotate(frame, rotation_kernels.row_of(directions[person], joint))
-            length = lengths[person, joint] * (1.0 + parameters[start + 5 + 3 * joint])
-            for axis in range(3):
-                positions[person, joint, axis] = positions[person, parent, axis] + length * bone[axis]
+def _place(parameters, directions, axes, lengths, positions):  # type: ignore[no-untyped-def]
+    frames = np.empty((NUM_JOINTS, 4))
+    for row in range(parameters.shape[0]):
+        own, placed = parameters[row], positions[row]
+        for person in range(2):
+            start = person * NUM_PER_PERSON
+            for joint in _ORDER:
+                parent, first = _PARENTS[joint], start + 3 + 3 * joint
+                if parent < 0:
+                    put_unitquat(frames, joint, unitquat_of_rotvec((own[start], own[start + 1], own[start + 2])))
+                    put_row(placed[person], joint, (own[first], own[first + 1], own[first + 2]))
+                    continue
+                one, two = row_of(axes[person, joint], 0), row_of(axes[person, joint], 1)
+                turn = unitquat_of_rotvec(mix(own[first], one, own[first + 1], two))
+                frame = turned_by(unitquat_of(frames, parent), turn)
+                put_unitquat(frames, joint, frame)
+                length = lengths[person, joint] * (1.0 + own[first + 2])
+                bone = carried_by(frame, row_of(directions[person], joint))
+                put_row(placed[person], joint, mix(1.0, row_of(placed[person], parent), length, bone))
 
 
 @compiled()

@@ -86,39 +86,10 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
     )
 
 
-def undo_swaps(tracks_m: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return tracks whose people are who they are in the middle frame, and which entries had them swapped somewhere.
-
-    Detectors number people anew in every frame.  Walking away from the middle, a frame's two people are exchanged when
-    that brings their joints closer to the frame before.
-
-    Args:
-        tracks_m: As for `annotation_speeds`.
-    """
-    tracks = np.array(tracks_m, dtype=np.float64)
-    was_swapped = np.zeros(len(tracks), dtype=bool)
-    middle = tracks.shape[1] // 2
-    for direction in (-1, 1):
-        before = tracks[:, middle].copy()
-        for frame in range(middle + direction, tracks.shape[1] if direction > 0 else -1, direction):
-            own = tracks[:, frame]
-            kept, exchanged = _gap(own, before), _gap(own[:, ::-1], before)
-            is_swapped = exchanged < kept
-            tracks[is_swapped, frame] = own[is_swapped, ::-1]
-            was_swapped |= is_swapped
-            before = np.where(np.isfinite(tracks[:, frame]), tracks[:, frame], before)
-    return tracks, was_swapped
-
-
 def _mean_known(squares: Array) -> Array:
     """Return the mean (n,) over the rows that are known; 0 where none is."""
     is_known = np.isfinite(squares)
     return np.asarray(np.where(is_known, squares, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1))
-
-
-def _gap(points: Array, others: Array) -> Array:
-    """Return the sum of squared distances (entry,) over the joints that both have."""
-    return np.nansum((points - others) ** 2, axis=(1, 2, 3))
 
 
 def _slope(tracks: Array, time: Array) -> Array:

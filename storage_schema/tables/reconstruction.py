@@ -12,7 +12,7 @@ PROJECTIONS = Table(
     meaning="One row per pose; its projections at every yaw step are numbered row * num_yaws + yaw index.",
     sorted_by=("origin", "take_id"),
     columns=(
-        text("origin", "take, draw or variant"),
+        text("origin", "take or draw"),
         TAKE_ID.with_meaning("Take the pose comes from; for a draw the take of its seed"),
         PERSON,
         FRAME.with_meaning("Frame at the database's rate; the row of the draw for draws"),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pasdedeux.sampling.densities import DENSITIES
-from pasdedeux.sampling.densities.density import PRIOR_ONLY, Density, TargetSettings
+from pasdedeux.sampling.densities.annotated import AnnotationSettings
+from pasdedeux.sampling.densities.density import PRIOR_ONLY, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
-from pasdedeux.settings import Settings, first_problem
-from tasks.stage import Parameters, with_fields
+from pasdedeux.settings import Settings
+from tasks.stage import Parameters
 from tasks.sweep import SweptParameters
 
 
@@ -48,16 +49,8 @@ class RunSettings(Settings):
     )
 
 
-_SETTINGS_OF_DENSITIES = {
-    name: (field.annotation, field)
-    for density in DENSITIES.values()
-    for name, field in density.settings.model_fields.items()
-}
-
-
-@with_fields(_SETTINGS_OF_DENSITIES)
-class ChainsParameters(SweptParameters, RunSettings, TargetSettings):
-    """What is sampled, how much, and with which steps; with the settings of every density.
+class ChainsParameters(SweptParameters, RunSettings, TargetSettings, AnnotationSettings):
+    """What is sampled, how much, and with which steps.
 
     A sweep samples the first of its densities and keeps the draws under its own name.
     """
@@ -80,29 +73,12 @@ class ChainsParameters(SweptParameters, RunSettings, TargetSettings):
     )
 
     @model_validator(mode="after")
-    def _settings_of_what_is_used(self) -> ChainsParameters:
+    def _has_one_name_each(self) -> ChainsParameters:
         if len(set(self.densities)) != len(self.densities):
             raise ValueError("chains.densities names a density twice")
-        for density in self.densities:
-            self.settings_of(DENSITIES[density])
-        return self
-
-    @model_validator(mode="after")
-    def _sweeps_have_own_names(self) -> ChainsParameters:
         if taken := sorted(DENSITIES.keys() & self.sweep):
             raise ValueError(f"chains.sweep: '{taken[0]}' is the name of a density")
         return self
-
-    def settings_of(self, kind: Density[Any]) -> Settings:
-        """Return the settings of a density out of this section.
-
-        Raises:
-            ValueError: They do not go together.
-        """
-        try:
-            return self.part(kind.settings)
-        except ValidationError as error:
-            raise ValueError(f"chains: {first_problem(error)}") from None
 
     def named(self) -> dict[str, ChainsParameters]:
         """Return the settings of all chains by the name that draws are kept under, each with one density."""
@@ -121,7 +97,7 @@ class SegmentParameters(Parameters):
     segment: int
     run: RunSettings
     target: TargetSettings
-    density_settings: SerializeAsAny[Settings]
+    annotations: AnnotationSettings | None
     proposal: str
 
 

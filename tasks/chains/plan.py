@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.densities import DENSITIES
+from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from storage_schema import Manifest
@@ -15,7 +16,7 @@ from tasks.draw_sets import GROWN
 from tasks.facts import SeedFacts
 from tasks.stage import Shard, StageInputs, StageName
 
-CHAINS = StageName("chains", 14)
+CHAINS = StageName("chains", 15)
 
 Inputs = dict[str, Sequence[Manifest]]
 
@@ -88,7 +89,7 @@ def _plan_seed(
                     segment=segment,
                     run=own.part(RunSettings),
                     target=own.part(TargetSettings),
-                    density_settings=own.settings_of(density),
+                    annotations=own.part(AnnotationSettings) if density.reads_annotations else None,
                     proposal=proposal.name,
                 ),
                 read,

@@ -20,15 +20,15 @@ from pasdedeux.sampling.chain import (
     run_segment,
 )
 from pasdedeux.sampling.densities import DENSITIES
+from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import Evaluation, Likelihood, PairDensity
 from pasdedeux.sampling.diagnostics import FIGURES, diagnose
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.sampling.proposals.proposal import Proposal, ProposalInputs
-from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.sampling.speeds import Speeds, annotation_speeds
 from pasdedeux.sampling.warm_up import disperse, warm_up
-from pasdedeux.settings import Settings
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
@@ -115,7 +115,7 @@ def _nearest(problem: ChainProblem, parameters: np.ndarray) -> dict[str, Any]:
     places: list[Place | None] = [None] * count
     views, distances = np.full((count, 3), np.nan), np.full(count, np.nan)
     for draw, own in enumerate(parameters if len(likelihood.directions) else ()):
-        found = likelihood.nearest(problem.chart.positions_fast(own))
+        found = likelihood.nearest(problem.chart.positions(own))
         view = int(np.argmin(found.dissimilarity_m))
         places[draw] = problem.evidence.places[int(found.entry[view])]
         views[draw], distances[draw] = likelihood.directions[view], found.dissimilarity_m[view]
@@ -153,7 +153,7 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
             shard.refs("annotations"),
             shard.refs("views"),
             options.density,
-            options.density_settings,
+            options.annotations,
             shard.seed,
             options.seed_index,
             needs_speeds=kind.reads_annotations,
@@ -180,7 +180,6 @@ class Evidence:
     num_annotations: int = 0
     view_spread_rad: float = np.pi
     num_skipped: int = 0
-    num_swapped: int = 0
 
     def note(self) -> str:
         """Say what is unusual about the annotations; nothing when all is well."""
@@ -199,8 +198,6 @@ class Evidence:
         if self.num_skipped:
             total = self.num_annotations + self.num_skipped
             notes.append(f"{self.num_skipped} of {total} annotations show too little or have no view, and were skipped")
-        if self.num_swapped:
-            notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")
         return "; ".join(notes)
 
 
@@ -210,7 +207,7 @@ def _evidence(
     annotations: Refs,
     views: Refs,
     density: str,
-    settings: Settings,
+    settings: AnnotationSettings | None,
     study_seed: int,
     seed_index: int,
     *,
@@ -222,22 +219,16 @@ def _evidence(
     """
     rng = stream(study_seed, "chains", "views", seed_index)
     if not DENSITIES[density].reads_annotations:
-        return Evidence(DENSITIES[density].init(settings, rng, None))
+        return Evidence(DENSITIES[density].init(None, rng, None))
     placed = _gathered(store, annotations, views)
     pairs = placed.gathered.pairs
-    speeds, num_swapped = None, 0
-    if needs_speeds:
-        tracks, was_swapped = undo_swaps(gather_tracks(placed))
-        speeds = annotation_speeds(tracks)
-        num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
     return Evidence(
         likelihood=DENSITIES[density].init(settings, rng, placed.gathered),
         places=tuple(placed.places[one] for one in pairs.annotation_index),
-        speeds=speeds,
+        speeds=annotation_speeds(gather_tracks(placed)) if needs_speeds else None,
         num_annotations=len(np.unique(pairs.annotation_index)),
         view_spread_rad=placed.gathered.view_spread_rad,
         num_skipped=placed.gathered.num_skipped,
-        num_swapped=num_swapped,
     )
 
 

@@ -78,16 +78,17 @@ class FoundAnnotations:
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
         beside = "" if self.video is None else f" ({self.video.name})"
         if stated.rate_hz is None and frames.rate_hz is None:
-            words[-1] += " assumed (--rate, rate_hz)"
+            words[-1] += " assumed (rate_hz)"
         elif stated.rate_hz is None:
             words[-1] += beside if frames.rate_hz == stated.video_rate_hz else " (the file)"
         sizes = sorted(set(frames.image_size_px.values()))
-        words.append(" and ".join(f"{width} x {height}" for width, height in sizes) or "image size unknown (--size)")
+        known = " and ".join(f"{width} x {height}" for width, height in sizes)
+        words.append(known or "image size unknown (image_size_px)")
         if sizes and stated.image_size_px is None:
             words[-1] += beside if sizes == [stated.video_size_px] else " (the file)"
         focals = sorted(set(frames.focal_px.values()))
         lens = " and ".join(f"{focal:.0f} px" for focal in focals)
-        words.append(f"focal length {lens}" if lens else "lens of a phone assumed (--focal, --fov)")
+        words.append(f"focal length {lens}" if lens else "lens of a phone assumed (focal_px, fov_deg)")
         if frames.skipped:
             words.append(f"{len(frames.skipped)} damaged files skipped ({', '.join(frames.skipped[:3])})")
         return f"{stated.id}: {', '.join(words)}"

@@ -258,21 +258,6 @@ class VirtualCameras(Parameters):
     occlusion: float = Field(0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
 
 
-class DetectorOptions(Parameters):
-    """A simulated detector: worse than the cameras, and without identities."""
-
-    occlusion: float = Field(0.1, ge=0, lt=1, description="Share of the joints missing, each on its own")
-    num_junk_joints: int = Field(
-        3,
-        ge=0,
-        le=19,
-        description="Joints of everybody in every frame that are anywhere in the image, with a confidence below 0.2",
-    )
-    passer_by_share: float = Field(
-        0.25, ge=0, le=1, description="Share of the time in which a third person walks through; 0 for nobody"
-    )
-
-
 class VirtualVideoOptions(VirtualCameras):
     """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
 
@@ -290,10 +275,10 @@ class VirtualVideoOptions(VirtualCameras):
         description="One in so many of the random views is kept out of seeds and chains, and scored by its distance to "
         "the nearest draw; 0: none",
     )
-    detector: DetectorOptions | None = Field(
-        None,
-        description="Each whole video once more as this detector sees it, with people in any order in every frame: "
-        "sequences `<take>.video00.detector`",
+    has_detector: bool = Field(
+        False,
+        description="Each whole video once more as a detector sees it, `<take>.video00.detector`: 10 % of the "
+        "joints missing, 3 of everybody anywhere, people in any order, a third one walking through for a quarter of it",
     )
 
 

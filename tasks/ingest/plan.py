@@ -14,7 +14,6 @@ from pasdedeux.interaction.objects import read_objects
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import (
-    DetectorOptions,
     DuetOptions,
     IngestParameters,
     PairOptions,
@@ -276,13 +275,12 @@ def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, tak
     num_people = num_people_of(planned.duet.name) if isinstance(planned, DuetParameters) else len(planned.persons)
     is_pair = num_people == 2
     num_random_views = options.num_random_views if is_pair and not planned.is_held_out else 0
-    wanted: list[tuple[Purpose, int, DetectorOptions | None]] = [
-        ("video", options.num_videos, None),
-        ("random_views", num_random_views, None),
+    wanted: list[tuple[str, Purpose, int]] = [
+        ("video", "video", options.num_videos),
+        ("random_views", "random_views", num_random_views),
+        ("detector", "video", options.num_videos if options.has_detector else 0),
     ]
-    if options.detector:
-        wanted.append(("video", options.num_videos, options.detector))
-    for purpose, count, detector in wanted:
+    for name, purpose, count in wanted:
         if count:
             video = VideoParameters(
                 purpose=purpose,
@@ -291,8 +289,7 @@ def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, tak
                 is_held_out=planned.is_held_out,
                 rate_hz=parameters.rate_hz,
                 leave_one_out_every=options.leave_one_out_every if purpose == "random_views" else 0,
-                detector=detector,
+                detector=True if name == "detector" else None,
                 **cameras,
             )
-            name = "detector" if detector else purpose
             yield INGEST.shard(inputs, planned.take_id, name, video, after=(take.key,))

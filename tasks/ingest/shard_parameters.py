@@ -8,7 +8,6 @@ from storage_schema import SourceCredit
 from tasks.ingest.parameters import (
     AnnotationCommon,
     CaptureOptions,
-    DetectorOptions,
     DuetOptions,
     Mappings,
     UpAxis,
@@ -85,7 +84,7 @@ class VideoParameters(VirtualCameras):
     is_held_out: bool
     rate_hz: float
     leave_one_out_every: int = 0
-    detector: DetectorOptions | None = None
+    detector: Literal[True] | None = None
 
 
 class AnnotationParameters(AnnotationCommon):

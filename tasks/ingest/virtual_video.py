@@ -25,7 +25,6 @@ from pasdedeux.skeletons.layouts.keypoints import Keypoints
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
-from tasks.ingest.parameters import DetectorOptions
 from tasks.ingest.shard_parameters import VideoParameters
 from tasks.stage import Shard, commit, followed, join_columns, stream
 from tasks.takes import read_motion
@@ -54,10 +53,17 @@ _LAYOUT = KeypointLayout(
 
 Columns = dict[str, Any]
 
+_MISSED = 0.1
+"""Share of the joints that a detector misses, each on its own."""
+_NUM_JUNK_JOINTS = 3
+"""Joints of everybody in every frame that it puts anywhere in the image, with a confidence below 0.2."""
+_PASSER_BY_SHARE = 0.25
+"""Share of the time in which a third person walks through."""
+
 
 def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -> ArtifactRef:
     """See a take through virtual cameras: whole, or pairs from random views with two frames on either side."""
-    take_id, count, detector = parameters.take_id, parameters.count, parameters.detector
+    take_id, count = parameters.take_id, parameters.count
     (manifest,) = followed(shard, store)
     take = TakeFacts.of(manifest)
     if "poses" not in manifest.tables:
@@ -95,11 +101,11 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         )
         exact = _see(view, pair17[frames], op14[frames])
         shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))
-        occlusion = detector.occlusion if detector else parameters.occlusion
+        occlusion = _MISSED if parameters.detector else parameters.occlusion
         seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
-        if detector:
+        if parameters.detector:
             sequence_id += ".detector"
-            found = _detect(sequence_id, parameters, detector, view, seen, pair17[frames], op14[frames], faults)
+            found = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
             sequence, facts = _detected(sequence_id, *found)
             detected.append(facts)
         else:
@@ -160,7 +166,6 @@ def _see(view: VirtualView, pair17: np.ndarray, op14: np.ndarray) -> np.ndarray:
 def _detect(
     sequence_id: str,
     parameters: VideoParameters,
-    detector: DetectorOptions,
     view: VirtualView,
     seen: Annotated,
     pair17: np.ndarray,
@@ -172,7 +177,7 @@ def _detect(
     A passer-by is one more person than the take has.  People are listed in random order in every frame.
     """
     px, confidence = seen.px, seen.confidence
-    count = round(detector.passer_by_share * len(pair17))
+    count = round(_PASSER_BY_SHARE * len(pair17))
     if count:
         start = (len(pair17) - count) // 2
         there = slice(start, start + count)
@@ -182,11 +187,11 @@ def _detect(
             rng, joined, centre, towards_camera=view.camera.position_m - centre, rate_hz=parameters.rate_hz
         )
         exact = _see(view, moved[:, : PAIR17.num_joints], moved[:, PAIR17.num_joints :])
-        extra = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=detector.occlusion)
+        extra = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=_MISSED)
         px = np.concatenate([px, np.full((len(px), 1, *px.shape[2:]), np.nan)], axis=1)
         confidence = np.concatenate([confidence, np.zeros((len(px), 1, px.shape[2]))], axis=1)
         px[there, -1], confidence[there, -1] = extra.px, extra.confidence
-    seen = add_junk(rng, Annotated(px, confidence), detector.num_junk_joints, view.camera.image_size_px)
+    seen = add_junk(rng, Annotated(px, confidence), _NUM_JUNK_JOINTS, view.camera.image_size_px)
     order = np.argsort(rng.random(seen.confidence.shape[:2]), axis=1)
     frame = np.repeat(np.arange(len(order)), order.shape[1])
     is_there = np.array([(one > 0).any() for one in seen.confidence[frame, order.reshape(-1)]], dtype=bool)

@@ -47,7 +47,7 @@ class SeedsParameters(PriorSettings, Parameters):
         description="Annotations lifted from the seeds by frontier growth; 0: no growth; when not given "
         f"{GROWN_OF_2D_ALONE} where the seeds are lifted from 2D alone, else none",
     )
-    num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, drawn from all, from which chains start too")
+    num_starts: int = Field(0, ge=0, le=10_000, description="Grown pairs, drawn from all, from which chains start too")
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:

@@ -26,7 +26,7 @@ from tasks.stage import Shard, StageInputs, shares_takes
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
-    """Plan a shard per seed from takes that are not held out or from files, one for lifted and one for grown seeds.
+    """Plan a shard per seed from takes that are not held out or from files, one for lifted seeds, one for grown pairs.
 
     Where there is none of the former, seeds are lifted from 2D alone, unless the study says how many.
 

@@ -69,7 +69,6 @@ scales = [0.75, 0.95, 1.05, 1.25]
 
 [projections]
 pitches_deg = [0.0, 20.0]
-heights_m = []
 num_clusters = 8
 
 [evaluation]

@@ -72,7 +72,7 @@ def build_store(folder: Path) -> Store:
         "kind": "projections",
         "takes": ["walk"],
         "rate_hz": 24.0,
-        "views": ProjectionsParameters().views.model_dump(mode="json"),
+        "pitches_deg": ProjectionsParameters().pitches_deg,
     }
     put(built, "projections", "walk", tables, facts)
     return built

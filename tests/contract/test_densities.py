@@ -11,6 +11,7 @@ from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.densities import DENSITIES
+from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import Likelihood, PairDensity, TargetSettings
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
@@ -28,9 +29,8 @@ def annotations() -> GatheredPairs:
 
 def likelihood_of(name: str) -> Likelihood:
     density = DENSITIES[name]
-    quick = {"num_views": 4, "sigma_l": 0.05, "num_candidates": 60}
-    settings = density.settings(**{key: value for key, value in quick.items() if key in density.settings.model_fields})
-    return density.init(settings, np.random.default_rng(3), annotations() if density.reads_annotations else None)
+    settings = AnnotationSettings(num_views=4, sigma_l=0.05, num_candidates=60)
+    return density.init(settings, np.random.default_rng(3), annotations())
 
 
 def target_of(likelihood: Likelihood, settings: TargetSettings) -> PairDensity:
@@ -86,18 +86,8 @@ def test_the_benchmark_times_what_a_study_samples_that_sets_nothing(monkeypatch:
     monkeypatch.setattr("pasdedeux.benchmarks.chains._problem", lambda: (KNOWN, given.pairs, None))
     timed, _, likelihood = default_target(gauge_fix(KNOWN[0]), max_invalid_angles=PriorSettings().max_invalid_angles)
     section = ChainsParameters()
-    (density,) = (DENSITIES[name] for name in section.densities if DENSITIES[name].reads_annotations)
-    settings = section.part(density.settings)
     sampled = target_of(likelihood, section.part(TargetSettings))
     seed = timed.chart.seed_parameters()
     assert timed(seed) == sampled(seed)
     assert (timed.log_floor, timed.log_ceiling) == (sampled.log_floor, sampled.log_ceiling)
-    assert (likelihood.sigma_l, len(likelihood.directions)) == (given.leave_one_out.sigma_l, settings.num_views)
-
-
-def test_the_section_has_the_settings_of_every_kind_with_one_meaning_each() -> None:
-    section = ChainsParameters.model_fields
-    for kind in DENSITIES.values():
-        for name, field in kind.settings.model_fields.items():
-            assert (section[name].default, section[name].description) == (field.default, field.description)
-            assert field.description
+    assert (likelihood.sigma_l, len(likelihood.directions)) == (given.leave_one_out.sigma_l, section.num_views)

@@ -125,18 +125,11 @@ def test_virtual_video_shows_the_pose_through_its_stored_camera_unmirrored(
                 assert seen[f"{column}_px"][row][head, 1] < seen[f"{column}_px"][row][ankle, 1]
 
 
-@pytest.mark.parametrize("seen_by", ["video", "detector"])
-def test_the_two_skeletons_share_the_noise_of_their_common_joints(
-    tmp_path: Path, pair: tuple[Path, Path], seen_by: str
-) -> None:
+def test_the_two_skeletons_share_the_noise_of_their_common_joints(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     store = Store(tmp_path / "store")
-    more: dict[str, Any] = {"occlusion": 0.2}
-    if seen_by == "detector":
-        more = {"detector": {"occlusion": 0.2, "num_junk_joints": 0, "passer_by_share": 0.0}}
-    shards = planned(
-        takes=[{"id": "d", "files": list(pair)}], virtual_video={"num_random_views": 0, "noise_px": 5.0, **more}
-    )
-    seen = store.read(run(store, shards)["d", seen_by].ref, "annotations")
+    video = {"num_random_views": 0, "noise_px": 5.0, "occlusion": 0.2}
+    shards = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video=video)
+    seen = store.read(run(store, shards)["d", "video"].ref, "annotations")
     for name in ("left_wrist", "right_knee"):
         np.testing.assert_array_equal(seen["pair17_px"][:, PAIR17.index(name)], seen["op14_px"][:, OP14.index(name)])
     is_missing = np.isnan(seen["pair17_px"]).any(axis=-1)

@@ -16,7 +16,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import check_anatomy
 from pasdedeux.formats.file_format import FileFormat, FileStart
 from pasdedeux.formats.npz import read_npz
-from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, find_format, is_companion, recognise_format
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, find_format, recognise_format
 from pasdedeux.formats.target_body import read_body
 from pasdedeux.interaction.objects import read_objects
 from tasks.ingest import IngestParameters
@@ -50,7 +50,6 @@ def test_a_format_is_known_from_every_other_by_its_content(name: str) -> None:
     start = FileStart(GOOD[name])
     assert [other for other, kind in FORMATS.items() if kind.recognises(start)] == [name]
     assert recognise_format(GOOD[name]) is FORMATS[name]
-    assert not is_companion(GOOD[name])
 
 
 def test_a_file_of_no_format_is_told_what_formats_are_recognised_by() -> None:

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
-from tasks import lifting
+from tasks import chains, lifting
+from tasks.chains import ChainsParameters
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs, verdict_of
-from tests.builders.sampling_store import inputs, run, with_seeds
+from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 from tests.builders.storage_rows import put, take_rows
 
 __all__ = ["inputs"]  # the fixture
@@ -141,6 +143,23 @@ def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest
     np.testing.assert_array_equal(np.isfinite(expected), answers)
     assert (low[answers] < expected[answers]).all()
     assert (expected[answers] < high[answers]).all()
+
+
+def test_the_nearest_draw_of_each_set_that_is_compared_stands_beside_that_of_all(grown: Any) -> None:
+    store, given = grown
+    options = {**QUICK, "num_chains": 1, "densities": ("ic", "cartesian"), "starts": "seeds"}
+    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
+    known = StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
+    table = store.read(
+        lift(store, known, max_frames=2, compared=("ic", "grown_seeds"))["one-views"].ref, "lifted_pairs"
+    )
+    method, far = np.asarray(table["method"]), np.asarray(table["residual_m"])
+    assert {one for one in method if one.startswith("nearest_of_")} == {"nearest_of_ic", "nearest_of_grown_seeds"}
+    # Chains of a few steps stay at their seed; the annotations that are lifted were grown over.
+    assert (far[method == "nearest_of_ic"] > far[method == "nearest_of_grown_seeds"]).all()
+    np.testing.assert_allclose(far[method == "nearest_of_grown_seeds"], far[method == "nearest"])
+    with pytest.raises(InputError, match="no draws 'shape_context'; there are: cartesian, grown_seeds, ic"):
+        lift(store, known, compared=("ic", "shape_context"))
 
 
 def test_baselines_without_draws_stand_beside(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:

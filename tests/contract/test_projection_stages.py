@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.projections.camera import DatabaseCamera, pitch_of_height
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
@@ -88,9 +88,7 @@ def build(
     store: Store, takes: list[Manifest], *, settings: dict[str, Any] | None = None, **tables: list[Manifest]
 ) -> list[Manifest]:
     inputs = StageInputs({"poses": takes, **tables}, seed=0)
-    parameters = projections.ProjectionsParameters(
-        include_draws="draws" in tables, include_variants="variants" in tables, **(settings or {})
-    )
+    parameters = projections.ProjectionsParameters(include_draws="draws" in tables, **(settings or {}))
     return [store.manifest(projections.run_shard(shard, store)) for shard in projections.plan(inputs, parameters)]
 
 
@@ -121,7 +119,7 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
     assert [credit.name for credit in source_credits(store, built[0].ref)] == ["made up"]
 
 
-def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
+def test_draws_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
     rng = np.random.default_rng(0)
     drawn_pairs = rng.normal(size=(2, 2, 17, 3))
     draws = [
@@ -150,24 +148,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
         )
         for density in ("prior_only", "ic")
     ]
-    variants = put(
-        store,
-        "augmentation",
-        "variants",
-        {
-            "variants": {
-                "take_id": ["a"] * 16,
-                "variant_id": ["x"] * 8 + ["y"] * 8,
-                "frame": np.tile(np.repeat(np.arange(4), 2), 2),
-                "person": [0, 1] * 8,
-                "time_s": np.tile(np.repeat(np.arange(4) / 48.0, 2), 2),
-                "body22_m": rng.normal(size=(16, 22, 3)),
-                "body22_unitquat": np.zeros((16, 22, 4)),
-            }
-        },
-        {"take_id": "a", "takes": ["a"], "num_persons": 2, "num_frames": 4, "rate_hz": 48.0},
-    )
-    take, drawn, varied = build(store, [put_take(store, "a")], draws=draws, variants=[variants])
+    take, drawn = build(store, [put_take(store, "a")], draws=draws)
     assert take.facts["takes"] == ["a"]
     assert drawn.facts["takes"] == ["a", "c"]
     table = store.read(drawn.ref, "projections")
@@ -176,14 +157,11 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     assert table["frame"].tolist() == [0, 1, 0, 1]
     assert table["is_sequence_start"].all()
     assert list(table["take_id"]) == ["a", "", "a", ""]
-    table = store.read(varied.ref, "projections")
-    assert table["frame"].tolist() == [0, 1] * 4
-    assert table["is_sequence_start"].tolist() == [True, False] * 4
-    assert table["partner_row"].tolist() == [2, 3, 0, 1, 6, 7, 4, 5]
-    refs = [take.ref, drawn.ref, varied.ref]
+    assert table["partner_row"].tolist() == [2, 3, 0, 1]
+    refs = [take.ref, drawn.ref]
     pairs = projections.read_pairs(store, refs)
-    assert pairs.shape == (72 + 2 + 4, 2, 14, 3)
-    assert len(projections.read_pairs(store, refs, max_pairs=30)) == 24 + 1 + 2  # every third
+    assert pairs.shape == (72 + 2, 2, 14, 3)
+    assert len(projections.read_pairs(store, refs, max_pairs=30)) == 24 + 1  # every third
     # The people of a draw stand to each other as they were drawn: retargeting keeps the mid-hips.
     across = np.diff(mid_hip(pairs[72:74]), axis=1)[:, 0]
     truth = np.diff(mid_hip(op14_from_working(drawn_pairs, PAIR17)), axis=1)[:, 0]
@@ -282,61 +260,40 @@ def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kep
     assert "no projection database" in store.manifest(ref).facts["skipped"][0]
 
 
-def test_yaw_steps_and_cameras_reach_the_database_and_who_reads_it(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+def test_cameras_reach_the_database_and_who_reads_it(
+    store: Store,
 ) -> None:
-    monkeypatch.setattr(projections, "NUM_YAWS", 15)
-    settings = {"camera": "pinhole", "pitches_deg": (8.5,), "heights_m": (), "distance_m": 4.0}
+    settings = {"pitches_deg": (8.5,)}
     built = build(store, [put_take(store, name) for name in "ab"], settings=settings)
-    views = projections.read_views(built)
-    assert views.num_yaws == 15
-    assert views.cameras == (DatabaseCamera(np.deg2rad(8.5), 4.0),)
-    assert views.level_camera == DatabaseCamera(0.0, 4.0)
+    assert projections.read_cameras(built) == (DatabaseCamera(np.deg2rad(8.5)),)
     video, truth = put_video(store, "film", ["held"])
     (ref,) = reconstruct(store, [video], built, methods=("nearest", "fit"))
     facts, table = store.manifest(ref).facts, store.read(ref, "motions")
-    assert facts["camera"] == "pinhole"
     assert facts["pitch_deg"] == pytest.approx(8.5)
-    assert facts["num_projections"] == 15 * 4 * 72
+    assert facts["num_projections"] == 30 * 4 * 72
     chosen = (np.array(table["method"]) == "fit") & (np.asarray(table["person_id"]) == 0)
     assert root_centred_error_m(np.asarray(table["op14_m"], dtype=float)[chosen], truth[0]).mean() < 0.12
-    heights = [reconstruct(store, [video], built, methods=("nearest",), camera_height_m=h)[0] for h in (1.2, 1.8)]
-    scales = [np.asarray(store.read(one, "motions")["metres_per_pixel"]) for one in heights]
-    np.testing.assert_allclose(scales[1] / scales[0], 1.5)
 
 
-def test_the_default_database_has_steps_of_12_degrees_and_a_camera_at_1_5_metres() -> None:
-    views = projections.ProjectionsParameters().views
-    assert views.num_yaws == 30
-    assert pitch_of_height(1.5, 4.0) in [camera.pitch_rad for camera in views.cameras]
+@pytest.mark.parametrize("pitches_deg", [(), (90.0,)])
+def test_views_that_cannot_be_are_refused_with_the_study(pitches_deg: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="pitches_deg"):
+        projections.ProjectionsParameters(pitches_deg=pitches_deg)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"pitches_deg": (), "heights_m": ()}, "needs a camera"),
-        ({"heights_m": (6.0,)}, "no camera stands 6.0 m"),
-    ],
-)
-def test_views_that_cannot_be_are_refused_with_the_study(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        projections.ProjectionsParameters(**settings)
-
-
-def test_parts_of_other_views_or_of_none_make_no_database(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_of_other_views_or_of_none_make_no_database(store: Store) -> None:
     built = build(store, [put_take(store, "a")])
-    monkeypatch.setattr(projections, "NUM_YAWS", 36)
-    other = build(store, [put_take(store, "b")])
-    with pytest.raises(InputError, match="differ in yaw steps or camera"):
-        projections.read_views([*built, *other])
+    other = build(store, [put_take(store, "b")], settings={"pitches_deg": (1.0,)})
+    with pytest.raises(InputError, match="differ in their cameras"):
+        projections.read_database(store, [one.ref for one in (*built, *other)])
     with pytest.raises(InputError, match="run its study again"):
-        projections.read_views([put_take(store, "c")])
+        projections.read_cameras([put_take(store, "c")])
 
 
 def test_clusters_come_where_a_study_asks_for_them_and_the_published_method_needs_them(store: Store) -> None:
     takes, (video, truth) = [put_take(store, name) for name in "ba"], put_video(store, "film", ["held"])
-    *parts, clusters = build(store, takes, settings={"num_clusters": 20, "pitches_deg": (0.0,), "heights_m": ()})
-    assert [part.ref for part in build(store, takes, settings={"pitches_deg": (0.0,), "heights_m": ()})] == [
+    *parts, clusters = build(store, takes, settings={"num_clusters": 20, "pitches_deg": (0.0,)})
+    assert [part.ref for part in build(store, takes, settings={"pitches_deg": (0.0,)})] == [
         part.ref for part in parts
     ], "a database is the same with clusters and without"
     assert clusters.facts["takes"] == ["a", "b"]

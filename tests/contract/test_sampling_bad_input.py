@@ -80,17 +80,6 @@ def test_without_any_annotation_of_two_people_the_reason_is_given(tmp_path: Path
         sampled(tmp_path, spoil)
 
 
-def test_people_numbered_anew_from_frame_to_frame_are_put_back_for_speeds(tmp_path: Path) -> None:
-    def swap(pixels: np.ndarray) -> None:
-        pixels[10:17, 0] = pixels[10:17, 0, ::-1].copy()
-
-    store, right = sampled(tmp_path / "right", lambda _: None)
-    other, swapped = sampled(tmp_path / "swapped", swap)
-    assert "round 7 annotations people were numbered anew" in note_of(other, swapped)
-    draws = [store_.read(made[0].ref, "draws")["parameters"] for store_, made in ((store, right), (other, swapped))]
-    np.testing.assert_array_equal(*draws)
-
-
 def test_identical_frames_have_no_speed_and_change_nothing_else(tmp_path: Path) -> None:
     """All annotations the same, and nothing moves: the velocity-biased proposal is the unbiased one."""
 

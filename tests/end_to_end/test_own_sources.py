@@ -51,7 +51,6 @@ scales = [0.9, 0.95, 1.05, 1.2]
 
 [projections]
 pitches_deg = [0.0, 10.0]
-heights_m = []
 
 [evaluation]
 num_truth_pairs = 8

@@ -49,7 +49,6 @@ scales = [0.85, 0.95, 1.05, 1.15]
 
 [projections]
 pitches_deg = [0.0, 10.0, 20.0]
-heights_m = []
 
 [lifting]
 max_frames = 4

@@ -219,16 +219,6 @@ def test_coverage_falls_with_draws_and_is_zero_on_the_truth_itself() -> None:
     assert curve.cartesian_m[-1] == pytest.approx(0.0, abs=1e-7)
 
 
-def test_coverage_does_not_depend_on_the_batches() -> None:
-    rng = np.random.default_rng(7)
-    truth, draws = random_pairs(rng, 3), random_pairs(rng, 12)
-    whole, parts = Coverage(truth), Coverage(truth)
-    whole.add(draws)
-    for draw in draws:
-        parts.add(draw[None])
-    np.testing.assert_array_equal(whole.interaction_m, parts.interaction_m)
-
-
 def test_coverage_refuses_nothing_and_nan() -> None:
     pairs = random_pairs(np.random.default_rng(0), 2)
     with pytest.raises(InputError, match="at least one real pair"):
@@ -241,13 +231,6 @@ def test_coverage_refuses_nothing_and_nan() -> None:
         Coverage(pairs).add(broken)
 
 
-def test_an_empty_table_gives_infinite_minima() -> None:
-    pairs = random_pairs(np.random.default_rng(0), 2)
-    coverage = Coverage(pairs)
-    coverage.add(pairs[:0])
-    assert np.isinf([coverage.interaction_m, coverage.cartesian_m]).all()
-
-
 @given(seed=st.integers(0, 2**32 - 1), num_joints=st.integers(3, 12))
 @settings(max_examples=25, deadline=None)
 def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints: int) -> None:
@@ -256,7 +239,7 @@ def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints:
     truth, others = rng.normal(size=(4, 2, num_joints, 3)), rng.normal(size=(9, 2, num_joints, 3))
     others[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))
     coverage = Coverage(truth)
-    coverage.add(others[:5])
-    coverage.add(others[5:])
+    for part in (others[:0], others[:5], others[5:]):
+        coverage.add(part)
     distances = interaction_distances(truth, others)
     np.testing.assert_allclose(coverage.interaction_m, distances.min(axis=1), rtol=0, atol=1e-12)

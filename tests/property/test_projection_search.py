@@ -15,7 +15,7 @@ from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from tests.builders.walkers import random_poses, walk
 
-CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35), DatabaseCamera(distance_m=3.0)]
+CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35)]
 
 
 def make_database(seed: int, camera: DatabaseCamera, num_yaws: int, num_frames: int) -> Database:

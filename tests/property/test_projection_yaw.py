@@ -13,7 +13,7 @@ from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.yaw import refine_yaws
 from tests.builders.walkers import random_poses, walk
 
-CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35), DatabaseCamera(distance_m=3.0)]
+CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35)]
 
 
 def make_database(seed: int, camera: DatabaseCamera) -> Database:

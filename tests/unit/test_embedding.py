@@ -1,4 +1,4 @@
-"""The map of pairs, and coverage in three measures beside its definitions."""
+"""The map of pairs, and coverage by sets of draws, of selected pairs and of real frames."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.interaction.coverage import coverage_curve
-from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
-from pasdedeux.interaction.nearest import interaction_distances
 from tasks.evaluation.coverage import (
     coverage_figure,
     coverage_scores,
@@ -18,19 +16,12 @@ from tasks.evaluation.coverage import (
     nearest_by_method,
     real_frame_levels,
     realism_scores,
+    set_scores,
+    set_table,
 )
-from tests.builders.oracles_interaction import pair_shape_dissimilarity
+from tasks.selection import SelectedPairs
 
 PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
-
-
-def test_distances_are_the_interaction_dissimilarity() -> None:
-    found = interaction_distances(PAIRS[:3], PAIRS[3:7])
-    plain = [
-        [interaction_dissimilarity(one.reshape(-1, 3), other.reshape(-1, 3)) for other in PAIRS[3:7]]
-        for one in PAIRS[:3]
-    ]
-    np.testing.assert_allclose(found, plain, atol=1e-9)
 
 
 def test_a_real_pair_is_placed_where_it_already_lies() -> None:
@@ -44,12 +35,6 @@ def test_a_map_of_equal_pairs_is_refused() -> None:
         PairMap.of(np.repeat(PAIRS[:1], 5, axis=0))
 
 
-def test_shape_coverage_of_a_curve_is_the_least_dissimilarity() -> None:
-    curve = coverage_curve(PAIRS[:5], PAIRS[5:], [1, 8])
-    plain = pair_shape_dissimilarity(PAIRS[:5, None], PAIRS[None, 5:13])
-    np.testing.assert_allclose(curve.shape, [plain[:, 0].mean(), plain.min(axis=1).mean()], atol=1e-9)
-
-
 def test_draws_and_grown_seeds_together_cover_as_one_set() -> None:
     curves = {"ic": coverage_curve(PAIRS[:5], PAIRS[5:12], [7]), "grown": coverage_curve(PAIRS[:5], PAIRS[12:20], [8])}
     levels = real_frame_levels(PAIRS[:5], PAIRS[5:], np.random.default_rng(0))
@@ -58,6 +43,20 @@ def test_draws_and_grown_seeds_together_cover_as_one_set() -> None:
     (both,) = [one for one in scores if (one.method, one.metric) == ("ic_and_grown", "coverage_D_C")]
     assert (both.value, both.count) == (pytest.approx(together), 5)
     assert list(nearest_by_method({"ic": curves["ic"]}, "grown")) == ["ic"]
+
+
+def test_selected_pairs_random_ones_and_real_frames_are_compared_in_sets_of_one_size() -> None:
+    selected = SelectedPairs({"rank": range(12), "pair17_m": list(PAIRS[12:])}, (), 0, 0, 0, 0.0, 0.02)
+    levels = real_frame_levels(PAIRS[:5], PAIRS[5:], np.random.default_rng(0))
+    pool = {"ic": PAIRS[5:10], "grown_seeds": PAIRS[10:]}
+    scores, _ = set_scores(PAIRS[:5], selected, pool, levels, np.random.default_rng(0), split="held_out")
+    found = {(score.method, score.at): score.value for score in scores}
+    assert found["selected_pairs", 10.0] == coverage_curve(PAIRS[:5], PAIRS[12:22], [10]).cartesian_m[0]
+    assert found["real_frames", 10.0] == levels.cartesian_m[2]
+    assert found["random_pairs", 10.0] >= coverage_curve(PAIRS[:5], PAIRS[5:], [19]).cartesian_m[0]
+    (table,) = set_table(scores)
+    assert table.headings[2:] == ("selected pairs", "random pairs", "real frames")
+    assert [row[:2] for row in table.rows] == [("held out", size) for size in ("1", "3", "10")]
 
 
 def test_real_pairs_are_at_no_distance_from_themselves() -> None:

@@ -125,7 +125,7 @@ def shares(layout: str = "coco18", shift: float = 0.0) -> dict[str, bytes]:
 
 def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refused_elsewhere() -> None:
     kind = ANNOTATION_FORMATS["openpose"]
-    with pytest.raises(InputError, match=r"shares of the image.*--size"):
+    with pytest.raises(InputError, match=r"shares of the image.*image_size_px"):
         read_annotations(kind, shares(), source_id="s")
     found = read_annotations(kind, shares(), source_id="s", stated=Footage((400, 320)))
     np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)

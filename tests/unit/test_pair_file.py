@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.errors import FormatError
+from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.pair_file import (
     PairFile,
     PairSource,
@@ -42,6 +42,8 @@ def test_a_joint_stands_on_a_line_of_its_own_under_its_name() -> None:
 def test_bvh_gives_positions_back_to_a_micrometre() -> None:
     for pair in PAIRS:
         np.testing.assert_allclose(pair_from_bvh(*write_pair_bvh(pair)).pair_m, pair, atol=1e-6)
+    with pytest.raises(InputError, match="frame 0: the position of 'pelvis' is not finite"):
+        write_pair_bvh(np.where(np.arange(17)[:, None] == PAIR17.root, np.inf, PAIRS[0]))
 
 
 def test_an_edited_joint_moves_and_the_rest_stays() -> None:

@@ -191,8 +191,6 @@ def test_bad_input_is_named(searcher: Searcher) -> None:
     people.push(2, px[2], np.ones((2, 14)))
     with pytest.raises(InputError, match="frame 1 comes after frame 2"):
         people.push(1, px[1], np.ones((2, 14)))
-    with pytest.raises(InputError, match="rate"):
-        LivePeople(searcher, rate_hz=0.0)
     with pytest.raises(ValidationError, match="lag"):
         LiveOptions(lag=-1)
     with pytest.raises(ValidationError, match="metres_per_pixel"):

@@ -15,7 +15,7 @@ from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, PairChart
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.sampling.proposals.proposal import ProposalInputs
 from pasdedeux.sampling.proposals.velocity import log_normal_ratio
-from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.sampling.speeds import Speeds, annotation_speeds
 from pasdedeux.skeletons import PAIR17
 
 ELBOW, WRIST = PAIR17.indices(("left_elbow", "left_wrist"))
@@ -107,20 +107,6 @@ def test_a_joint_that_is_never_seen_leaves_the_speed_of_the_others() -> None:
     speeds = annotation_speeds(part)
     np.testing.assert_allclose(speeds.shift[0], 0.5 * 0.025**2, rtol=1e-9)
     np.testing.assert_allclose(np.nan_to_num(speeds.turn), 0.0, atol=1e-20)
-
-
-def test_people_swapped_between_frames_are_put_back() -> None:
-    change = np.zeros(STILL.shape)
-    change[0] = [0.01, 0.02]
-    right = np.concatenate([tracks_of(change), tracks_of(-change)])
-    swapped = right.copy()
-    swapped[0, [0, 3]] = swapped[0, [0, 3], ::-1]
-    undone, was_swapped = undo_swaps(swapped)
-    np.testing.assert_array_equal(undone, right)
-    assert was_swapped.tolist() == [True, False]
-    gone = right.copy()
-    gone[:, 1] = np.nan
-    np.testing.assert_array_equal(undo_swaps(gone)[0], gone)
 
 
 def test_an_annotation_that_is_nearest_under_several_views_counts_once() -> None:

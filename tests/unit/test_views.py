@@ -160,7 +160,8 @@ def test_a_joint_without_confidence_does_not_count() -> None:
     missing = px.copy()
     missing[:, :, neck] = np.nan
     one, other = estimate_views(spoiled, BASIS, confidence=confidence), estimate_views(missing, BASIS)
-    np.testing.assert_allclose(one.direction, other.direction, atol=1e-9)
+    # Steps of the fit are accepted by their cost, whose rounding (1e-16) hides differences of its square root.
+    np.testing.assert_allclose(one.direction, other.direction, atol=1e-6)
 
 
 def test_hugging_people_get_contact_hypotheses_when_the_distance_is_unknown() -> None:

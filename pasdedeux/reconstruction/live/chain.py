@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError, check_positive
+from pasdedeux.errors import InputError
 from pasdedeux.people.identity import MAX_ABSENT_S, Follower
 from pasdedeux.reconstruction.live.cleanup import LiveFloor
 from pasdedeux.reconstruction.live.person import PROPORTIONS_EVERY, LiveOptions, LivePerson, LivePose
@@ -34,7 +34,6 @@ class LivePeople:
         image_size_px: tuple[int, int] | None = None,
         options: LiveOptions | None = None,
     ) -> None:
-        check_positive(rate_hz, "live reconstruction: the frame rate")
         self._options = options or LiveOptions()
         self._searcher = searcher
         self._rate_hz = rate_hz

@@ -42,8 +42,7 @@ class AlignedLikelihood(Likelihood):
 
     sigma_l: float
 
-    def __init__(self, settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs | None) -> None:
-        assert annotated is not None
+    def __init__(self, settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs) -> None:
         pairs = annotated.pairs
         self._whole = np.flatnonzero(pairs.is_seen.all(axis=(1, 2)))
         if not len(self._whole):

@@ -9,7 +9,6 @@ from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.sampling.densities.aligned import AlignedLikelihood, align_lanes
-from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import Density
 
 
@@ -27,9 +26,7 @@ class CartesianLikelihood(AlignedLikelihood):
         return best, slot
 
 
-CARTESIAN = Density(
-    "cartesian", "mean joint distance of the images", AnnotationSettings, CartesianLikelihood, reads_annotations=True
-)
+CARTESIAN = Density("cartesian", "mean joint distance of the images", CartesianLikelihood, reads_annotations=True)
 """A density that the published one is compared with: joint by joint."""
 
 

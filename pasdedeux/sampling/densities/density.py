@@ -1,4 +1,4 @@
-"""What a density is: settings, and an `init` that makes a likelihood of them.
+"""What a density is: an `init` that makes a likelihood of settings and annotated pairs.
 
 `PairDensity` is prior times likelihood round one seed (Yin et al. 2018, eq. 1), as it is or truncated (eq. 11): what
 chains sample.
@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Generic, Literal, TypeVar
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +18,8 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
 PRIOR_ONLY = "prior_only"
@@ -137,7 +135,7 @@ class PairDensity:
         self._prior = prior
         self._likelihood = likelihood
         seed = chart.seed_parameters()
-        pair_m = chart.positions_fast(seed)
+        pair_m = chart.positions(seed)
         self._max_apart_m = max(MAX_APART_M, _apart_m(pair_m))
         terms = prior.terms(seed, pair_m)
         log_likelihood = likelihood.log_likelihood(pair_m)
@@ -161,7 +159,7 @@ class PairDensity:
         if log_measure == -np.inf:
             return Evaluation(-np.inf, log_measure=log_measure)
         floor = max(at_least - log_measure, self.log_floor)
-        pair_m = self.chart.positions_fast(parameters)
+        pair_m = self.chart.positions(parameters)
         if _apart_m(pair_m) > self._max_apart_m:
             return Evaluation(-np.inf, log_measure=log_measure)
         log_prior = self._prior.terms(parameters, pair_m).log_prior
@@ -197,26 +195,21 @@ def _why_zero(terms: PriorTerms, prior: PhysicalPrior, log_likelihood: float) ->
     )
 
 
-S = TypeVar("S", bound=Settings)
-
-
 @dataclass(frozen=True)
-class Density(Generic[S]):
+class Density:
     """A density that a study may choose by its name.
 
     Args:
         name: Name in `chains.densities`, and of the draws.
         meaning: A few words for people.
-        settings: Its settings; they stand in the section `chains` beside those of the others.
-        init: Makes its likelihood near one seed from settings, a generator for what is drawn once and then fixed, and
-            the annotated pairs with their views; raises InputError with what is missing.
-        reads_annotations: Whether it needs annotations; without, `init` is given None.
+        init: Makes its likelihood near one seed from `AnnotationSettings`, a generator for what is drawn once and then
+            fixed, and the annotated pairs with their views; raises InputError with what is missing.
+        reads_annotations: Whether it needs annotations; without, `init` is given None for them and their settings.
     """
 
     name: str
     meaning: str
-    settings: type[S]
-    init: Callable[[S, np.random.Generator, GatheredPairs | None], Likelihood]
+    init: Callable[..., Likelihood]
     reads_annotations: bool = False
 
 
@@ -232,4 +225,4 @@ class PriorOnly(Likelihood):
         return 0.0
 
 
-PRIOR_ONLY_DENSITY = Density(PRIOR_ONLY, "the physical prior alone", Settings, lambda *_: PriorOnly())
+PRIOR_ONLY_DENSITY = Density(PRIOR_ONLY, "the physical prior alone", lambda *_: PriorOnly())

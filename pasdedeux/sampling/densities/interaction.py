@@ -139,15 +139,12 @@ class InteractionLikelihood(Likelihood):
         return float(value)
 
 
-def _init(
-    settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs | None
-) -> InteractionLikelihood:
-    assert annotated is not None
+def _init(settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs) -> InteractionLikelihood:
     bank, sigma_l = settings.bank(rng, annotated), settings.bandwidth(annotated)
     return InteractionLikelihood(annotated.pairs, bank, sigma_l=sigma_l, pooling=settings.pooling)
 
 
-INTERACTION = Density("ic", "interaction coordinates", AnnotationSettings, _init, reads_annotations=True)
+INTERACTION = Density("ic", "interaction coordinates", _init, reads_annotations=True)
 """The published density: interaction coordinates of the images (eqs. 6, 8 and 9)."""
 
 

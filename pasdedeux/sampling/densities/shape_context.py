@@ -27,7 +27,7 @@ NUM_RANKED = 32
 class ShapeContextLikelihood(AlignedLikelihood):
     """The mean chi-squared cost of the joints' shape contexts, from 0 to 1."""
 
-    def __init__(self, settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs | None) -> None:
+    def __init__(self, settings: AnnotationSettings, rng: np.random.Generator, annotated: GatheredPairs) -> None:
         super().__init__(settings, rng, annotated)
         num_points = self._points.shape[1]
         self._squares = (self._lanes**2).sum(axis=(1, 2))
@@ -53,9 +53,7 @@ class ShapeContextLikelihood(AlignedLikelihood):
         return best, slot
 
 
-SHAPE_CONTEXT = Density(
-    "shape_context", "shape context of the images", AnnotationSettings, ShapeContextLikelihood, reads_annotations=True
-)
+SHAPE_CONTEXT = Density("shape_context", "shape context of the images", ShapeContextLikelihood, reads_annotations=True)
 """A density that the published one is compared with: by a descriptor of shape."""
 
 

@@ -68,7 +68,7 @@ class VelocityBlocks(GaussianBlocks):
 def _init(inputs: ProposalInputs) -> VelocityBlocks:
     assert inputs.speeds is not None
     return VelocityBlocks(
-        speeds=inputs.speeds, nearest=lambda parameters: inputs.nearest(inputs.chart.positions_fast(parameters))
+        speeds=inputs.speeds, nearest=lambda parameters: inputs.nearest(inputs.chart.positions(parameters))
     )
 
 

@@ -74,8 +74,8 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     people = [source for source in sources if isinstance(source, _Person)]
     videos = [source for source in sources if isinstance(source, _Video)]
     lines = _take_lines(people) if people else []
-    files = [_quoted(_shown(person.path, path.parent)) for person in people]
-    take = {"id": _identifier(people[0].path.stem), "files": files, "lines": lines} if people else None
+    shown = [_quoted(_shown(person.path, path.parent)) for person in people]
+    take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
     text = render(
         "new_study.toml",
         name=_identifier(path.stem),

@@ -75,11 +75,6 @@ def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: b
     return put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts)
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
-
-
 def augment(store: Store, takes: list[Manifest], **parameters: Any) -> list[Manifest]:
     inputs = StageInputs({"poses": takes, "takes": takes}, seed=3)
     shards = augmentation.plan(inputs, AugmentationParameters(**parameters))

@@ -39,14 +39,6 @@ Start = Callable[..., Started]
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """Digests of a run that nothing happened to, computed one shard after the other in this process."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    run_toys(write_study(folder), folder / "store")
-    return digests(folder / "store")
-
-
-@pytest.fixture(scope="module")
 def prefect_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One cold start of Prefect for all tests of this file."""
     return tmp_path_factory.mktemp("prefect")

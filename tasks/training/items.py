@@ -60,7 +60,7 @@ class StoredVariants:
         return [key for key, home in self._homes.items() if key[0] == take_id and not home.is_failed]
 
     def items(self, wanted: Sequence[tuple[str, str]]) -> Iterator[TrainingItem]:
-        """Read variants, named by take and variant, one at a time, artifact by artifact."""
+        """Read variants, named by take and variant, one artifact at a time."""
         by_ref: dict[ArtifactRef, set[str]] = {}
         for take_id, variant_id in wanted:
             by_ref.setdefault(self._homes[take_id, variant_id].ref, set()).add(variant_id)
@@ -69,12 +69,14 @@ class StoredVariants:
             take_id, batch = VariantFacts.of(manifest).take_id, batch_of(manifest)
             offset = 0
             sizes = self._store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
+            # At once: a part of a row group takes as long as all of it, and groups hold several variants.
+            motions = self._store.read(ref, "variants", columns=["body22_m"])["body22_m"]
             for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):
                 rows = slice(offset, offset + 2 * int(frames))
                 offset = rows.stop
                 if str(name) not in names:
                     continue
-                motion = self._store.read(ref, "variants", columns=["body22_m"], rows=rows)["body22_m"]
+                motion = motions[rows]
                 request = VariantRequest(
                     take_id=take_id,
                     source=self.takes[take_id].source,

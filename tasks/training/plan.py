@@ -15,7 +15,7 @@ from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import SegmentParameters, TrainingParameters
 
-TRAINING = StageName("training", 11)
+TRAINING = StageName("training", 12)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:

@@ -106,6 +106,9 @@ def export(
     footage: Annotated[
         Path | None, Option(metavar="FILE", help="Of mp4: the video to draw on; blank frames without.")
     ] = None,
+    body_model: Annotated[
+        Path | None, Option(metavar="FILE", help="Of smpl: the body model that parameters are for.")
+    ] = None,
     store: StoreOption = Path("store"),
 ) -> None:
     """Export what a reference names to files, with units, licence and credits.
@@ -117,6 +120,7 @@ def export(
             draws, seeds, lifted_pairs, in_betweens (a frame each)
       glb   everybody in one scene, skinned and animated, for Blender and viewers: the same tables
       c3d   joints as labelled points, everybody in one file: the same tables; trc: the same for OpenSim
+      smpl  parameters of SMPL, SMPL-H or SMPL-X for your own body model: poses, variants, motions
       mp4   the result drawn on its footage: motions, lifted_pairs, in_betweens
       coco  2D keypoints: annotations
       json  both people with named joints, for editing: seeds, one draw
@@ -129,6 +133,7 @@ def export(
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
     options |= {} if footage is None else {"footage": footage}
+    options |= {} if body_model is None else {"body_model": body_model}
     if select is not None:
         paths, words = export_selection(open_store(store), reference, file_format, out, count=select, **options)
         say([*map(str, paths), words])

@@ -38,6 +38,7 @@ EXPORT_FORMATS = {
     "glb": "flows.exports.glb_scenes",
     "c3d": "flows.exports.c3d_markers",
     "trc": "flows.exports.trc_markers",
+    "smpl": "flows.exports.smpl_parameters",
     "coco": "flows.exports.coco_keypoints",
     "mp4": "flows.exports.overlay_video",
     "json": "flows.exports.json_pairs",

@@ -38,6 +38,7 @@ class Person:
         own: The motion on the source's own skeleton.
         metres_per_unit: Length of one unit of the source's file.
         layout: Name of the layout of its joints.
+        up_axis: Axis that points up in the source's file.
     """
 
     take_id: str
@@ -45,6 +46,7 @@ class Person:
     own: OwnSkeleton
     metres_per_unit: float
     layout: str
+    up_axis: str = "y"
 
 
 def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
@@ -77,7 +79,8 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
         )
         letter = ascii_uppercase[int(take["person"])]
         own = OwnSkeleton(motion, body)
-        people.append(Person(str(take["take_id"]), letter, own, float(take["metres_per_unit"]), str(take["layout"])))
+        unit, layout, up_axis = float(take["metres_per_unit"]), str(take["layout"]), str(take["up_axis"])
+        people.append(Person(str(take["take_id"]), letter, own, unit, layout, up_axis))
     return people
 
 

@@ -16,6 +16,7 @@ from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_npz
+from tests.builders.body_models import amass, body_model
 
 FIGURE_REST_M = {
     "pelvis": (0.0, 0.95, 0.0),
@@ -413,6 +414,7 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
     "positions_npz": (positions_npz(), b""),
     "expi": (expi_tsv(), b""),
     "c3d": (c3d_points(), b""),
+    "smpl": (amass(), body_model()),
 }
 """A good file of every format of motions, and what must lie beside it."""
 

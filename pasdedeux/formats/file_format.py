@@ -26,6 +26,11 @@ class FileStart:
     def __init__(self, data: bytes) -> None:
         self._data = data
 
+    @property
+    def head(self) -> bytes:
+        """The first bytes."""
+        return self._data[:16]
+
     @cached_property
     def array_names(self) -> frozenset[str]:
         """Names of the arrays of an npz archive; none of any other file.  A damaged archive is a FormatError."""

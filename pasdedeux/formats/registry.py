@@ -13,6 +13,7 @@ from pasdedeux.formats.annotation_csv import ANNOTATION_CSV
 from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
 from pasdedeux.formats.asf_amc import ASF_AMC
 from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
+from pasdedeux.formats.c3d import C3D
 from pasdedeux.formats.coco import COCO, IMAGE_RESULTS
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.expi import EXPI
@@ -20,11 +21,12 @@ from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFor
 from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
+from pasdedeux.formats.smpl import SMPL
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
 MOTION_FORMATS: Mapping[str, MotionFormat] = {
-    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI)
+    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, SMPL)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
     one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, ANNOTATION_CSV, ANNOTATION_NPZ)
@@ -43,6 +45,16 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     for one in MOTION_FORMATS.values():
         if one.is_companion(start):
             raise FormatError(f"this is the {one.companion} of files of the format '{one.name}', not a motion itself")
+    if start.head[:1] == b"\x80" and start.head[1:2] <= b"\x05":
+        raise FormatError(
+            "this is a pickle, which may run any program when it is opened and is never opened here; "
+            "docs/body-models.md has the lines that turn one into npz"
+        )
+    if start.head.startswith(b"glTF") or (start.has_key("asset") and start.has_key("meshes", "nodes")):
+        raise FormatError(
+            "this is a glTF scene, which is written here and not read: import it into Blender and export its armature "
+            "as BVH, a file for each person"
+        )
     raise FormatError(
         "this file is none of the known formats: " + "; ".join(f"{one.name} ({one.recognised_by})" for one in known)
     )

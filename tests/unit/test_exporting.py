@@ -74,7 +74,7 @@ def test_people_of_a_video_have_the_same_frames_and_one_floor(tmp_path: Path) ->
         rows_of(np.arange(3, 11), tall, "walk", 0, "fit"), rows_of(np.arange(6, 11), small, "walk", 1, "fit")
     )
     found = exported(tmp_path, columns, {"pitch_deg": 0.0})
-    first, second = found["walk_0_fit"], found["walk_1_fit"]
+    first, second = found["walk_fit_A"], found["walk_fit_B"]
     assert (first.num_frames, second.num_frames) == (8, 8)
     rise = np.mean([tall.body.ankle_height_m, small.body.ankle_height_m])
     for motion, body, at in ((first, tall, 0), (second, small, 3)):
@@ -129,7 +129,7 @@ def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], sc
             "variants": random_columns("variants", 2 * frames * count) | rows,
             "variant_quality": random_columns("variant_quality", count)
             | quality
-            | {"bone_scale": np.full((count, 44), scale)},
+            | {"bone_scale": np.full((count, 44), scale), "verdict": ["pass"] * count},
         },
         facts={},
     )
@@ -231,7 +231,7 @@ def test_people_of_another_export_keep_what_is_said_of_them(
 def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp_path: Path) -> None:
     camera, whole = DatabaseCamera(float(np.deg2rad(30.0))), body_of_walk(3)
     columns = rows_of(np.arange(3), whole.turned(camera.camera_from_upright_rotmat), "walk", 0, "fit")
-    motion = exported(tmp_path, columns, {"pitch_deg": 30.0})["walk_0_fit"]
+    motion = exported(tmp_path, columns, {"pitch_deg": 30.0})["walk_fit_A"]
     at = [motion.skeleton.joint_names.index(HUMANOID_NAMES[joint]) for joint in BODY22.joint_names]
     soles = whole.motion(30.0).world()[0] + [0.0, whole.body.ankle_height_m, 0.0]
     np.testing.assert_allclose(motion.world()[0][:, at], soles, atol=1e-5)

@@ -50,7 +50,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         with nullcontext() if status == "finished" else suppress(StorageError):
             run.store.clear_leftovers()
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in build.outcomes], peak)
-    reporting = [one for one in build.outcomes if "scores" in run.graph.stage(one.name).writes]
+    reporting = [one for one in build.outcomes if one.name in run.graph.reporting]
     report = copy_report(run.store, folder, [ref for one in reporting for ref in one.artifacts])
     return Outcome(folder.run_id, build.outcomes, report, peak)
 
@@ -87,7 +87,7 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     is_known = last is not None and all(
         is_on_record(last, stage.stage.name, stage.manifests) for stage in plan.stages if stage.is_selected
     )
-    has_report = any("scores" in stage.stage.writes and stage.is_selected for stage in plan.stages)
+    has_report = any(stage.stage.name in run.graph.reporting and stage.is_selected for stage in plan.stages)
     report = report_folder(run.store, last.run_id) if last is not None else None
     if last is None or not is_known or (has_report and report is None):
         return execute(run, begin(run, plan), plan, HerePool(str(run.store)))

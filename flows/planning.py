@@ -48,7 +48,7 @@ class Selection:
     Args:
         only: These stages alone.
         start: This stage and everything that follows from it.
-        until: This stage and everything it needs.
+        until: This stage and everything it needs, then the page on that where it needs nothing else (`Graph.only`).
         force: These stages are computed again even when they are fresh.
     """
 
@@ -82,7 +82,8 @@ class Selection:
         if self.start is not None:
             names &= {self.start, *graph.below(self.start)}
         if self.until is not None:
-            names &= {self.until, *graph.above(self.until)}
+            wanted = {self.until, *graph.above(self.until)}
+            names &= wanted | {one for one in graph.reporting if wanted.issuperset(graph.upstream[one])}
         return frozenset(names)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import chain, islice
 
@@ -27,6 +27,7 @@ class Progress:
         running: Shards handed to workers.
         left_s: Seconds to the end where shards take what those of their stage take, or took last time.
         is_all: Whether that is all; else there are stages of which nothing is known.
+        partitions: By stage and partition of what is running, how many of its shards have ended, and how many it has.
     """
 
     num_done: int
@@ -34,6 +35,7 @@ class Progress:
     running: Sequence[Shard]
     left_s: float
     is_all: bool
+    partitions: Mapping[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
 
 
 class Listener:
@@ -77,6 +79,7 @@ class Tally:
         self._by_priority: dict[int, dict[str, Shard]] = {}
         self._priority: dict[str, int] = {}
         self._num_left, self._num_ended = Counter[str](), Counter[str]()
+        self._ended_of, self._all_of = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
         self._took: dict[str, tuple[float, int]] = {}
         self._last_mean_s = cache(partial(_last_mean_s, store, study))
 
@@ -85,12 +88,14 @@ class Tally:
         self._priority[shard.key] = priority
         self._by_priority.setdefault(priority, {})[shard.key] = shard
         self._num_left[shard.stage] += 1
+        self._all_of[shard.stage, shard.partition] += 1
 
     def end(self, ended: ShardDone | ShardFailed) -> None:
         """Count a shard that has ended."""
         shard = ended.shard
         del self._by_priority[self._priority.pop(shard.key)][shard.key]
         self._num_left[shard.stage] -= 1
+        self._ended_of[shard.stage, shard.partition] += 1
         self._num_ended[shard.stage] += isinstance(ended, ShardDone) or not ended.is_behind
         if isinstance(ended, ShardDone):
             seconds, count = self._took.get(shard.stage, (0.0, 0))
@@ -103,12 +108,15 @@ class Tally:
             name, had = plan.stage.name, sum(count for _, count in plan.last_partitions)
             num_left[name] = max(num_left.get(name, 0), had - self._num_ended[name])
         means = {name: self._mean_s(name) for name in num_left}
+        running = self._running(num_workers)
+        named = {(one.stage, one.partition) for one in running}
         return Progress(
             num_done=self._num_ended.total(),
             num_shards=self._num_ended.total() + sum(num_left.values()),
-            running=self._running(num_workers),
+            running=running,
             left_s=sum(count * (means[name] or 0.0) for name, count in num_left.items()) / num_workers,
             is_all=all(means.values()),
+            partitions={one: (self._ended_of[one], self._all_of[one]) for one in named},
         )
 
     def _running(self, num_workers: int) -> tuple[Shard, ...]:

@@ -68,6 +68,11 @@ class Graph:
         return tuple(stage.name for stage in self.stages)
 
     @property
+    def reporting(self) -> tuple[str, ...]:
+        """Return the names of the stages that make a page of all that is there."""
+        return tuple(stage.name for stage in self.stages if "scores" in stage.writes)
+
+    @property
     def shared(self) -> dict[str, type[Settings]]:
         """Return the models of the sections that stages of this graph share, by name.
 

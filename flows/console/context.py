@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -87,12 +90,27 @@ def next_command(*words: str, store: Path, settings: Sequence[str] | None = None
     return shlex.join(["pasdedeux", *words, *at, *options])
 
 
-def say(lines: Iterable[str]) -> None:
-    """Print lines on standard output."""
+def wrapped(line: str, width: int) -> list[str]:
+    """Return a line in pieces of this width, broken at words; what runs over is indented by four more than it.
+
+    >>> wrapped("  waltz: hands drift", 14)
+    ['  waltz: hands', '      drift']
+    """
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    whole = textwrap.TextWrapper(width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return whole.wrap(line) or [""]
+
+
+def say(lines: Iterable[str], *, err: bool = False) -> None:
+    """Print lines on standard output, or standard error; a terminal gets them broken at words."""
+    width = shutil.get_terminal_size().columns if (sys.stderr if err else sys.stdout).isatty() else None
     for line in lines:
-        typer.echo(line)
+        typer.echo(line if width is None else "\n".join(wrapped(line, width)), err=err)
 
 
 def answer(value: Any, lines: Iterable[str], *, as_json: bool) -> None:
     """Print a value as JSON, or the same as lines for people."""
-    say([json.dumps(value, indent=1, ensure_ascii=False)] if as_json else lines)
+    if as_json:
+        typer.echo(json.dumps(value, indent=1, ensure_ascii=False))
+    else:
+        say(lines)

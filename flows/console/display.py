@@ -10,6 +10,7 @@ from typing import Any
 
 import typer
 
+from flows.console.context import wrapped
 from flows.costs import Cost, Work
 from flows.machine import GIB
 from flows.outcomes import Outcome
@@ -19,6 +20,7 @@ from flows.records import last_manifests, read_last_run
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, Store
+from tasks.stage import Shard
 from tasks.summary import summary_of
 
 _SILENCE_S = 5.0
@@ -86,33 +88,59 @@ class LineListener(Listener):
 
 
 class BarListener(LineListener):
-    """Prints the same above a progress bar, at a terminal."""
+    """Prints the same above a bar and the shards in work, at a terminal."""
 
     def __init__(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.live import Live
 
-        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-        self._bar: Any = Progress(*columns, console=Console(stderr=True))
-        self._run = self._bar.add_task("", total=None)
-        self._bar.start()
         super().__init__()
+        self._progress = Progress(0, 0, (), 0.0, is_all=False)
+        self._since: dict[str, float] = {}
+        self._console = Console(stderr=True, highlight=False)
+        self._live = Live(console=self._console, get_renderable=self._drawn, transient=True)
+        self._live.start()
 
     def progressed(self, progress: Progress) -> None:
         """Move the bar."""
-        words = "; ".join(filter(None, [_running_text(progress), left_text(progress)]))
-        self._bar.update(self._run, total=progress.num_shards, completed=progress.num_done, description=words)
+        now = time.monotonic()
+        self._since = {one.key: self._since.get(one.key, now) for one in progress.running}
+        self._progress = progress
 
     def close(self) -> None:
         """Give the terminal back."""
         super().close()
-        self._bar.stop()
+        self._live.stop()
+
+    def _drawn(self) -> Any:
+        """Draw the bar with counts and times, then a row for each shard in work; names give way to all else."""
+        from rich.console import Group
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+
+        progress, now = self._progress, time.monotonic()
+        bar, rows = Table.grid(padding=(0, 1), expand=True), Table.grid(padding=(0, 1), expand=True)
+        for ratio in (1, None, None, None):
+            bar.add_column(no_wrap=True, ratio=ratio)
+        for ratio in (2, None, 3, None):
+            rows.add_column(no_wrap=True, ratio=ratio, justify="left" if ratio else "right")
+        done = f"{progress.num_done}/{progress.num_shards}"
+        is_known = progress.num_shards > 0
+        line = ProgressBar(progress.num_shards if is_known else None, progress.num_done, pulse=not is_known)
+        bar.add_row(line, done * is_known, duration_text(now - self._started), left_text(progress))
+        for one in progress.running[:_NAMED]:
+            took = duration_text(now - self._since.get(one.key, now))
+            rows.add_row(f"  {one.stage} {one.partition}", _part_text(progress, one), one.name, took)
+        if (more := len(progress.running) - _NAMED) > 0:
+            rows.add_row(f"  and {more} more")
+        return Group(bar, rows)
 
     def _break_silence(self) -> None:
         """Leave it to the bar."""
 
     def _say(self, text: str) -> None:
-        self._bar.console.print(text, markup=False, highlight=False)
+        for line in wrapped(text, self._console.width):
+            self._console.print(line, markup=False, soft_wrap=True)
 
 
 def plan_lines(plan: Plan) -> list[str]:
@@ -168,9 +196,19 @@ def progress_text(progress: Progress) -> str:
 
 def _running_text(progress: Progress) -> str:
     """Return the shards being computed, in words: `computing chains ic 0`."""
-    running = [f"{one.stage} {one.partition} {one.name}" for one in progress.running]
+    running = [
+        " ".join(filter(None, (one.stage, one.partition, one.name, f"({part})" if part else "")))
+        for one in progress.running
+        for part in [_part_text(progress, one)]
+    ]
     more = f" and {len(running) - _NAMED} more" if len(running) > _NAMED else ""
     return f"computing {', '.join(running[:_NAMED])}{more}" if running else ""
+
+
+def _part_text(progress: Progress, shard: Shard) -> str:
+    """Return how far the partition of a shard is, where it has several: `3 of 9`."""
+    done, total = progress.partitions.get((shard.stage, shard.partition), (0, 1))
+    return f"{done} of {total}" if total > 1 else ""
 
 
 def left_text(progress: Progress) -> str:

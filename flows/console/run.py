@@ -43,13 +43,16 @@ from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server
 from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
 from flows.records import uncollected
-from flows.study import load_study
+from flows.study import Study, load_study
 from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
+from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
 MIN_FREE_BYTES = 64 * 1024**2
 PREVIEW_S = 4.0
+PREVIEWED = "augmentation"
+"""Where a study asks for it, a preview ends there unless the command says otherwise."""
 _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.utilities.visualization", "fastapi")
 """What Prefect imports when the first flow begins, and all else waits for it."""
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
@@ -96,16 +99,30 @@ def run(
       pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
     """
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
+    given = selection.words
     short = [f"ingest.take_seconds={PREVIEW_S}"] if is_preview else []
     chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
     if is_preview:
+        if not selection.words and PREVIEWED in chosen.asked:
+            selection = replace(selection, until=PREVIEWED)
         head = chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})
         chosen = chosen.model_copy(update={"head": head, "publish": None})
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     worst = None if fail_on is None else Level(fail_on)
-    build_and_report(Run(chosen, graph, open_store(store), selection), where, fail_on=worst, as_json=as_json)
+    opened = open_store(store)
+    graph = with_page(chosen, graph, opened, selection)
+    build_and_report(Run(chosen, graph, opened, selection), where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
-        typer.echo(f"all of it: {next_command('run', study, *selection.words, store=store, settings=settings)}")
+        typer.echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
+
+
+def with_page(study: Study, graph: Graph, store: Store, selection: Selection) -> Graph:
+    """Return the graph for a selection: with `until`, of what that needs and the page on it, unless all is fresh."""
+    if selection.until is None or selection.until not in graph.names:
+        return graph
+    if not selection.force and make_plan(study, graph, store).is_fresh:
+        return graph
+    return graph.only({selection.until, *graph.above(selection.until), *graph.reporting})
 
 
 def build_and_report(run: Run, cluster: ClusterSettings, *, as_json: bool, fail_on: Level | None = None) -> None:
@@ -184,6 +201,7 @@ def plan(
         raise PlanError("--workers and --measured are for --cost; give that too")
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
+    graph = with_page(chosen, graph, open_store(store), selection)
     made = make_plan(chosen, graph, open_store(store), selection)
     if cost and not made.is_fresh:
         work = planned_work(made, graph, open_store(store), open_store(measured or store))

@@ -53,7 +53,10 @@ def show(
         typer.echo(study_text(name, Path.cwd()), nl=False)
         return
     study, _ = load_study(name, graph_of(context), settings=settings or ())
-    answer(study.resolved(), _toml_lines("", study.resolved()), as_json=as_json)
+    if as_json:
+        answer(study.resolved(), (), as_json=True)
+    else:
+        typer.echo("\n".join(_toml_lines("", study.resolved())))
 
 
 @_group.command()

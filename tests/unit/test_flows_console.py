@@ -19,7 +19,7 @@ from flows.machine import usable_cores
 from flows.planning import Selection
 from flows.study_files import read_study_tree, shipped_studies
 from storage_schema.provenance import code_version
-from tests.builders.toy_runs import run_toys, write_study
+from tests.builders.toy_runs import build_here, run_toys, write_study
 from tests.builders.toys import TOYS
 
 
@@ -44,6 +44,22 @@ def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(
     out = capsys.readouterr().out
     assert "everything is fresh, nothing to do" in out
     assert "report.html" in out
+
+
+def test_a_run_until_a_stage_ends_with_a_page_on_what_it_made_and_keeps_a_whole_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    build_here(monkeypatch)
+    study, store = str(write_study(tmp_path)), str(tmp_path / "store")
+    assert call("run", study, "--store", store, "--until", "grow", "--json") == 0
+    first = json.loads(capsys.readouterr().out)
+    assert [stage["stage"] for stage in first["stages"]] == ["grow", "judge"]
+    assert (Path(first["report"]) / "report.html").is_file()
+    assert call("run", study, "--store", store, "--json") == 0
+    whole = json.loads(capsys.readouterr().out)
+    assert call("run", study, "--store", store, "--until", "grow", "--json") == 0
+    again = json.loads(capsys.readouterr().out)
+    assert (again["num_computed"], again["report"]) == (0, whole["report"])
 
 
 def test_a_run_answers_a_program_in_json(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:

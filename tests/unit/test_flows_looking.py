@@ -1,4 +1,4 @@
-"""What the terminal shows of results: poses by joint, scores with the better value marked, previews."""
+"""What the terminal shows: progress, poses by joint, scores with the better value marked, previews."""
 
 from __future__ import annotations
 
@@ -10,14 +10,62 @@ import pytest
 
 from flows.console import main
 from flows.console import run as run_module
+from flows.console.context import say
+from flows.console.display import BarListener
 from flows.console.show import joint_lines
+from flows.progress import Progress
 from pasdedeux.evaluation.names import better_sign, in_words, meanings
 from pasdedeux.evaluation.score_tables import score_table
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Store
 from tasks import ingest
-from tasks.stage import StageInputs
+from tasks.stage import Parameters, Shard, StageInputs
+from tests.builders.terminals import Screen
+
+LONG = "chains: done in 12 s; warn: prior alone performed about as well as chains, ahead by 2.5 cm (-0.3 to 5.1 cm)"
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_the_display_keeps_its_columns_and_lines_break_at_words(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("COLUMNS", str(width)), ("LINES", "40"), ("TERM", "xterm")):
+        monkeypatch.setenv(name, value)
+    screen = Screen(width)
+    monkeypatch.setattr("sys.stderr", screen)
+    variants = Shard(
+        "augmentation", 1, "waltz", "leader 0.75 to 1.25, frames 0 to 240, a name of any length", Parameters()
+    )
+    others = [Shard("evaluation", 1, "leave_one_out", f"waltz-camera{number}", Parameters()) for number in range(3)]
+    listener = BarListener()
+    listener.progressed(Progress(1, 45, others[:1], 0.0, is_all=True))
+    listener._live.refresh()
+    listener.note(LONG)
+    parts = {("augmentation", "waltz"): (3, 9)}
+    listener.progressed(Progress(12, 45, [variants, *others], 200.0, is_all=False, partitions=parts))
+    listener._live.refresh()
+    said, (bar, *rows) = screen.lines[:-5], screen.lines[-5:]
+    assert " ".join(line.strip() for line in said) == LONG, "nothing is drawn twice, and no word is cut"
+    assert all(line.startswith("    ") for line in said[1:])
+    assert bar.endswith("12/45 0 s more than 3 min 20 s left")
+    assert [row.split()[:2] for row in rows[:3]] == [["augmentation", "waltz"], *[["evaluation", "leave_one_out"]] * 2]
+    assert "3 of 9 leader" in rows[0]
+    assert all(row.endswith(" 0 s") for row in rows[:3])
+    assert rows[3] == "  and 1 more"
+    listener.close()
+    assert [line for line in screen.lines if line] == said
+
+
+def test_lines_for_a_terminal_break_at_words_and_lines_for_a_file_do_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    say([f"  {LONG}"])
+    assert capsys.readouterr().out == f"  {LONG}\n"
+    monkeypatch.setenv("COLUMNS", "60")
+    screen = Screen(200)
+    monkeypatch.setattr("sys.stdout", screen)
+    say([f"  {LONG}"])
+    assert max(map(len, screen.lines)) <= 60
+    assert [line[:6].isspace() for line in screen.lines[:-1]] == [False, True]
 
 
 def test_a_pose_is_a_table_of_joints_and_what_is_not_known_is_a_dash() -> None:

@@ -157,7 +157,10 @@ def test_forced_stages_are_computed_again_and_end_in_the_same_bytes(study: Path,
 
 
 def test_until_from_and_only_choose_stages(study: Path, store: Path) -> None:
-    assert [s.name for s in run_toys(study, store, selection=Selection(until="bend")).stages] == ["grow", "bend"]
+    assert [s.name for s in run_toys(study, store, selection=Selection(until="grow")).stages] == ["grow"]
+    bent = run_toys(study, store, selection=Selection(until="bend"))
+    assert [s.name for s in bent.stages] == ["grow", "bend", "judge"], "the page is made of what is there"
+    assert bent.report is not None
     assert [s.name for s in run_toys(study, store, selection=Selection(start="bend")).stages] == ["bend", "judge"]
     assert [s.name for s in run_toys(study, store, selection=Selection(only=("aside",))).stages] == ["aside"]
 

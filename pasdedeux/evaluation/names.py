@@ -35,6 +35,7 @@ _METHODS = {
     "fit": ("fit to the image", "the best path, then optimised until its image is the given one"),
     "live": ("live", "online, with a latency of six frames"),
     "best_of_50": ("best of 50", "the best of the 50 nearest candidates, chosen by ground truth: a bound"),
+    "level": ("level camera", "the last method again, as if the camera were level: a baseline"),
     "standing_still": ("standing still", "the mean true pose in every frame: says how much people move"),
     "equal_depth": ("equal depth", "both people at the same distance from the camera: a baseline"),
     "truth": ("ground truth", "the captured motion itself"),
@@ -95,6 +96,11 @@ _METRICS = {
         "pair_distance_error": ("error of the distance", "error of the distance of the two people"),
         "pair_depth_error": ("error of the depth", "error of the depth between the two people"),
         "pair_place_error": ("error of the place", "error of the relative position of the two people"),
+        "camera_pitch_error": ("error of the camera's pitch", "how far the estimated pitch is from the true one"),
+        "image_residual": (
+            "keypoints from the reference",
+            "median distance of a film's keypoints from its take's joints",
+        ),
         "leave_one_out_d_I": ("leave-one-out distance", "distance of an image that was not used to the nearest draw"),
         "coverage_D_C": ("coverage", "mean distance from a real pair to the nearest draw"),
         "coverage_of_a_set_D_C": ("coverage by a set", "the same with as many pairs of every set"),
@@ -136,6 +142,8 @@ _METRICS = {
         "expected_interval_share": ("errors inside 80 %", "share of true errors within their 80 % interval"),
         "diversity": ("diversity", "mean distance of features of two clips; good where it is that of real ones"),
         "multimodality": ("multimodality", "mean distance of features of two motions of one take at the same time"),
+        "clock_offset": ("offset of the clocks", "time of the reference motion when the film begins"),
+        "clock_rate": ("rate of the clocks", "seconds of the reference motion in a second of film"),
         "density": ("density", "mean number of real neighbourhoods that a clip lies in; about 1 for real ones"),
     },
 }

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store, say
 from flows.console.display import format_table
+from flows.console.fetch import small_database_words
 from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
 from flows.machine import remembered_ctrl_c
@@ -43,7 +44,7 @@ from tasks.reconstruction import MAX_PAIRS
 _LIVE_PITCH_DEG = 10.0
 _HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")
 _HOW_TO_GET_ONE = (
-    "`pasdedeux fetch cmu --out cmu` and `pasdedeux run everyday` make one of people together and everyday motion, "
+    "`pasdedeux fetch database` makes one of people together and everyday motion, "
     "`pasdedeux run duets --until projections` a small one of built-in motion in two minutes, a study of takes like "
     "yours the best; then --database projections:STUDY"
 )
@@ -274,4 +275,6 @@ def _searchers(
     if pitch_deg is not None:
         cameras = (DatabaseCamera(math.radians(pitch_deg)),)
     level, take_ids, _ = read_database(store, refs)
+    if words := small_database_words(level.num_rows, len(set(take_ids))):
+        typer.echo(words, err=True)
     return [Searcher.of(replace(level, camera=camera)) for camera in cameras], take_ids

@@ -26,6 +26,7 @@ from flows.console import (  # noqa: F401 - a module adds its commands when it i
     stores,
     studies,
     this_machine,
+    view,
 )
 from flows.console.context import Context, app
 from flows.planning import PlanError

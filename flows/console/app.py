@@ -14,6 +14,7 @@ from typer import Option
 
 from flows.console import (  # noqa: F401 - a module adds its commands when it is imported
     compare,
+    curate,
     datasets,
     deploy,
     draws,

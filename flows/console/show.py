@@ -98,6 +98,7 @@ def export(
     select: Annotated[
         int | None, Option(min=1, metavar="N", help="Of draws:study, with its grown pairs: the N that differ most.")
     ] = None,
+    curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:
     """Export what a reference names to files, with licence and credits.
@@ -117,7 +118,8 @@ def export(
         paths, words = export_selection(open_store(store), reference, file_format, out, count=select)
         say([*map(str, paths), words])
         return
-    say(map(str, export_reference(open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units)))
+    options: dict[str, Any] = {"rest_pose": rest_pose, "units": units, "curation": curation}
+    say(map(str, export_reference(open_store(store), reference, file_format, out, **options)))
 
 
 def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:

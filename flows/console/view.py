@@ -10,6 +10,7 @@ import typer
 from typer import Argument, Option
 
 from flows.console.context import StoreOption, app, open_store
+from flows.console.curate import CURATION, CurationOption
 
 
 @app.command()
@@ -22,6 +23,7 @@ def view(
     ] = None,
     store: StoreOption = Path("store"),
     port: Annotated[int, Option(min=0, max=65535, help="Port of this machine; 0 takes any that is free.")] = 8080,
+    curation: CurationOption = CURATION,
     unit: Annotated[
         list[float] | None, Option(min=1e-6, max=1e3, metavar="M", help="Metres per unit of motion files.")
     ] = None,
@@ -35,10 +37,12 @@ def view(
       pasdedeux view a.bvh b.bvh                 motion files, one for each person
 
     Space plays, left and right step, up and down change the item, Home and End go to the first and the last frame, F to
-    the next frame that fails.  Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST`
-    first.  Ctrl-C ends it.
+    the next frame that fails; K and X accept and reject what is shown, for exports and training (`curate`).
+
+    Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
     """
     from flows.console.retargeting import find_take
+    from flows.viewing.choosing import Choosing
     from flows.viewing.shelf import Shelf, open_shelf
     from flows.viewing.viewer import Viewer
 
@@ -50,7 +54,7 @@ def view(
         else:
             shelf = open_shelf(open_store(store), words[0] if words else None)
             at = words[0] if words and "#" in words[0] else None
-        viewer = Viewer(shelf, port=port, at=at)
+        viewer = Viewer(shelf, port=port, at=at, choosing=Choosing(curation))
         typer.echo(f"{viewer.url} shows it; Ctrl-C ends it")
         with contextlib.suppress(KeyboardInterrupt):
             while not viewer.wait(3600.0):

@@ -20,7 +20,7 @@ from pasdedeux.people.video import rate_from_times
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import body_from_joints
 from pasdedeux.reconstruction.people import motions_together
-from storage_schema import ArtifactRef, Reference, Store, TableData
+from storage_schema import ArtifactRef, Reference, TableData
 from tasks.facts import MotionFacts
 
 _TABLES = ("poses", "variants", "motions")
@@ -44,23 +44,26 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     files = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
     for ref in export.refs:
         if export.reference.table == "poses":
-            for person in people_of_take(export.store, ref):
+            for person in (one for one in people_of_take(export.store, ref) if one.take_id not in export.left_out):
                 files.write((person.take_id, person.letter), person, person.own)
         else:
-            _write_variants(export.store, ref, files)
+            _write_variants(export, ref, files)
     return files.close()
 
 
 FORMAT = ExportFormat(_write, _can_write, f"whole {', '.join(_TABLES)}, seeds and single draws", has_rest_pose=True)
 
 
-def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:
-    """Write the variants of one artifact."""
+def _write_variants(export: Export, ref: ArtifactRef, files: RigFiles) -> None:
+    """Write the variants of one artifact but those that somebody rejected."""
+    store = export.store
     people = people_of_take(store, take_of(store, ref))
     quality = store.read(ref, "variant_quality", columns=["take_id", "variant_id", "bone_scale"])
     rows = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "body22_m"])
     scales = {key: quality["bone_scale"][part[0]] for key, part in _groups(quality, "take_id", "variant_id")}
     for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
+        if f"{take_id}/{variant_id}" in export.left_out:
+            continue
         each = [rows["body22_m"][part[rows["person"][part] == person]] for person in range(len(people))]
         scale = scales[take_id, variant_id].reshape(len(people), -1)
         files.write_variant(variant_id, people, np.stack(each, axis=1).astype(np.float64), scale)
@@ -74,6 +77,8 @@ def _motions(export: Export) -> Iterator[tuple[tuple[str | int, ...], Motion]]:
         pitch_deg = MotionFacts.of(export.store.manifest(ref)).pitch_deg
         camera = DatabaseCamera(math.radians(pitch_deg))
         for (sequence_id, method), part in _groups(rows, "sequence_id", "method"):
+            if f"{sequence_id}/{method}" in export.left_out:
+                continue
             person_ids = np.unique(rows["person_id"][part])
             people = []
             for own in (part[rows["person_id"][part] == person_id] for person_id in person_ids):

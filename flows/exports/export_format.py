@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Reference, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
+from tasks.curation import rejected_names, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -29,6 +31,7 @@ class Export:
         rest_pose: Rest pose of the skeletons of takes and variants: the source's, or a standing T-pose.
         units: Lengths of their BVH files: centimetres, metres, or the units of each source's file.
         selected: Rows that were made of what is named, and are given out in its place.
+        rejected: What somebody rejected of this table: content by name, see `tasks.curation`.
     """
 
     store: Store
@@ -38,10 +41,21 @@ class Export:
     rest_pose: RestPose = "source"
     units: Units = "cm"
     selected: TableData | None = None
+    rejected: Mapping[str, str] = field(default_factory=dict)
 
     def batches(self) -> Iterator[TableData]:
         """Return the rows to be given out, some 10,000 at a time."""
-        return iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
+        rows = iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
+        return (without(one, self.left_out) for one in rows)
+
+    @cached_property
+    def left_out(self) -> Collection[str]:
+        """The names of what is left out."""
+        return rejected_names(
+            self.rejected,
+            self.reference.table,
+            lambda columns: iter_rows(replace(self.reference, row=None), self.store, columns=columns),
+        )
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_seen_pairs
+from tasks.curation import IDENTITY, POSITIONS, content_of, names_of
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.facts import MotionFacts, SequenceFacts
 from tasks.takes import read_motion
@@ -38,11 +39,9 @@ class Kind:
         scene: Makes the scene of an item.
         quality: Table with figures of each item, and the columns that name the item there; empty without one.
         is_each: Each frame is a thing of its own that is accepted or rejected: draws, seeds, lifted pairs.
-        positions: Column with the positions, which are the content that a choice is about.
     """
 
     scene: Callable[[Shelf, Part, Item], Scene]
-    positions: str
     quality: str = ""
     is_each: bool = False
 
@@ -238,15 +237,23 @@ def _between(shelf: Shelf, part: Part, item: Item) -> Scene:
 
 
 KINDS: Mapping[str, Kind] = {
-    "variants": Kind(_variant, "body22_m", "variant_quality"),
-    "poses": Kind(_take, "body22_m", "take_quality"),
-    "motions": Kind(_motion, "body22_m"),
-    "lifted_pairs": Kind(_lifted, "pair17_m", is_each=True),
-    "draws": Kind(_draws, "pair17_m", "chain_info", is_each=True),
-    "seeds": Kind(_seeds, "pair17_m", is_each=True),
-    "annotations": Kind(_sequence, "pair17_px"),
-    "in_betweens": Kind(_between, "pair17_m"),
+    "variants": Kind(_variant, "variant_quality"),
+    "poses": Kind(_take, "take_quality"),
+    "motions": Kind(_motion),
+    "lifted_pairs": Kind(_lifted, is_each=True),
+    "draws": Kind(_draws, "chain_info", is_each=True),
+    "seeds": Kind(_seeds, is_each=True),
+    "annotations": Kind(_sequence),
+    "in_betweens": Kind(_between),
 }
+
+
+def thing_of(shelf: Shelf, part: Part, item: Item, row: int) -> tuple[str, str]:
+    """Return name and content of what is accepted or rejected at a row of an item: the row's own, or all of it."""
+    ref, at = item.row(row)
+    own = Item(item.names, ((ref, np.array([at])),), item.label) if KINDS[part.table].is_each else item
+    data = own.read(shelf.store, part.table, [*IDENTITY[part.table], POSITIONS[part.table]])
+    return str(names_of(data)[0]), content_of(data[POSITIONS[part.table]])
 
 
 def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:

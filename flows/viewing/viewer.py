@@ -7,14 +7,16 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 from urllib.parse import parse_qs, quote, urlsplit
 
 import numpy as np
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
+from flows.viewing.choosing import UNDECIDED, Choosing
 from flows.viewing.images import encode, encode_clip, flat_panels, presence_strip
-from flows.viewing.kinds import KINDS, qualities
+from flows.viewing.kinds import KINDS, qualities, thing_of
 from flows.viewing.scene import Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, moment_reference, plain
@@ -22,6 +24,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import PasdedeuxError
 from storage_schema import StorageError
+from tasks.curation import Decision
 
 TICK_S = 1.0 / 30.0
 STILLS_HZ = 10.0
@@ -54,10 +57,11 @@ class Viewer:
         shelf: What can be looked at.
         port: Port, 0 for any that is free.
         at: Reference of the first moment; the first item where none is given.
+        choosing: The file of choices; `curation.txt` here where none is given.
     """
 
-    def __init__(self, shelf: Shelf, *, port: int = 0, at: str | None = None) -> None:
-        self.shelf = shelf
+    def __init__(self, shelf: Shelf, *, port: int = 0, at: str | None = None, choosing: Choosing | None = None) -> None:
+        self.shelf, self.choosing = shelf, choosing or Choosing(Path("curation.txt"))
         self.lock = threading.RLock()
         self.part: Part = shelf.parts[0]
         self.order: list[int] = []
@@ -138,7 +142,8 @@ class Viewer:
         items, by = self.shelf.items(self.part), str(self.gui_sort.value)
         rows = [self._figures.get(item.names, {}) for item in items]
         wanted = str(self.gui_filter.value)
-        order = [at for at, row in enumerate(rows) if at == kept or wanted in (ALL, str(row.get("verdict", ALL)))]
+        shown = [{ALL, str(row.get("verdict", "")), self._chosen(at)} for at, row in enumerate(rows)]
+        order = [at for at, words in enumerate(shown) if at == kept or wanted in words]
         if by != STORED_ORDER:
             order.sort(key=lambda at: -_number(rows[at].get(by)))
         self.order = order
@@ -208,6 +213,21 @@ class Viewer:
             self.play(False)
             self.seek(int(bad[bad > self.frame][0] if (bad > self.frame).any() else bad[0]))
 
+    def decide(self, decision: Decision | Literal["undo"]) -> None:
+        """Accept or reject what is shown, for the reason that stands in the panel, and go on to the next thing."""
+        with self.lock:
+            is_each = KINDS[self.part.table].is_each
+            name, content = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame))
+            reason = str(self._handles["reason"].value)
+            self.tell(self.choosing.decide(decision, self.part.table, name, content, reason))
+            self._handles["reason"].value = ""
+            if is_each and decision != "undo":
+                self.step(1)
+            else:
+                self.sort(self.index)
+                self._set("item", self._item_label(self.index))
+            self._looked.set()
+
     def tell(self, text: str) -> None:
         """Say something in one line of the panel."""
         self._handles["said"].value = text
@@ -256,7 +276,9 @@ class Viewer:
             put["loop"] = gui.add_checkbox("loop", initial_value=True)
             put["marks"] = gui.add_checkbox("contacts (green), penetration (red)", initial_value=True)
         with gui.add_folder("Filter and sort", expand_by_default=False):
-            self.gui_filter = put["filter"] = gui.add_dropdown("verdict", (ALL, PASSES, WARNS, FAILS))
+            self.gui_filter = put["filter"] = gui.add_dropdown(
+                "only", (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
+            )
             self.gui_sort = put["sort"] = gui.add_dropdown("largest first", (STORED_ORDER,))
         self._scales_folder = gui.add_folder("Scales", visible=False)
         self._curve_folder = gui.add_folder("Curve")
@@ -271,6 +293,10 @@ class Viewer:
                 scales={"x": {"time": False}},
                 legend={"show": False},
             )
+        with gui.add_folder("Accept or reject", expand_by_default=False):
+            put["reason"] = gui.add_text("reason", "")
+            for decision, label in (("accept", "Accept (K)"), ("reject", "Reject (X)"), ("undo", "Undo (U)")):
+                put[decision] = gui.add_button(label)
         with gui.add_folder("Link and save", expand_by_default=False):
             put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
             put["image"] = gui.add_button("Save picture")
@@ -284,6 +310,9 @@ class Viewer:
             "play": lambda _: self.play(),
             "failing": lambda _: self.next_failing(),
             "through": lambda event: self._look_through(event.client),
+            "accept": lambda _: self.decide("accept"),
+            "reject": lambda _: self.decide("reject"),
+            "undo": lambda _: self.decide("undo"),
             "image": lambda event: self._save(event.client, is_clip=False),
             "clip": lambda event: self._save(event.client, is_clip=True),
         }
@@ -312,6 +341,9 @@ class Viewer:
             ("First frame", "home", lambda: self.step(-self.scene.num_frames)),
             ("Last frame", "end", lambda: self.step(self.scene.num_frames)),
             ("Next failing frame", "F", self.next_failing),
+            ("Accept", "K", lambda: self.decide("accept")),
+            ("Reject", "X", lambda: self.decide("reject")),
+            ("Undo", "U", lambda: self.decide("undo")),
         )
         for label, key, action_of in keys:
             self.add_key(label, key, action_of)
@@ -353,15 +385,23 @@ class Viewer:
 
     def _item_label(self, index: int) -> str:
         item = self.shelf.items(self.part)[index]
-        verdict = self._figures.get(item.names, {}).get("verdict", PASSES)
-        return f"{item.label}{'' if verdict == PASSES else f' ({verdict})'}"
+        words = self._figures.get(item.names, {}).get("verdict", PASSES), self._chosen(index)
+        known = [word for word in words if word not in (PASSES, UNDECIDED, "")]
+        return " ".join([item.label, *(f"({word})" for word in known)])
+
+    def _chosen(self, index: int) -> str:
+        """Return what was chosen of an item, in one word; of items whose frames are chosen one by one nothing."""
+        if KINDS[self.part.table].is_each:
+            return ""
+        choice = self.choosing.about(self.part.table, "/".join(self.shelf.items(self.part)[index].names))
+        return UNDECIDED if choice is None else f"{choice.decision}ed"
 
     def _sorted_again(self) -> None:
         self.sort()
         if self.order:
             self.show_item(self.order[0])
         else:
-            self.tell("no item has this verdict")
+            self.tell("no item is so")
 
     def _item_lines(self) -> list[str]:
         """Return what is known of the item: its figures as the store has them."""
@@ -545,7 +585,9 @@ class Viewer:
             touch, through = self._num_marks
             if not self._is_flat and self._handles["marks"].value:
                 lines.append(f"{touch} contacts, {through} penetrations")
-            self._set("facts", "\n".join([*lines, *self._item_lines()]))
+            thing = thing_of(self.shelf, self.part, self.item, scene.row_of(frame))
+            chosen = self.choosing.words(self.part.table, *thing)
+            self._set("facts", "\n".join([*lines, chosen, *self._item_lines()]))
             self._set("link", f"{self.url}/?at={quote(self.reference, safe='@')}")
             if self._curve is not None:
                 self._uplot.data = (*self._curve, self._cursor())

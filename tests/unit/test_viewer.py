@@ -22,21 +22,14 @@ from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
-from storage_schema import ShardRecord, Store, record_latest
-from tasks import ingest
-from tasks.ingest import IngestParameters
-from tasks.stage import StageInputs
+from storage_schema import Store
+from tests.builders.ingest_runs import duet_store
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """Return a store with one duet of a second."""
-    opened = Store(tmp_path_factory.mktemp("viewed") / "store")
-    section = IngestParameters.model_validate({"rate_hz": 12.0, "duets": [{"name": "waltz", "duration_s": 1.0}]})
-    planned = ingest.plan(StageInputs({}, seed=1), section)
-    made = [opened.manifest(ingest.run_shard(one, opened)) for one in planned if one.name == "take"]
-    record_latest(opened, "short", "20260101T000000-short", {"ingest": [ShardRecord.of(one, opened) for one in made]})
-    return opened
+    return duet_store(tmp_path_factory.mktemp("viewed") / "store")[0]
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from flows.console.context import StoreOption, app, open_store
+from flows.console.context import StoreOption, WorkersOption, app, open_store
 from flows.console.curate import CURATION, CurationOption
 
 
@@ -23,6 +23,7 @@ def view(
     ] = None,
     store: StoreOption = Path("store"),
     port: Annotated[int, Option(min=0, max=65535, help="Port of this machine; 0 takes any that is free.")] = 8080,
+    workers: WorkersOption = None,
     curation: CurationOption = CURATION,
     unit: Annotated[
         list[float] | None, Option(min=1e-6, max=1e3, metavar="M", help="Metres per unit of motion files.")
@@ -43,6 +44,7 @@ def view(
     """
     from flows.console.retargeting import find_take
     from flows.viewing.choosing import Choosing
+    from flows.viewing.editing import Editor
     from flows.viewing.shelf import Shelf, open_shelf
     from flows.viewing.viewer import Viewer
 
@@ -55,6 +57,7 @@ def view(
             shelf = open_shelf(open_store(store), words[0] if words else None)
             at = words[0] if words and "#" in words[0] else None
         viewer = Viewer(shelf, port=port, at=at, choosing=Choosing(curation))
+        Editor(viewer, Path("restarts"), workers)
         typer.echo(f"{viewer.url} shows it; Ctrl-C ends it")
         with contextlib.suppress(KeyboardInterrupt):
             while not viewer.wait(3600.0):

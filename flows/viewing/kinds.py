@@ -25,7 +25,7 @@ from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.facts import MotionFacts, SequenceFacts
 from tasks.takes import read_motion
 
-_IMAGE_HEIGHT_M = 2.0
+IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""
 _NUM_NEAREST = 3
 _LEVELS = {"pass": 0, "warn": 1, "fail": 2}
@@ -127,15 +127,17 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     names, frames = grid.first(data["sequence_id"]), grid.first(data["frame"])
     seen = _Seen.of(shelf, str(data["sequence_id"][0]))
     truth = None if is_single else seen.truth(grid.frames, grid.persons, "body22_m", in_world=True)
-    flat = np.insert((image_px - [size[0] / 2, size[1]]) * [1.0, -1.0] * _IMAGE_HEIGHT_M / size[1], 2, 0.0, axis=-1)
+    placed = (image_px - [size[0] / 2, size[1]]) * [1.0, -1.0] * IMAGE_HEIGHT_M / size[1]
+    image = People(PAIR17, np.insert(placed, 2, 0.0, axis=-1))
 
     def images(frame: int) -> list[Flat]:
         return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}")]
 
     return Scene(
-        People(PAIR17, flat) if truth is None else People(BODY22, truth),
+        image if truth is None else People(BODY22, truth),
         grid.frame_of_row,
         None if is_single else rate_of(data["time_s"]),
+        flat=image,
         camera=None if truth is None else seen.camera,
         images=images,
         say=lambda frame: [f"{int(np.isfinite(image_px[frame]).all(axis=-1).sum())} joints seen"],

@@ -43,6 +43,7 @@ class Scene:
         people: Who is shown.
         frame_of_row: The frame that each row of the item is of (row,).
         rate_hz: Frames per second; None where frames do not follow each other in time.
+        flat: The 2D poses that `people` were seen as, standing in the room.
         behind: What is compared with: the source of a variant, the capture behind a reconstruction.
         behind_name: What that is.
         ends_m: Ends of the axes of objects (frame, object, 2, 3), metres, with `radii_m` (object,).
@@ -59,6 +60,7 @@ class Scene:
     people: People
     frame_of_row: Integers
     rate_hz: float | None = None
+    flat: People | None = None
     behind: People | None = None
     behind_name: str = ""
     ends_m: Array | None = None

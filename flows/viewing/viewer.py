@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -17,12 +18,13 @@ from flows.viewing.bodies import Bodies, marker_balls, marks
 from flows.viewing.choosing import UNDECIDED, Choosing
 from flows.viewing.images import encode, encode_clip, flat_panels, presence_strip
 from flows.viewing.kinds import KINDS, qualities, thing_of
-from flows.viewing.scene import Scene
+from flows.viewing.scene import People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, moment_reference, plain
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import PasdedeuxError
+from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
 from tasks.curation import Decision
 
@@ -69,7 +71,9 @@ class Viewer:
         self.is_playing = False
         self.pose: Array | None = None
         """Positions that are shown in place of the scene's, while somebody changes them."""
-        self.on_item: list[Callable[[], None]] = []
+        self.on_moment: list[Callable[[], None]] = []
+        self.wants_flat = False
+        """Whether 2D poses are shown as such, where they could be shown as what was captured."""
         self._figures: dict[tuple[str, ...], dict[str, Any]] = {}
         self._started = (0.0, 0)
         self._handles: dict[str, Any] = {}
@@ -153,10 +157,26 @@ class Viewer:
         """Read an item, and show it from its beginning or at one of its rows."""
         with self.lock:
             self.index, self.pose = index, None
-            self.scene: Scene = KINDS[self.part.table].scene(self.shelf, self.part, self.item)
+            scene = KINDS[self.part.table].scene(self.shelf, self.part, self.item)
+            if self.wants_flat and scene.flat is not None:
+                scene = replace(scene, people=scene.flat, camera=None)
+            self._show_scene(scene, row)
+
+    def show_beside(self, pair_m: Array, before_m: Array) -> None:
+        """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
+        row = self.scene.row_of(self.frame)
+        rows = np.where(np.arange(len(self.scene.frame_of_row)) == row, 0, -1)
+        pair, before = (People(PAIR17, one[None]) for one in (pair_m, before_m))
+        images = partial(self.scene.images, self.frame)
+        scene = Scene(pair, rows, behind=before, behind_name="before", images=lambda _: images(), has_floor=False)
+        self._show_scene(scene, row)
+
+    def _show_scene(self, scene: Scene, row: int | None) -> None:
+        with self.lock:
+            self.scene: Scene = scene
             self.bodies = Bodies(self.scene.people, self.scene.ends_m, self.scene.radii_m, is_thin=self._is_flat)
             self._behind = None if self.scene.behind is None else Bodies(self.scene.behind)
-            self._set("item", self._item_label(index))
+            self._set("item", self._item_label(self.index))
             self._draw_room()
             self._draw_curve()
             for name in ("compare", "through"):
@@ -167,8 +187,6 @@ class Viewer:
             self._show_scales()
             self._handles["timeline"].max = max(self.scene.num_frames - 1, 1)
             self.seek(0 if row is None else int(self.scene.frame_of_row[row]))
-            for changed in self.on_item:
-                changed()
 
     def step_item(self, by: int) -> None:
         """Go to another item, in the order of the list."""
@@ -185,6 +203,8 @@ class Viewer:
             self.pose = None
             self.show_frame()
             self._looked.set()
+            for changed in self.on_moment:
+                changed()
 
     def step(self, by: int) -> None:
         """Stop, and go some frames on."""
@@ -270,7 +290,7 @@ class Viewer:
         put["compare"] = gui.add_dropdown("compare", COMPARE)
         put["failing"] = gui.add_button("Next failing frame (F)")
         put["through"] = gui.add_button("Look through its camera")
-        put["said"] = gui.add_text("said", "", disabled=True)
+        put["said"] = gui.add_text("said", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
             put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
             put["loop"] = gui.add_checkbox("loop", initial_value=True)
@@ -317,7 +337,7 @@ class Viewer:
             "clip": lambda event: self._save(event.client, is_clip=True),
         }
         for name, action in actions.items():
-            put[name].on_click(self._safely(action))
+            put[name].on_click(self.safely(action))
         changes: Mapping[str, Callable[[Any], None]] = {
             "part": lambda value: self.show_part(self.shelf.parts[self._part_labels.index(value)]),
             "item": lambda value: self.show_item(self.order[self.gui_item.options.index(value)]),
@@ -350,9 +370,9 @@ class Viewer:
 
     def add_key(self, label: str, key: str, action: Callable[[], None]) -> None:
         """Bind a key to an action."""
-        self.server.gui.add_command(label, hotkey=key).on_trigger(self._safely(lambda _: action()))
+        self.server.gui.add_command(label, hotkey=key).on_trigger(self.safely(lambda _: action()))
 
-    def _safely(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
+    def safely(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback that says in the panel what went wrong with what the store holds."""
 
         def run(event: Any) -> None:
@@ -366,7 +386,7 @@ class Viewer:
 
     def _from_client(self, change: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback for what somebody changed in a browser; what the program sets is passed over."""
-        return self._safely(lambda event: change(event.target.value) if event.client is not None else None)
+        return self.safely(lambda event: change(event.target.value) if event.client is not None else None)
 
     def _set(self, name: str, value: Any) -> None:
         if self._handles[name].value != value:

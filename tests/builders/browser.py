@@ -77,11 +77,10 @@ class Tab:
         self.call("Input.dispatchKeyEvent", type="keyUp", **event)
 
     def click(self, text: str) -> None:
-        """Click the button with this text."""
-        self.run(
-            "[...document.querySelectorAll('button')].find((one) => "
-            f"one.textContent.includes({json.dumps(text)})).click()"
-        )
+        """Click what has this text, such as a button or the head of a folder."""
+        found = f"[...document.querySelectorAll('*')].reverse().find((one) => one.textContent === {json.dumps(text)})"
+        wait_until(lambda: self.run(f"!!({found})"), f"'{text}' on the page", limit_s=60.0)
+        self.run(f"{found}.click()")
 
     def type_into(self, label: str, text: str) -> None:
         """Write into the field with this label, and leave it."""

@@ -22,7 +22,7 @@ from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
-from storage_schema import Store
+from storage_schema import Store, new_run
 from tests.builders.ingest_runs import duet_store
 
 
@@ -141,6 +141,8 @@ def test_what_cannot_be_shown_is_refused_in_one_sentence(
         ([str(text)], "none of the known formats"),
         (["--store", str(empty)], "holds no study yet"),
         (["--port", used], f"port {used} is in use"),
+        ([new_run(store, "short").run_id], "is no finished run"),
+        (["--curation", str(text)], "walk.bvh, line 1: a choice is"),
     ):
         more = [] if "--store" in words else ["--store", str(store)]
         assert run_command_line(["view", *words, *more]) == 2, words

@@ -14,6 +14,7 @@ from typer import Option
 
 from flows.console import (  # noqa: F401 - a module adds its commands when it is imported
     compare,
+    curate,
     datasets,
     deploy,
     draws,
@@ -26,6 +27,7 @@ from flows.console import (  # noqa: F401 - a module adds its commands when it i
     stores,
     studies,
     this_machine,
+    view,
 )
 from flows.console.context import Context, app
 from flows.planning import PlanError

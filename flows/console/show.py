@@ -109,6 +109,7 @@ def export(
     body_model: Annotated[
         Path | None, Option(metavar="FILE", help="Of smpl: the body model that parameters are for.")
     ] = None,
+    curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:
     """Export what a reference names to files, with units, licence and credits.
@@ -139,7 +140,7 @@ def export(
         say([*map(str, paths), words])
         return
     written = export_reference(
-        open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units, **options
+        open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units, curation=curation, **options
     )
     say(map(str, written))
 

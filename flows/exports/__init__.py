@@ -12,11 +12,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from flows.curation import choices_for
 from flows.exports.credits import write_credits
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
 from storage_schema.encoding import encode
+from tasks.curation import IDENTITY, as_settings, content_of, read_choices, rejections
 from tasks.selection import READS, select_pairs
 
 __all__ = [
@@ -67,19 +69,24 @@ def export_reference(
     *,
     rest_pose: RestPose = "source",
     units: Units = "cm",
+    curation: Path | None = None,
     **options: Any,
 ) -> list[Path]:
     """Write what a reference names into a folder, and return the files, the credits last.
 
-    `options` are those that some formats heed, by their names in `Export`: verdict, footage, body_model.
+    What somebody rejected is left out: as this file of choices says, else as the study or dataset does.  `options` are
+    those that some formats heed, by their names in `Export`: verdict, footage, body_model.
 
     Raises:
         InputError: The format is not known, cannot hold what is named, or has no rest pose or unit to choose.
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
-    export = Export(store, text, reference, tuple(resolve(reference, store)), rest_pose, units, **options)
     kind = _format_for(file_format, options)
+    choices = choices_for(store, reference) if curation is None else as_settings(read_choices(curation))
+    rejected = rejections(choices, reference.table)
+    refs = tuple(resolve(reference, store))
+    export = Export(store, text, reference, refs, rest_pose, units, rejected=rejected, **options)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
     is_own = kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES
@@ -123,8 +130,18 @@ def export_selection(
         raise InputError(f"'{text}': no draw and no grown pair of it is plausible")
     made = TABLES["selected_pairs"]
     rows = TableData(made, encode(made, found.columns))
+    choices = choices_for(store, reference)
+    kept = [at for at in range(rows.num_rows) if not _is_rejected(rows.row(at), choices)]
+    rows = TableData(made, rows.rows.take(kept))
     export = Export(store, text, replace(reference, table=made.name), found.refs, selected=rows, **options)
     return _written(export, kind, out), found.in_words()
+
+
+def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:
+    """Tell whether somebody rejected a selected pair where it lies, as a draw or as a seed."""
+    table = "draws" if row["origin"] == "draw" else "seeds"
+    name = "/".join(str(row[column]) for column in IDENTITY[table])
+    return rejections(choices, table).get(name) == content_of(row["pair17_m"])
 
 
 def _format_for(name: str, options: Mapping[str, Any]) -> ExportFormat:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, SourceCredit, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
+from tasks.curation import rejected_names, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -38,6 +40,7 @@ class Export:
         footage: Video that results are drawn on; None for blank frames.
         body_model: Body model that parameters are written for.
         sources: Licences and credits of what is named.
+        rejected: What somebody rejected of this table: content by name, see `tasks.curation`.
     """
 
     store: Store
@@ -51,6 +54,7 @@ class Export:
     footage: Path | None = None
     body_model: Path | None = None
     sources: tuple[SourceCredit, ...] = ()
+    rejected: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def credit(self) -> str:
@@ -59,7 +63,17 @@ class Export:
 
     def batches(self) -> Iterator[TableData]:
         """Return the rows to be given out, some 10,000 at a time."""
-        return iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
+        rows = iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
+        return (without(one, self.left_out) for one in rows)
+
+    @cached_property
+    def left_out(self) -> Collection[str]:
+        """The names of what is left out."""
+        return rejected_names(
+            self.rejected,
+            self.reference.table,
+            lambda columns: iter_rows(replace(self.reference, row=None), self.store, columns=columns),
+        )
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.references import find_rows
+from tasks.curation import IDENTITY, rows_without
 from tasks.facts import MotionFacts, PeopleFacts
 from tasks.stage import verdict_of
 
@@ -165,7 +166,9 @@ def scenes(export: Export) -> Iterator[Scene]:
         return
     make = {"poses": _take, "variants": _variants, "motions": _reconstructions}[export.reference.table]
     for ref in export.refs:
-        yield from make(export.store, ref)
+        for scene in make(export.store, ref):
+            if "/".join(map(str, scene.parts)) not in export.left_out:
+                yield scene
 
 
 def bone_radii(motion: Motion, height_m: float, roles: Mapping[str, str] | None = None) -> Array:
@@ -341,10 +344,12 @@ def _rows_of_pairs(export: Export) -> Iterator[tuple[ArtifactRef | None, TableDa
     if export.selected is not None:
         yield None, export.selected, [str(one) for one in export.selected["reference"]]
         return
-    columns = [*_KEYS[table], "pair17_m", *(["frame"] if table in ANNOTATED else [])]
+    frames = ["frame"] if table in ANNOTATED else []
+    columns = dict.fromkeys([*_KEYS[table], *IDENTITY[table], "pair17_m", *frames])
     for ref, rows in find_rows(export.reference, export.store):
-        read = export.store.read(ref, table, columns=columns, rows=rows)
-        yield ref, read, [f"{table}@{ref.key}#{rows.start + at}" for at in range(read.num_rows)]
+        read = export.store.read(ref, table, columns=list(columns), rows=rows)
+        kept = rows_without(read, export.left_out)
+        yield ref, TableData(read.table, read.rows.take(kept)), [f"{table}@{ref.key}#{rows.start + at}" for at in kept]
 
 
 def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:

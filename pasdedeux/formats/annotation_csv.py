@@ -107,3 +107,16 @@ def _layout_of(joint_names: set[str]) -> str:
         why = f"fit {', '.join(fitting)}" if fitting else f"fit none of {', '.join(KEYPOINT_LAYOUTS)}"
         raise FormatError(f"the layout is unclear: the joints {why}; state it in a line '# layout: NAME'")
     return fitting[0]
+
+
+def write_annotation_csv(frames: AnnotatedFrames) -> str:
+    """Return 2D annotations as the text of our CSV, keypoints that are missing left out; all images have one size."""
+    names = get_keypoint_layout(frames.layout).keypoint_names
+    size = next(iter(frames.image_size_px.values()), None)
+    notes = {"layout": frames.layout, "image_size": size and f"{size[0]}x{size[1]}", "rate_hz": frames.rate_hz}
+    lines = [f"# {name}: {value}" for name, value in notes.items() if value is not None] + [",".join(COLUMNS)]
+    for row, keypoint in np.argwhere(frames.confidence > 0):
+        x, y = frames.keypoints_px[row, keypoint].tolist()
+        place = frames.sequence_id[row], frames.frame[row], frames.person_id[row], names[keypoint]
+        lines.append(",".join(map(str, (*place, x, y, frames.confidence[row, keypoint]))))
+    return "\n".join(lines) + "\n"

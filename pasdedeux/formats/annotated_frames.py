@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from itertools import pairwise
 
 import numpy as np
@@ -62,6 +63,16 @@ _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 """Sequences name files and partitions later on."""
 
 
+class KeypointStatus(IntEnum):
+    """Where a keypoint comes from; what comes from a person or a detector is `DETECTED` or more."""
+
+    MISSING = 0
+    INTERPOLATED = 1
+    TRACKED = 2
+    DETECTED = 3
+    ANNOTATED = 4
+
+
 @dataclass(frozen=True)
 class AnnotatedFrames:
     """2D keypoints, a row per sequence, frame and person, sorted so.
@@ -79,6 +90,7 @@ class AnnotatedFrames:
         skipped: Names of files that could not be read.
         has_identities: Whether a person has the same number in every frame; a detector that does not follow people
             numbers them anew in each.
+        status: (row, K) of `KeypointStatus`, where keypoints come from; None where the source does not say.
     """
 
     layout: str
@@ -92,6 +104,7 @@ class AnnotatedFrames:
     focal_px: Mapping[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
     has_identities: bool = True
+    status: Integers | None = None
 
     def __post_init__(self) -> None:
         """Sort the rows, make what is missing NaN with confidence 0, and check."""
@@ -114,6 +127,7 @@ class AnnotatedFrames:
             "person_id": np.asarray(self.person_id)[order],
             "keypoints_px": np.where(is_seen[..., None], self.keypoints_px, np.nan)[order],
             "confidence": np.where(is_seen, self.confidence, 0.0)[order],
+            "status": None if self.status is None else np.where(is_seen, self.status, 0)[order],
         }
         for name, value in fields.items():
             object.__setattr__(self, name, value)
@@ -127,7 +141,15 @@ class AnnotatedFrames:
             person_id=self.person_id[chosen],
             keypoints_px=self.keypoints_px[chosen],
             confidence=self.confidence[chosen],
+            status=None if self.status is None else self.status[chosen],
         )
+
+    def given(self) -> AnnotatedFrames:
+        """Return what a person or a detector gave, without what was tracked or interpolated between."""
+        if self.status is None:
+            return self
+        is_given = self.status >= KeypointStatus.DETECTED
+        return replace(self, confidence=np.where(is_given, self.confidence, 0.0)).rows(np.asarray(is_given.any(axis=1)))
 
     def start_of_each(self, num_frames: int) -> AnnotatedFrames:
         """Return the rows of the first frames of each sequence, so many frames from its first one on."""

@@ -89,8 +89,7 @@ def read_annotations(
     frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
     if layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
-    frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)
-    check_anatomy(frames)
+    frames = clean_annotations(frames, stated=stated, video=video, min_confidence=min_confidence)
     own = f"{source_id}."
     names = {
         name: name if name == source_id or name.startswith(own) else own + name for name in set(frames.sequence_id)
@@ -101,6 +100,19 @@ def read_annotations(
         image_size_px={names[name]: size for name, size in frames.image_size_px.items() if name in names},
         focal_px={names[name]: focal for name, focal in frames.focal_px.items() if name in names},
     )
+
+
+def clean_annotations(
+    frames: AnnotatedFrames, *, stated: Footage = UNKNOWN, video: Footage = UNKNOWN, min_confidence: float | None = 0.0
+) -> AnnotatedFrames:
+    """Return 2D poses in pixels, with all that is known of the footage and without doubtful keypoints.
+
+    Raises:
+        InputError: They are not people, or lie in an image of unknown size.
+    """
+    frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)
+    check_anatomy(frames)
+    return frames
 
 
 def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> AnnotatedFrames:

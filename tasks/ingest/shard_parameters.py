@@ -104,3 +104,27 @@ class AnnotationParameters(AnnotationCommon):
     video_size_px: tuple[int, int] | None
     people: tuple[str, ...]
     take_seconds: float | None = None
+
+
+class FilmParameters(AnnotationParameters):
+    """The shard of a shot of a film.
+
+    Attributes:
+        num_given: Of its files the first are these, of key frames or detections; the film comes last.
+        num_networks: Then come these, of a detector.
+        is_key: The given files are key frames.
+        detect_every: The detector sees every so many frames.
+        first_number: Number of the film's first image.
+        first_frame: First frame of the shot, counted from the beginning of the film.
+        num_frames: Its length.
+        is_constant_rate: Whether the time stamps of the film are those of a constant rate.
+    """
+
+    num_given: int
+    num_networks: int
+    is_key: bool
+    detect_every: int
+    first_number: int
+    first_frame: int
+    num_frames: int
+    is_constant_rate: bool

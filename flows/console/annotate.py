@@ -23,7 +23,10 @@ def annotate(
     keys: KeysOption = None,
     detections: DetectionsOption = None,
     detect: DetectOption = None,
-    out: Annotated[Path | None, Option(metavar="FILE", help="Annotations; default FILM_annotations.csv.")] = None,
+    out: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="Annotations: .csv, COCO .json, CVAT .xml; default FILM_annotations.csv."),
+    ] = None,
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=C", help="A key of [[ingest.videos]], such as rate_hz=25.")
     ] = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +17,20 @@ from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import AnnotatedShot, frames_to_correct
 from pasdedeux.film.drawing import contact_sheet, draw_people
-from pasdedeux.formats.annotated_frames import KeypointStatus
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
 from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.coco import write_coco
+from pasdedeux.formats.cvat import write_cvat
 from pasdedeux.settings import first_problem
 from tasks.ingest.films import Image
 from tasks.ingest.parameters import FilmOptions
 from tasks.ingest.shots import FoundShot, annotate, find_shots, shot_images
 
+_WRITERS: Mapping[str, tuple[str, Callable[[AnnotatedFrames], str]]] = {
+    ".csv": ("ours", write_annotation_csv),
+    ".json": ("COCO", write_coco),
+    ".xml": ("CVAT", write_cvat),
+}
 _HEADER = ("shot", "frames", "people", "annotated", "detected", "tracked", "interpolated", "missing", "correct next")
 
 
@@ -64,6 +71,12 @@ def annotate_film(
     Raises:
         InputError: Nothing that can be read, or nobody is found in any shot.
     """
+    target = out or Path(f"{film.resolve().stem}_annotations.csv")
+    if target.suffix not in _WRITERS:
+        raise InputError(
+            f"--out {target}: annotations are {', '.join(f'{end} ({what})' for end, (what, _) in _WRITERS.items())}"
+        )
+    _, write = _WRITERS[target.suffix]
     shots = find_shots(film_source(film, keys, detections, detect, settings))
     made: list[tuple[FoundShot, AnnotatedShot]] = []
     failed: list[InputError] = []
@@ -76,8 +89,7 @@ def annotate_film(
         typer.echo(f"skipped: {reason}", err=True)
     if not made:
         raise failed[-1]
-    target = out or Path(f"{film.resolve().stem}_annotations.csv")
-    write_text(target, write_annotation_csv(*(shot.frames for _, shot in made)))
+    write_text(target, write(join_frames([shot.frames for _, shot in made])))
     wanted = [frames_to_correct(shot, num_corrections) for _, shot in made]
     rows = [_row(one, shot, frames) for (one, shot), frames in zip(made, wanted, strict=True)]
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))

@@ -28,17 +28,20 @@ from pasdedeux.formats.annotated_frames import (
     AnnotatedFrames,
     KeypointStatus,
     get_keypoint_layout,
+    layout_of_names,
 )
 from pasdedeux.formats.detections import MAX_CONFIDENCE
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.text import Lines, parse_integer, parse_number, shorten
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence", "status")
 _NEEDED = ("frame", "person", "joint", "x", "y")
 
 
-def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout: str = "auto") -> AnnotatedFrames:
+def read_annotation_csv(
+    data: bytes | str, sequence_id: str = "sequence", layout: str | KeypointLayout = "auto"
+) -> AnnotatedFrames:
     """Read our CSV of 2D annotations.
 
     Args:
@@ -73,7 +76,7 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
     if not people:
         raise FormatError("this annotation table has no rows")
     joint_names = {name for joints in people.values() for name in joints}
-    known = get_keypoint_layout(_layout_of(joint_names) if layout == "auto" else layout)
+    known = get_keypoint_layout(layout_of_names(joint_names) if layout == "auto" else layout)
     unknown = sorted(joint_names - set(known.keypoint_names))
     if unknown:
         names = ", ".join(known.keypoint_names)
@@ -83,8 +86,8 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
         for name, point in joints.items():
             points[known.keypoint_names.index(name)] = point
     sequences, frames, persons = zip(*people, strict=True)
-    return AnnotatedFrames(
-        layout=known.name,
+    return AnnotatedFrames.of(
+        known,
         sequence_id=sequences,
         frame=np.array(frames, dtype=np.int64),
         person_id=np.array(persons, dtype=np.int64),
@@ -97,8 +100,8 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
     )
 
 
-def write_annotation_csv(frames: AnnotatedFrames, *others: AnnotatedFrames) -> str:
-    """Return annotations as this CSV, keypoints that are missing left out; others are of the same film and layout."""
+def write_annotation_csv(frames: AnnotatedFrames) -> str:
+    """Return annotations as this CSV, keypoints that are missing left out."""
     sizes, focals = set(frames.image_size_px.values()), set(frames.focal_px.values())
     notes = [f"# layout: {frames.layout}"]
     notes += [f"# image_size: {width}x{height}" for width, height in sizes] if len(sizes) == 1 else []
@@ -106,12 +109,11 @@ def write_annotation_csv(frames: AnnotatedFrames, *others: AnnotatedFrames) -> s
     notes += [f"# focal_px: {focal:.10g}" for focal in focals] if len(focals) == 1 else []
     names = get_keypoint_layout(frames.layout).keypoint_names
     lines = [*notes, ",".join(COLUMNS if frames.status is not None else COLUMNS[:-1])]
-    for part in (frames, *others):
-        for row, keypoint in np.argwhere(part.confidence > 0).tolist():
-            x, y = part.keypoints_px[row, keypoint]
-            head = f"{part.sequence_id[row]},{part.frame[row]},{part.person_id[row]},{names[keypoint]}"
-            end = "" if part.status is None else f",{KeypointStatus(part.status[row, keypoint]).name.lower()}"
-            lines.append(f"{head},{x:.2f},{y:.2f},{part.confidence[row, keypoint]:.3g}{end}")
+    for row, keypoint in np.argwhere(frames.confidence > 0).tolist():
+        x, y = frames.keypoints_px[row, keypoint]
+        head = f"{frames.sequence_id[row]},{frames.frame[row]},{frames.person_id[row]},{names[keypoint]}"
+        end = "" if frames.status is None else f",{KeypointStatus(frames.status[row, keypoint]).name.lower()}"
+        lines.append(f"{head},{x:.2f},{y:.2f},{frames.confidence[row, keypoint]:.3g}{end}")
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -131,14 +133,3 @@ def _status_of(word: str) -> int:
     except KeyError:
         allowed = ", ".join(one.name.lower() for one in KeypointStatus)
         raise FormatError(f"status '{shorten(word)}' is none of {allowed}") from None
-
-
-def _layout_of(joint_names: set[str]) -> str:
-    exact = [name for name, layout in KEYPOINT_LAYOUTS.items() if set(layout.keypoint_names) == joint_names]
-    fitting = exact or [
-        name for name, layout in KEYPOINT_LAYOUTS.items() if joint_names.issubset(layout.keypoint_names)
-    ]
-    if len(fitting) != 1:
-        why = f"fit {', '.join(fitting)}" if fitting else f"fit none of {', '.join(KEYPOINT_LAYOUTS)}"
-        raise FormatError(f"the layout is unclear: the joints {why}; state it in a line '# layout: NAME'")
-    return fitting[0]

@@ -14,12 +14,14 @@ from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
 from pasdedeux.formats.asf_amc import ASF_AMC
 from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
 from pasdedeux.formats.coco import COCO, IMAGE_RESULTS
+from pasdedeux.formats.cvat import CVAT
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.expi import EXPI
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
 from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
@@ -27,7 +29,7 @@ MOTION_FORMATS: Mapping[str, MotionFormat] = {
     one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
-    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, ANNOTATION_CSV, ANNOTATION_NPZ)
+    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, CVAT, ANNOTATION_CSV, ANNOTATION_NPZ)
 }
 
 
@@ -64,7 +66,7 @@ def read_annotations(
     files: Mapping[str, bytes],
     *,
     source_id: str,
-    layout: str = "auto",
+    layout: str | KeypointLayout = "auto",
     stated: Footage = UNKNOWN,
     video: Footage = UNKNOWN,
     min_confidence: float | None = 0.0,
@@ -87,7 +89,7 @@ def read_annotations(
             in an image of unknown size.
     """
     frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
-    if layout not in {"auto", frames.layout}:
+    if isinstance(layout, str) and layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
     frames = clean_annotations(frames, stated=stated, video=video, min_confidence=min_confidence)
     own = f"{source_id}."

@@ -27,7 +27,7 @@ from tasks.ingest.films import digest_of
 from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.ingest.shard_parameters import AnnotationParameters, FilmParameters
 from tasks.ingest.shots import annotate, find_shots, read_shot
-from tasks.ingest.sources import load_file, read_again
+from tasks.ingest.sources import load_file, own_layout_of, read_again
 from tasks.stage import Shard, SourceFile, commit
 
 DEFAULT_RATE_HZ = 30.0
@@ -165,7 +165,7 @@ def _find_camera(
     header = UNKNOWN if video is None else read_header(video)
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
     parameters = AnnotationParameters(
-        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched"}),
+        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched", "layout_file"}),
         id=f"{options.id}.{name}" if name else options.id,
         format=camera.format,
         is_held_out=is_held_out,
@@ -174,6 +174,7 @@ def _find_camera(
         video_size_px=header.image_size_px,
         people=(),
         take_seconds=take_seconds,
+        own_layout=own_layout_of(options.layout_file),
     )
     files = tuple(load_file(path).file for path in camera.paths)
     return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
@@ -188,7 +189,7 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
         ANNOTATION_FORMATS[parameters.format],
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
-        layout=parameters.layout,
+        layout=parameters.keypoint_layout(),
         stated=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
         video=Footage(parameters.video_size_px, parameters.video_rate_hz),
         min_confidence=parameters.min_confidence,

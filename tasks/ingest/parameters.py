@@ -331,8 +331,15 @@ class AnnotationCommon(PeopleSettings, Parameters):
     credit: str = Field("not stated", description="Credit line of the source")
 
 
+_LAYOUT_FILE = Field(
+    None, description="Keypoint layout of your own (TOML): names in the order of the file, and which of them are ours"
+)
+
+
 class AnnotationOptions(AnnotationCommon):
     """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
+
+    layout_file: Path | None = _LAYOUT_FILE
 
     people_file: Path | None = Field(
         None,
@@ -350,6 +357,7 @@ class AnnotationOptions(AnnotationCommon):
 class FilmOptions(AnnotationCommon):
     """Film of people, with key frames that a person annotated, a detector's keypoints, or a detector to be run."""
 
+    layout_file: Path | None = _LAYOUT_FILE
     path: Path = Field(description="Film, folder of numbered images, or folder of films")
     keys: Path | None = Field(
         None,

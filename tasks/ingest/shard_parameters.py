@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.skeletons.layouts import KeypointLayout
 from storage_schema import SourceCredit
 from tasks.ingest.parameters import (
     AnnotationCommon,
@@ -96,6 +98,7 @@ class AnnotationParameters(AnnotationCommon):
         video_size_px: Its width and height.
         people: Rows of the table of who is who that are about its sequences.
         take_seconds: Only so much from the start of each sequence; None: all of it.
+        own_layout: TOML of a keypoint layout of the user's own, None without.
     """
 
     is_held_out: bool
@@ -104,6 +107,11 @@ class AnnotationParameters(AnnotationCommon):
     video_size_px: tuple[int, int] | None
     people: tuple[str, ...]
     take_seconds: float | None = None
+    own_layout: str | None = None
+
+    def keypoint_layout(self) -> str | KeypointLayout:
+        """Return the layout of the files: its name, "auto", or the user's own."""
+        return self.layout if self.own_layout is None else read_layout(self.own_layout)
 
 
 class FilmParameters(AnnotationParameters):

@@ -24,7 +24,7 @@ from tasks.ingest.detector_files import find_network
 from tasks.ingest.films import Film, is_film, open_film, read_film
 from tasks.ingest.parameters import FilmOptions
 from tasks.ingest.shard_parameters import FilmParameters
-from tasks.ingest.sources import load_file, read_again
+from tasks.ingest.sources import load_file, own_layout_of, read_again
 from tasks.stage import SourceFile
 
 ASSUMED_RATE_HZ = 30.0
@@ -135,7 +135,7 @@ def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Anno
         if (number - first) % parameters.detect_every == 0:
             tables = detector.detect(frame.image)
             found += [Detection(("", number), None, table, f"frame {number}") for table in tables]
-    frames = join_detections(found, sequence_id=parameters.id, layout=parameters.layout)
+    frames = join_detections(found, sequence_id=parameters.id, layout=parameters.keypoint_layout())
     return replace(frames, status=np.where(frames.confidence > 0, KeypointStatus.DETECTED, 0))
 
 
@@ -144,7 +144,7 @@ def _read_given(parameters: FilmParameters, files: tuple[SourceFile, ...], state
         ANNOTATION_FORMATS[parameters.format],
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
-        layout=parameters.layout,
+        layout=parameters.keypoint_layout(),
         stated=stated,
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
@@ -192,7 +192,9 @@ def _shots_of(
     base = f"{options.id}.{name}" if name else options.id
     files = tuple(load_file(one).file for one in camera.paths) if camera else ()
     numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([one.name for one in camera.paths]) if camera else []
-    common = options.model_dump(exclude={"id", "path", "format", "keys", "detections", "detect", "has_cuts"})
+    common = options.model_dump(
+        exclude={"id", "path", "format", "keys", "detections", "detect", "has_cuts", "layout_file"}
+    )
     shots = []
     for index, (start, stop) in enumerate(pairwise(starts)):
         length = stop - start if take_seconds is None else min(stop - start, max(2, round(take_seconds * rate_hz)))
@@ -205,6 +207,7 @@ def _shots_of(
             video_rate_hz=rate_hz,
             video_size_px=film.image_size_px,
             people=(),
+            own_layout=own_layout_of(options.layout_file),
             num_given=len(files),
             num_networks=len(networks),
             is_key=options.keys is not None,
@@ -245,8 +248,8 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
         outside = frames.frame[(frames.frame < film.first_number) | (frames.frame > last)]
         if len(outside):
             raise InputError(f"frame {outside[0]} is not in the film, whose frames are {film.first_number} to {last}")
-        if len(set(frames.sequence_id)) > 1:
+        if len(set(zip(frames.frame.tolist(), frames.person_id.tolist(), strict=True))) < frames.num_rows:
             raise InputError(
-                f"it holds {len(set(frames.sequence_id))} sequences, a film is one; give each film its own file"
+                f"it holds {len(set(frames.sequence_id))} sequences with the same frames; give each film its own file"
             )
         return frames.frame

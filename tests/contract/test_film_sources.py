@@ -224,8 +224,13 @@ def test_the_command_writes_annotations_a_sheet_and_an_overlay(
     assert "walk.shot01" in capsys.readouterr().out
     assert cv2.imread(str(sheet)).shape[1] % 320 == 0
     assert open_film(overlay).num_frames == COUNT
-    assert run_command_line(["annotate", str(film), "--keys", str(out), "--out", str(tmp_path / "again.csv")]) == 2
-    assert "holds 2 sequences" in capsys.readouterr().err
+    for name in ("again.csv", "coco.json", "cvat.xml"):
+        again = tmp_path / name
+        assert run_command_line(["annotate", str(film), "--keys", str(out), "--out", str(again)]) == 0
+        assert run_command_line(["annotate", str(film), "--keys", str(again), "--out", str(tmp_path / "b.csv")]) == 0
+        assert (tmp_path / "b.csv").read_text() == out.read_text()
+    assert run_command_line(["annotate", str(film), "--keys", str(out), "--out", str(tmp_path / "a.txt")]) == 2
+    assert ".csv (ours), .json (COCO), .xml (CVAT)" in capsys.readouterr().err
     assert run_command_line(["annotate", str(film)]) == 2
     assert "one of keys, detections and detect is needed" in capsys.readouterr().err
 

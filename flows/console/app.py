@@ -13,6 +13,7 @@ import typer.core
 from typer import Option
 
 from flows.console import (  # noqa: F401 - a module adds its commands when it is imported
+    annotate,
     compare,
     curate,
     datasets,

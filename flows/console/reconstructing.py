@@ -36,8 +36,8 @@ from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, lef
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.settings import first_problem
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
-from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations
-from tasks.ingest.parameters import AnnotationOptions
+from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations, find_videos
+from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.projections import read_cameras, read_database, read_pairs
 from tasks.reconstruction import MAX_PAIRS
 
@@ -101,7 +101,7 @@ def annotation_source(path: Path, settings: Sequence[str]) -> AnnotationOptions:
 
 
 def reconstruct_video(
-    video: AnnotationOptions,
+    video: AnnotationOptions | FilmOptions,
     database: str | None,
     store: Path,
     out: Path,
@@ -119,7 +119,7 @@ def reconstruct_video(
         InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
             or nobody who can be reconstructed.
     """
-    videos = find_annotations(video)
+    videos = find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
     source, refs = _projections(database, store)
     searchers, take_ids = _searchers(source, refs, pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)

@@ -11,6 +11,7 @@ import numpy as np
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.c3d import write_c3d
+from pasdedeux.formats.cvat import write_cvat
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
@@ -423,6 +424,7 @@ GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
     "coco": {"c.json": coco_text().encode()},
     "image_results": {f"w_{frame}.json": image_text("mmpose", seed=frame).encode() for frame in range(3)},
     "mediapipe": {"m.json": landmark_texts()["frames"].encode()},
+    "cvat": {"c.xml": write_cvat(read_annotation_csv(csv_text())).encode()},
     "annotation_csv": {"t.csv": csv_text().encode()},
     "annotation_npz": {"a.npz": write_annotation_npz(read_annotation_csv(csv_text()))},
 }

@@ -475,6 +475,7 @@ def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
         {"grid": {"start": 1.2, "stop": 0.8, "step": 0.1}},
         {"groups": ("wings",)},
         {"persons": ("cat",)},
+        {"kinds": ("spiral",)},
         {"limits": {"nonsense": (1, 2)}},
         {"contacts": {"pair": [{"joint_a": "nose", "joint_b": "head", "stop_frame": 3}]}},
         {"contacts": {"pair": [{"joint_a": "head", "joint_b": "head", "start_frame": 3, "stop_frame": 3}]}},

@@ -146,16 +146,6 @@ def test_results_are_the_same_whoever_computes_them(tmp_path: Path, pair: tuple[
     assert {k: m.ref.content_digest for k, m in first.items()} == {k: m.ref.content_digest for k, m in second.items()}
 
 
-def test_a_licence_is_in_no_content(tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    """What was made of a take is not made again where its licence alone is said anew."""
-    found = [
-        run(Store(tmp_path / "store"), planned(takes=[{"id": "d", "files": list(pair), "licence": licence}]))
-        for licence in ("CC-BY-4.0", "CC-BY-NC-ND-4.0")
-    ]
-    assert [one["d", "take"].sources[0].licence for one in found] == ["CC-BY-4.0", "CC-BY-NC-ND-4.0"]
-    assert [one.ref for one in found[0].values()] == [one.ref for one in found[1].values()]
-
-
 def test_no_path_is_in_a_key(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     moved = tmp_path / "elsewhere"
     moved.mkdir()

@@ -19,7 +19,7 @@ from flows.machine import usable_cores
 from flows.planning import Selection
 from flows.study_files import read_study_tree, shipped_studies
 from storage_schema.provenance import code_version
-from tests.builders.toy_runs import build_here, run_toys, write_study
+from tests.builders.toy_runs import build_here, call, run_toys, write_study
 from tests.builders.toys import TOYS
 
 
@@ -30,10 +30,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     study = write_study(folder)
     run_toys(study, folder / "store")
     return str(study), str(folder / "store")
-
-
-def call(*arguments: str) -> int:
-    return run_command_line(arguments, graph=TOYS)
 
 
 def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(

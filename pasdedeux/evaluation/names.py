@@ -23,6 +23,11 @@ _METHODS = {
     "largest_class": ("largest class", "the most frequent class for every clip: a baseline"),
     "mesh_refine": ("predicted, then refined", "another model's prediction, refined by the interaction mesh"),
     "paper_cvae": ("the published network", "a conditional variational autoencoder as in Li et al. 2024"),
+    "balanced": ("the published network, balanced", "its loss in the balance that validation chose"),
+    "st_gcn_decoders": ("with ST-GCN decoders", "the published network, ST-GCNs that know the time for its G-GRUs"),
+    "without_ends": ("without ends", "the published network without first and last frame of the template"),
+    "whole_motion": ("of whole motion", "the published network of motion itself in place of its change"),
+    "scales_for_a": ("with scales for A", "the published network, A given B's scales in place of B's motion"),
     "actor_like": ("ACTOR, adapted", "a transformer conditioned on classes of scales, as adapted by Li et al. 2024"),
     "action2motion_like": ("Action2motion, adapted", "a recurrent network conditioned on classes of scales, likewise"),
     "nearest": ("nearest pose", "frame by frame the pose of the database whose image is nearest: the baseline"),
@@ -143,6 +148,7 @@ _METRICS = {
 _ENDINGS = {"mean": ", mean", "median": ", median", "p90": ", 90 %", "p95": ", 95 %", "worst": ", worst"}
 _ENDINGS |= {"min": ", least", "max": ", most", "clean": ", cleaned up"}
 _ENDINGS |= {"first_seed": " from the first seed", "and_grown_seeds": " and grown pairs"}
+_ENDINGS |= {"seed1": ", seed 1", "seed2": ", seed 2", "expi18": " on 18 joints"}
 """What is said after a name for what ends it."""
 
 
@@ -151,6 +157,8 @@ def in_words(name: str) -> str:
 
     >>> in_words("hand_contact_drift_p95"), in_words("cartesian_and_grown_seeds"), in_words("new_score")
     ('drift of hands and feet in contact, 95 %', 'Cartesian and grown pairs', 'new score')
+    >>> in_words("paper_cvae_seed1")
+    'the published network, seed 1'
     """
     base, *endings = _parts(name)
     words = known[0] if (known := _known(base)) else re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", base)

@@ -5,13 +5,14 @@ A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from flows.exports.contact_rows import CONTACTS, contact_rows, touching
 from flows.exports.credits import write_credits
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
@@ -78,8 +79,12 @@ def export_reference(
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
-    export = Export(store, text, reference, tuple(resolve(reference, store)), rest_pose, units, **options)
-    kind = _format_for(file_format, options)
+    if reference.table == CONTACTS:
+        refs, options = touching(store, reference), options | {"make_rows": contact_rows}
+    else:
+        refs = tuple(resolve(reference, store))
+    export = Export(store, text, reference, refs, rest_pose, units, **options)
+    kind = _format_for(file_format, options.keys() - {"make_rows"})
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
     is_own = kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES
@@ -127,7 +132,7 @@ def export_selection(
     return _written(export, kind, out), found.in_words()
 
 
-def _format_for(name: str, options: Mapping[str, Any]) -> ExportFormat:
+def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
     """Return a format that heeds these options."""
     kind = export_format(name)
     for option in options:

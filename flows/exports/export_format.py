@@ -38,6 +38,7 @@ class Export:
         footage: Video that results are drawn on; None for blank frames.
         body_model: Body model that parameters are written for.
         sources: Licences and credits of what is named.
+        make_rows: Makes the rows of a table that is in no store, where such a one is named.
     """
 
     store: Store
@@ -51,6 +52,7 @@ class Export:
     footage: Path | None = None
     body_model: Path | None = None
     sources: tuple[SourceCredit, ...] = ()
+    make_rows: Callable[[Export], Iterator[TableData]] | None = None
 
     @property
     def credit(self) -> str:
@@ -59,6 +61,8 @@ class Export:
 
     def batches(self) -> Iterator[TableData]:
         """Return the rows to be given out, some 10,000 at a time."""
+        if self.make_rows is not None:
+            return self.make_rows(self)
         return iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
 
 

@@ -36,7 +36,7 @@ EXPORT_FORMATS = {
     "npz": "flows.exports.npz_table",
     "csv": "flows.exports.csv_table",
     "bvh": "flows.exports.bvh_motions",
-    "glb": "flows.exports.glb_scenes",
+    "glb": "flows.exports.glb_figures",
     "c3d": "flows.exports.c3d_markers",
     "trc": "flows.exports.trc_markers",
     "smpl": "flows.exports.smpl_parameters",

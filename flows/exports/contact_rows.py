@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from flows.exports.casts import MOVING, Cast, casts
 from flows.exports.export_format import Export
 from flows.exports.own_skeletons import take_of
-from flows.exports.scenes import MOVING, Scene, scenes
 from pasdedeux.augmentation import Source, UserContact
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.objects import MovingObjects
@@ -28,7 +28,7 @@ _PARTS = {
     "variants": ("take_id", "variant_id"),
     "motions": ("sequence_id", "method"),
 }
-"""Columns that the parts of a scene's name are."""
+"""Columns that the parts of a cast's name are."""
 
 
 def touching(store: Store, reference: Reference) -> tuple[ArtifactRef, ...]:
@@ -55,12 +55,12 @@ def contact_rows(export: Export) -> Iterator[TableData]:
         for table in MOVING:
             if table in export.store.manifest(ref).tables:
                 one = replace(export, reference=replace(export.reference, table=table), refs=(ref,))
-                for scene in scenes(one):
-                    rows = contact_columns(export.store, table, scene)
+                for cast in casts(one):
+                    rows = contact_columns(export.store, table, cast)
                     yield TableData(TABLES[CONTACTS], encode(TABLES[CONTACTS], rows))
 
 
-def contact_columns(store: Store, table: str, scene: Scene) -> dict[str, Any]:
+def contact_columns(store: Store, table: str, cast: Cast) -> dict[str, Any]:
     """Return the contacts of one motion as columns of the table `contacts`.
 
     They are what `pasdedeux.interaction.contacts` finds: of a take those that augmentation keeps, of variants and
@@ -70,14 +70,14 @@ def contact_columns(store: Store, table: str, scene: Scene) -> dict[str, Any]:
     objects: MovingObjects | None = None
     stated: tuple[UserContact, ...] = ()
     if table != "motions":
-        assert scene.ref is not None
-        ref = scene.ref if table == "poses" else take_of(store, scene.ref)
+        assert cast.ref is not None
+        ref = cast.ref if table == "poses" else take_of(store, cast.ref)
         objects, stated = read_take(store, ref).source.objects, TakeFacts.of(store.manifest(ref)).contacts
-    source = Source(scene.positions_m, scene.rate_hz, " ".join(map(str, scene.parts)), objects=objects)
+    source = Source(cast.positions_m, cast.rate_hz, " ".join(map(str, cast.parts)), objects=objects)
     found = source.contacts(stated)
     frame, at = np.nonzero(found.weights > 0.0)
-    first_frame = scene.seen.frames[0] if scene.seen is not None else 0
-    people = scene.positions_m.reshape(len(scene.positions_m), -1, 3)
+    first_frame = cast.seen.frames[0] if cast.seen is not None else 0
+    people = cast.positions_m.reshape(len(cast.positions_m), -1, 3)
     ends, bones, thing = found.ends(people)[frame, at], found.bones()[frame, at], found.objects[frame, at]
     radii, shares = source.radii_m.ravel(), found.shares[frame, at]
     names = [*ascii_uppercase[: source.num_people]]
@@ -87,11 +87,11 @@ def contact_columns(store: Store, table: str, scene: Scene) -> dict[str, Any]:
         reach += np.where(thing >= 0, objects.radii_m[thing], 0.0)
     distance = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1)
     is_body = (thing < 0).tolist()
-    parts = zip(_PARTS[table], scene.parts, strict=True)
+    parts = zip(_PARTS[table], cast.parts, strict=True)
     return {name: [str(part)] * len(frame) for name, part in parts} | {
         "origin": [table] * len(frame),
         "frame": frame + first_frame,
-        "time_s": (frame + first_frame) / scene.rate_hz,
+        "time_s": (frame + first_frame) / cast.rate_hz,
         "person": [names[one] for one in person[:, 0]],
         "bone": [BODY22.joint_names[one] for one in joint[:, 0]],
         "share": shares[:, 1],

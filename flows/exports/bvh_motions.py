@@ -12,6 +12,7 @@ from flows.exports.casts import POSED, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat, write_text
 from flows.exports.own_skeletons import RigFiles
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.own_skeleton import ended
 
 _DECIMALS = 8
 
@@ -33,7 +34,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
                     f"mm (95 %) of the pairs, at worst {1e3 * away_m.max():.1f} mm"
                 )
             path = files.path(cast, letter, suffix=".bvh", said=said)
-            write_text(path, write_bvh(rig.motion, decimals=_DECIMALS))
+            write_text(path, write_bvh(ended(rig.motion), decimals=_DECIMALS))
     return [*own.close(), *files.close()]
 
 

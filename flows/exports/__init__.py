@@ -5,7 +5,7 @@ A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.curation import choices_for
+from flows.exports.contact_rows import CONTACTS, contact_rows, touching
 from flows.exports.credits import write_credits
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
@@ -37,7 +38,7 @@ EXPORT_FORMATS = {
     "npz": "flows.exports.npz_table",
     "csv": "flows.exports.csv_table",
     "bvh": "flows.exports.bvh_motions",
-    "glb": "flows.exports.glb_scenes",
+    "glb": "flows.exports.glb_figures",
     "c3d": "flows.exports.c3d_markers",
     "trc": "flows.exports.trc_markers",
     "smpl": "flows.exports.smpl_parameters",
@@ -84,9 +85,11 @@ def export_reference(
     reference = parse_reference(text)
     kind = _format_for(file_format, options)
     choices = choices_for(store, reference) if curation is None else as_settings(read_choices(curation))
-    rejected = rejections(choices, reference.table)
-    refs = tuple(resolve(reference, store))
-    export = Export(store, text, reference, refs, rest_pose, units, rejected=rejected, **options)
+    if reference.table == CONTACTS:
+        refs, options = touching(store, reference), options | {"make_rows": contact_rows}
+    else:
+        refs = tuple(resolve(reference, store))
+    export = Export(store, text, reference, refs, rest_pose, units, choices=choices, **options)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
     is_own = kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES
@@ -144,7 +147,7 @@ def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:
     return rejections(choices, table).get(name) == content_of(row["pair17_m"])
 
 
-def _format_for(name: str, options: Mapping[str, Any]) -> ExportFormat:
+def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
     """Return a format that heeds these options."""
     kind = export_format(name)
     for option in options:

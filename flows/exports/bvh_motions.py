@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from flows.exports.cast_files import CastFiles
+from flows.exports.casts import POSED, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat, write_text
 from flows.exports.own_skeletons import RigFiles
-from flows.exports.scene_files import SceneFiles
-from flows.exports.scenes import POSED, holds_poses, scenes
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.own_skeleton import ended
 
 _DECIMALS = 8
 
@@ -19,11 +20,11 @@ _DECIMALS = 8
 def _write(export: Export, out: Path) -> Iterable[Path]:
     """Write a file for each person, of takes and variants an npz too: degrees, Y up, at the true rate, centimetres."""
     own = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
-    files = SceneFiles(export, out, ("BVH files are in centimetres and degrees.",))
-    for scene in scenes(export):
-        for letter, rig in zip(scene.letters, scene.rigs(), strict=True):
+    files = CastFiles(export, out, ("BVH files are in centimetres and degrees.",))
+    for cast in casts(export):
+        for letter, rig in zip(cast.letters, cast.rigs(), strict=True):
             if rig.own is not None:
-                own.write((*scene.parts, letter), *rig.own, is_apart=files.is_apart(scene))
+                own.write((*cast.parts, letter), *rig.own, is_apart=files.is_apart(cast))
                 continue
             said = ""
             if rig.positions_m is not None and len(rig.positions_m) > 1:
@@ -32,8 +33,8 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
                     f"bones have their median length, so that joints lie within {1e3 * np.percentile(away_m, 95):.1f} "
                     f"mm (95 %) of the pairs, at worst {1e3 * away_m.max():.1f} mm"
                 )
-            path = files.path(scene, letter, suffix=".bvh", said=said)
-            write_text(path, write_bvh(rig.motion, decimals=_DECIMALS))
+            path = files.path(cast, letter, suffix=".bvh", said=said)
+            write_text(path, write_bvh(ended(rig.motion), decimals=_DECIMALS))
     return [*own.close(), *files.close()]
 
 

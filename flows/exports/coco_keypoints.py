@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from flows.exports.casts import groups
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
-from flows.exports.scenes import groups
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import TABLES, TableData
 from storage_schema.table_data import concatenate

@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, SourceCredit, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
-from tasks.curation import rejected_names, without
+from tasks.curation import rejected_names, rejections, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -40,7 +40,8 @@ class Export:
         footage: Video that results are drawn on; None for blank frames.
         body_model: Body model that parameters are written for.
         sources: Licences and credits of what is named.
-        rejected: What somebody rejected of this table: content by name, see `tasks.curation`.
+        choices: What somebody accepted or rejected, as a study has it, see `tasks.curation`.
+        make_rows: Makes the rows of a table that is in no store, where such a one is named.
     """
 
     store: Store
@@ -54,7 +55,8 @@ class Export:
     footage: Path | None = None
     body_model: Path | None = None
     sources: tuple[SourceCredit, ...] = ()
-    rejected: Mapping[str, str] = field(default_factory=dict)
+    choices: Mapping[str, str] = field(default_factory=dict)
+    make_rows: Callable[[Export], Iterator[TableData]] | None = None
 
     @property
     def credit(self) -> str:
@@ -63,15 +65,18 @@ class Export:
 
     def batches(self) -> Iterator[TableData]:
         """Return the rows to be given out, some 10,000 at a time."""
+        if self.make_rows is not None:
+            return self.make_rows(self)
         rows = iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
         return (without(one, self.left_out) for one in rows)
 
     @cached_property
     def left_out(self) -> Collection[str]:
         """The names of what is left out."""
+        table = self.reference.table
         return rejected_names(
-            self.rejected,
-            self.reference.table,
+            rejections(self.choices, table),
+            table,
             lambda columns: iter_rows(replace(self.reference, row=None), self.store, columns=columns),
         )
 

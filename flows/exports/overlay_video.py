@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from flows.exports.cast_files import CastFiles
+from flows.exports.casts import ANNOTATED, Cast, Seen, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat
-from flows.exports.scene_files import SceneFiles
-from flows.exports.scenes import ANNOTATED, Scene, Seen, holds_poses, scenes
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError
 from storage_schema import Store
@@ -28,10 +28,10 @@ _SAID = (
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
     """Write a video for each sequence and method, on blank frames where no footage is named."""
-    files = SceneFiles(export, out, _SAID)
-    for scene in scenes(export):
-        if scene.seen is not None:
-            _draw(export, scene, scene.seen, files.path(scene, suffix=".mp4"))
+    files = CastFiles(export, out, _SAID)
+    for cast in casts(export):
+        if cast.seen is not None:
+            _draw(export, cast, cast.seen, files.path(cast, suffix=".mp4"))
     if not (written := files.close()):
         raise InputError(f"'{export.text}' holds stills only: there is no video to draw on")
     return written
@@ -45,15 +45,15 @@ FORMAT = ExportFormat(
 )
 
 
-def _draw(export: Export, scene: Scene, seen: Seen, path: Path) -> None:
-    """Write the video of one scene."""
+def _draw(export: Export, cast: Cast, seen: Seen, path: Path) -> None:
+    """Write the video of one cast."""
     import cv2  # here: a quarter of a second that other formats do not need
 
-    given_px, is_given, size = _annotation(export.store, scene, seen)
+    given_px, is_given, size = _annotation(export.store, cast, seen)
     with _footage(export.footage, size) as frames:
         first = frames(seen.frames[0])
         height, width = (length - length % 2 for length in first.shape[:2])
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), scene.rate_hz, (width, height))
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), cast.rate_hz, (width, height))
         if not video.isOpened():
             raise InputError(f"{path.name}: no video of {width} x {height} can be written here")
         thick = max(2, height // 240)
@@ -96,10 +96,10 @@ def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: boo
     return laid
 
 
-def _annotation(store: Store, scene: Scene, seen: Seen) -> tuple[Array, Flags, tuple[int, int]]:
-    """Return the annotation of a scene (frame, P, J, 2) in pixels, which of it is given, and the size of its images."""
-    assert scene.ref is not None
-    ref = next(one for one in store.manifest(scene.ref).inputs if "annotations" in store.manifest(one).tables)
+def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tuple[int, int]]:
+    """Return the annotation of a cast (frame, P, J, 2) in pixels, which of it is given, and the size of its images."""
+    assert cast.ref is not None
+    ref = next(one for one in store.manifest(cast.ref).inputs if "annotations" in store.manifest(one).tables)
     name = seen.skeleton.name
     columns = ["sequence_id", "frame", "person_id", f"{name}_px", f"{name}_confidence"]
     rows = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])

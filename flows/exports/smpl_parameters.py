@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from flows.exports.cast_files import CastFiles
+from flows.exports.casts import MOVING, Cast, Rig, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat
-from flows.exports.scene_files import SceneFiles
-from flows.exports.scenes import MOVING, Rig, Scene, holds_poses, scenes
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.own_skeleton import standing
 from pasdedeux.formats.smpl import BODY, BodyModel, SmplMotion, read_body_model, smpl_of_body22, smpl_of_motion
@@ -24,13 +25,14 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
         raise InputError("parameters are written for a body model: name it with --body-model; docs/body-models.md")
     with named(export.body_model.name):
         model = read_body_model(load_file(export.body_model).data)
-    files = SceneFiles(export, out, (f"NPZ files: parameters of {model.kind} as AMASS, metres, rotation vectors.",))
-    for scene in scenes(export):
-        people = zip(scene.letters, scene.rigs(), np.moveaxis(scene.positions_m, 1, 0), strict=True)
+    files = CastFiles(export, out, (f"NPZ files: parameters of {model.kind} as AMASS, metres, rotation vectors.",))
+    for cast in casts(export):
+        people = zip(cast.letters, cast.rigs(), np.moveaxis(cast.positions_m, 1, 0), strict=True)
         for letter, rig, positions_m in people:
             found, axis = _fitted(model, rig, positions_m)
-            path = files.path(scene, letter, suffix=".npz", said=f"{axis} points up; {_misfit_in_words(found)}")
-            path.write_bytes(_npz(export, scene, found, model, axis))
+            turned = replace(cast, axes=f"right-handed, {axis.upper()} up")
+            path = files.path(turned, letter, suffix=".npz", said=_misfit_in_words(found))
+            path.write_bytes(_npz(export, cast, found, model, axis))
     return files.close()
 
 
@@ -65,7 +67,7 @@ def _misfit_in_words(found: SmplMotion) -> str:
     )
 
 
-def _npz(export: Export, scene: Scene, found: SmplMotion, model: BodyModel, axis: str) -> bytes:
+def _npz(export: Export, cast: Cast, found: SmplMotion, model: BodyModel, axis: str) -> bytes:
     poses = found.rotvecs.reshape(len(found.rotvecs), -1)
     bones, misfits = zip(*found.misfit_m.items(), strict=True)
     out = io.BytesIO()
@@ -76,7 +78,7 @@ def _npz(export: Export, scene: Scene, found: SmplMotion, model: BodyModel, axis
         pose_body=poses[:, 3 : 3 * len(BODY)],
         trans=found.trans_m,
         betas=found.betas,
-        mocap_framerate=scene.rate_hz,
+        mocap_framerate=cast.rate_hz,
         surface_model_type=np.array(model.kind.replace("-", "").lower()),
         gender=np.array("neutral"),
         joint_names=np.array(model.skeleton.joint_names),

@@ -85,6 +85,11 @@ class Contacts:
         """Return the vectors from second to first point (*batch, T, M, 3) of joints (*batch, T, P J, 3), metres."""
         return np.asarray(stencil_vectors(self.points, self.shares, points_m) - self.places_m)
 
+    def ends(self, points_m: Array) -> Array:
+        """Return the first and the second point (T, M, 2, 3) of joints (T, P J, 3), metres."""
+        first = np.asarray(stencil_vectors(self.points[..., :2], self.shares[..., :2], points_m))
+        return np.stack([first, first - self.vectors(points_m)], axis=-2)
+
     def spread(self, pulls: Array, num_points: int) -> Array:
         """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, P J, 3)."""
         spread = np.zeros((len(pulls), num_points, 3))

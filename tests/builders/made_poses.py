@@ -7,12 +7,20 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.skeletons import BODY22
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.positions_as_motion import motion_from_positions
+from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import Manifest, Store
 from tests.builders.source_samples import figure_motion
 from tests.builders.storage_rows import put, random_columns
 
 NUM_LIFTED = 3
+
+
+def pair_bvh(pair_m: np.ndarray) -> tuple[str, str]:
+    """Return a pair (2, 17, 3), metres, as the BVH texts of person A and person B, centimetres, one frame each."""
+    first, second = (write_bvh(motion_from_positions(PAIR17, person[None], 30.0), decimals=8) for person in pair_m)
+    return first, second
 
 
 def put_made_poses(store: Store) -> None:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import cv2
 import ezc3d
@@ -29,9 +30,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
-from pasdedeux.formats.registry import ANNOTATION_FORMATS, recognise_format
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, recognise_format
 from pasdedeux.learning.baselines import CopyModel
 from pasdedeux.learning.registry import read_weights
+from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level
 from storage_schema import (
@@ -49,6 +51,7 @@ from storage_schema import (
 from storage_schema.encoding import encode
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
+from tests.builders.body_models import body_model
 from tests.builders.made_poses import NUM_LIFTED, put_made_poses
 from tests.builders.storage_rows import put, random_columns
 from tests.builders.stored_models import put_model
@@ -120,6 +123,14 @@ def check_csv(paths: list[Path], text: str, store: Store) -> None:
     assert len(set(header)) == len(header)
     assert list(dict.fromkeys(name.partition(".")[0] for name in header)) == list(rows.column_names)
     assert [len(line) for line in lines] == [len(header)] * rows.num_rows
+
+
+def options_of(name: str, folder: Path) -> dict[str, Any]:
+    """Return what a format cannot do without."""
+    if name != "smpl":
+        return {}
+    (folder / "body_model.npz").write_bytes(body_model("SMPL"))
+    return {"body_model": folder / "body_model.npz"}
 
 
 def names_in(paths: list[Path], suffix: str) -> list[Path]:
@@ -227,6 +238,15 @@ def check_points(found: np.ndarray, text: str, store: Store) -> None:
         np.testing.assert_allclose(found.reshape(wanted.shape), wanted, atol=1e-5)
 
 
+def check_smpl(paths: list[Path], text: str, store: Store) -> None:
+    found = names_in(paths, ".npz")
+    assert [path.stem[-2:] for path in found] == ["_A", "_B"] * (2 if text.startswith("variants") else 1)
+    for path in found:
+        source = MOTION_FORMATS["smpl"].read(path.read_bytes(), body_model("SMPL"))
+        assert source.num_frames == (NUM_LIFTED if text.startswith("motions") else 15)
+        assert "licence:" in str(np.load(path)["credit"])
+
+
 def check_coco(paths: list[Path], text: str, store: Store) -> None:
     (path,) = paths
     rows, content = open_table(text, store), json.loads(path.read_text())
@@ -272,6 +292,7 @@ READ_BACK: dict[str, Callable[[list[Path], str, Store], None]] = {
     "glb": check_glb,
     "c3d": check_c3d,
     "trc": check_trc,
+    "smpl": check_smpl,
     "coco": check_coco,
     "mp4": check_mp4,
     "json": check_json,
@@ -308,12 +329,12 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
         out = tmp_path / table
         if not kind.can_write(parse_reference(text)):
             with pytest.raises(InputError) as found:
-                export_reference(store, text, name, out)
+                export_reference(store, text, name, out, **options_of(name, tmp_path))
             sentence = str(found.value)
             assert sentence == f"'{text}' cannot be written as {name.upper()}; allowed are {kind.writes}"
             assert not out.exists()
             continue
-        *written, notice = export_reference(store, text, name, out)
+        *written, notice = export_reference(store, text, name, out, **options_of(name, tmp_path))
         READ_BACK[name](written, text, store)
         (manifest,) = [one for one in store.artifacts() if one.ref.key in text]
         assert notice.name == "CREDITS.txt"
@@ -359,6 +380,7 @@ def test_no_name_in_rows_leads_out_of_the_folder_whatever_the_format(
     store: Store, tmp_path_factory: pytest.TempPathFactory, name: str
 ) -> None:
     folder = tmp_path_factory.mktemp("named")
+    options_of("smpl", folder)
     copy = Store(folder / "store")
     named(store, name, copy)
     before = {path for path in folder.rglob("*") if path.is_file()}
@@ -366,7 +388,7 @@ def test_no_name_in_rows_leads_out_of_the_folder_whatever_the_format(
         out = folder / "out" / str(number) / "here"
         if export_format(file_format).can_write(parse_reference(text)):
             with suppress(InputError):
-                export_reference(copy, text, file_format, out)
+                export_reference(copy, text, file_format, out, **options_of(file_format, folder))
             assert (out / "CREDITS.txt").is_file()
             assert all(path.parent == out and path.is_file() for path in out.rglob("*")), (file_format, table)
         there = {path for path in folder.rglob("*") if path.is_file() and out not in path.parents}
@@ -448,7 +470,7 @@ def test_what_is_worse_than_asked_for_lies_apart(store: Store, tmp_path: Path) -
         units = (out / "UNITS.txt").read_text()
         assert "not_good/waltz_bad" in units
         assert "\nwaltz_same" in units
-    with pytest.raises(InputError, match="--verdict is for bvh, glb, c3d, trc, mp4, not for csv"):
+    with pytest.raises(InputError, match="--verdict is for bvh, glb, c3d, trc, smpl, mp4, not for csv"):
         export_reference(store, text, "csv", tmp_path / "csv", verdict=Level.PASS)
 
 
@@ -481,3 +503,43 @@ def test_selected_pairs_leave_as_poses_those_of_doubtful_chains_apart(store: Sto
     export = Export(store, "x", replace(reference, table="selected_pairs"), (), selected=rows, verdict=Level.WARN)
     files = {path.relative_to(tmp_path).as_posix() for path in export_format("c3d").write(export, tmp_path)}
     assert files == {"selected_pairs_pass.c3d", "not_good/selected_pairs_fail.c3d", "UNITS.txt"}
+
+
+def test_contacts_go_out_as_a_table_with_points_on_both_bodies(store: Store, tmp_path: Path) -> None:
+    path, notice = export_reference(store, references(store)["poses"].replace("poses", "contacts"), "npz", tmp_path)
+    assert (path.name, notice.name) == ("contacts.npz", "CREDITS.txt")
+    with np.load(path) as archive:
+        rows = dict(archive)
+    assert list(rows) == [column.name for column in TABLES["contacts"].columns]
+    body = dict(zip("AB", np.moveaxis(poses_of(references(store)["poses"], store), 1, 0), strict=True))
+    assert len(rows["frame"]) > 20
+    for row in range(len(rows["frame"])):
+        for who, bone, share, point in (
+            (rows["person"], rows["bone"], rows["share"], rows["point_m"]),
+            (rows["partner"], rows["partner_bone"], rows["partner_share"], rows["partner_point_m"]),
+        ):
+            child = BODY22.index(str(bone[row]))
+            start, end = (body[str(who[row])][rows["frame"][row], one] for one in (BODY22.parents[child], child))
+            np.testing.assert_allclose(point[row], start + share[row] * (end - start), atol=1e-5)
+    between = np.linalg.norm(rows["point_m"] - rows["partner_point_m"], axis=-1)
+    np.testing.assert_allclose(rows["distance_m"], between, atol=1e-5)
+    assert (rows["gap_m"] < rows["distance_m"]).all()
+    assert np.abs(rows["gap_m"][rows["is_held"]]).max() < 0.2
+    np.testing.assert_array_equal(rows["is_held"], rows["weight"] >= 0.5)
+
+
+def test_contacts_of_variants_and_reconstructions_are_named_by_them(store: Store, tmp_path: Path) -> None:
+    texts = {table: references(store)[table].replace(table, "contacts") for table in ("variants", "motions")}
+    path, _ = export_reference(store, texts["variants"], "csv", tmp_path / "variants")
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["origin"], row["take_id"], row["variant_id"]) for row in rows} == {
+        ("variants", "waltz", "bad"),
+        ("variants", "waltz", "same"),
+    }
+    path, _ = export_reference(store, texts["motions"], "npz", tmp_path / "motions")
+    assert len(np.load(path)["frame"]) == 0  # they stand a metre apart
+    with pytest.raises(InputError, match="cannot be written as GLB"):
+        export_reference(store, texts["motions"], "glb", tmp_path / "glb")
+    with pytest.raises(InputError, match="here are none"):
+        export_reference(store, references(store)["seeds"].replace("seeds", "contacts"), "npz", tmp_path / "none")

@@ -298,7 +298,7 @@ def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     # The figure of the tests slides, and both people are it.
     quiet = {
         "virtual_video": {"num_videos": 0, "num_random_views": 0},
-        "capture": {"limits": {"skate_m_s": [9, 9], "twin_m": [0, 0]}},
+        "capture": {"limits": {"skate_m_s": [9, 9], "twin_m": [0, 0], "body_difference_m": [0, 0]}},
     }
     takes = [{"id": "two", "files": list(pair)}, {"id": "one", "files": [pair[0]]}]
     found = run(store, planned(takes=takes, **quiet))

@@ -68,7 +68,7 @@ SECTIONS = {
     "Skipped, and why",
     "Sources and licences",
 }
-FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits", "selected_pairs"}
+FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits", "selected_pairs", "contacts"}
 """The study has no object, no model that is trained in several segments, and no take that priors are learned from;
 selected pairs are in files alone."""
 RATE_HZ = 12.0

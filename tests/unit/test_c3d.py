@@ -10,6 +10,9 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.c3d import C3D, read_c3d, read_points, write_c3d
 from pasdedeux.formats.registry import recognise_format
 from pasdedeux.skeletons import BODY22
+from storage_schema import Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
 from tests.builders.source_samples import c3d_points, figure_motion
 
 POSITIONS_M, _ = figure_motion().world()
@@ -112,3 +115,13 @@ def test_a_scene_of_somebody_else_is_told_how_to_come_in():
     for scene in (b"glTF\x02\0\0\0", b'{"asset": {"version": "2.0"}, "nodes": []}'):
         with pytest.raises(FormatError, match=r"this is a glTF scene.*export its armature as BVH"):
             recognise_format(scene)
+
+
+def test_a_take_of_both_people_of_one_file_is_who_they_were(tmp_path):
+    (tmp_path / "both.c3d").write_bytes(c3d_points("AB"))
+    take = {"id": "both", "files": [str(tmp_path / "both.c3d")] * 2, "floor": "keep"}
+    section = IngestParameters.model_validate({"rate_hz": 30.0, "takes": [take]})
+    store = Store(tmp_path / "store")
+    ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=1), section)[0], store)
+    found = store.read(ref, "poses")["body22_m"].reshape(2, -1, 22, 3)
+    np.testing.assert_allclose(found, [POSITIONS_M, POSITIONS_M + np.array([1.0, 0.0, 0.0])], atol=1e-5)

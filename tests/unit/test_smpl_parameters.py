@@ -73,7 +73,7 @@ def test_a_take_gives_back_the_parameters_that_it_came_with(
         assert found["joint_misfit_m"].max() < 1e-3
         assert (str(found["axes"]), float(found["mocap_framerate"])) == ("right-handed, Z up", 30.0)
         assert f"hug_{letter}.npz: {NUM_FRAMES} frames at 30 Hz" in said
-    assert "z points up; joints lie within 0.0 mm (95 %)" in said
+    assert "axes: right-handed, Z up; joints lie within 0.0 mm (95 %)" in said
 
 
 def test_a_variant_leaves_as_parameters_with_the_misfit_of_its_betas(

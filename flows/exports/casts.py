@@ -97,8 +97,8 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """People in one world, A first.
+class Cast:
+    """People of one world over the same frames, A first.
 
     Args:
         parts: Parts of the file's name.
@@ -159,8 +159,8 @@ def holds_poses(reference: Reference) -> bool:
     return reference.table in _KEYS or (reference.table in MOVING and reference.row is None)
 
 
-def scenes(export: Export) -> Iterator[Scene]:
-    """Yield the scenes of an export, of motions one at a time."""
+def casts(export: Export) -> Iterator[Cast]:
+    """Yield the casts of an export, of motions one at a time."""
     if export.reference.table in _KEYS:
         yield from _pairs(export)
         return
@@ -200,7 +200,7 @@ def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np
         yield key, np.array(part)
 
 
-def _take(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
+def _take(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
     takes = store.read(ref, "takes", columns=["take_id", "rate_hz", "num_persons"])
     rows = store.read(ref, "poses", columns=["person", "body22_m"])
     people = np.stack([rows["body22_m"][rows["person"] == one] for one in range(takes.num_rows)], axis=1)
@@ -208,7 +208,7 @@ def _take(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
     def rigs(rest_pose: RestPose) -> list[Rig]:
         return [_own_rig(one, one.own, None, rest_pose) for one in people_of_take(store, ref)]
 
-    yield Scene(
+    yield Cast(
         (str(takes["take_id"][0]),),
         BODY22,
         people.astype(np.float64),
@@ -219,7 +219,7 @@ def _take(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
     )
 
 
-def _variants(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
+def _variants(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
     people = people_of_take(store, take_of(store, ref))
     quality = store.read(ref, "variant_quality", columns=["take_id", "variant_id", "bone_scale", "verdict"])
     rows = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "body22_m"])
@@ -236,7 +236,7 @@ def _variants(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
             found = zip(people, np.moveaxis(positions_m, 1, 0), scales, strict=True)
             return [_own_rig(one, one.own.retargeted(to_m, by), to_m, rest_pose) for one, to_m, by in found]
 
-        yield Scene(
+        yield Cast(
             key,
             BODY22,
             positions,
@@ -255,7 +255,7 @@ def _own_rig(person: Person, own: OwnSkeleton, wanted_m: Array | None, rest_pose
     return Rig(drawn.motion, radii, own=(person, own, wanted_m))
 
 
-def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
+def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
     """Yield the people of each video and method, upright on one floor."""
     rows = store.read(ref, "motions")
     # From the axes of a camera that looks down to a world in which people stand upright.
@@ -281,7 +281,7 @@ def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
             return [Rig(one, bone_radii(one, height_m, _BODY22_NAMES)) for one, height_m in both]
 
         who = ", ".join(f"{letter} is person {one}" for letter, one in zip(ascii_uppercase, ids, strict=False))
-        yield Scene(
+        yield Cast(
             (sequence_id, method),
             BODY22,
             positions,
@@ -294,8 +294,8 @@ def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Scene]:
         )
 
 
-def _pairs(export: Export) -> Iterator[Scene]:
-    """Yield pairs of one moment: those of one chain, sequence or set of seeds are frames of one scene."""
+def _pairs(export: Export) -> Iterator[Cast]:
+    """Yield pairs of one moment: those of one chain, sequence or set of seeds are frames of one cast."""
     table, row = export.reference.table, export.reference.row
     found: dict[tuple[Any, ...], list[tuple[ArtifactRef | None, TableData, np.ndarray, Sequence[str]]]] = {}
     for ref, rows, labels in _rows_of_pairs(export):
@@ -316,7 +316,7 @@ def _pairs(export: Export) -> Iterator[Scene]:
         positions = np.concatenate([rows["pair17_m"][part] for _, rows, part, _ in parts]).astype(np.float64)
         is_video = table in ANNOTATED and "stills" not in key
         seen = Seen(key[0], (int(key[1]), int(key[2])), frames, PAIR17, positions, is_pair=True) if is_video else None
-        yield Scene(
+        yield Cast(
             (table, *key) if row is None else (_name_of_row(export, parts[0][3][0]),),
             PAIR17,
             positions,

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+import typer
 from typer import Argument, Option
 
 from flows.console.context import JsonOption, StoreOption, answer, app, open_store, say
@@ -117,7 +118,13 @@ def export(
         paths, words = export_selection(open_store(store), reference, file_format, out, count=select)
         say([*map(str, paths), words])
         return
-    say(map(str, export_reference(open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units)))
+    opened = open_store(store)
+    say(map(str, export_reference(opened, reference, file_format, out, rest_pose=rest_pose, units=units)))
+    from tasks.data import LOOK, Data, player_page  # here: half of the science, which `show` need not wait for
+
+    if pictures := Data(opened).pictures(reference):
+        (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
+        typer.echo(f"look at it: {out / LOOK}")
 
 
 def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:

@@ -46,12 +46,15 @@ _METHODS = {
     "shape_context": ("shape context", "chains that compare shape contexts with annotations"),
     "unbiased": ("unbiased steps", "the first density with steps that do not follow velocities"),
     "our_default": ("our default", "the target and the steps that studies have by default"),
-    "our_default_from_grown": ("our default from grown pairs", "the same, from chains that start at grown pairs"),
+    "our_default_from_grown": (
+        "our default from lifted seeds",
+        "the same, from chains that start at pairs lifted from seeds",
+    ),
     "prior_only": ("prior alone", "chains that sample joint limits and bone lengths without annotations: the baseline"),
-    "grown_seeds": ("grown pairs", "annotations lifted from the seeds nearest to them, step by step"),
+    "grown_seeds": ("pairs lifted from seeds", "annotations lifted from the seeds nearest to them, step by step"),
     "real_frames": ("real frames", "as many captured pairs as there are draws: a bound"),
-    "selected_pairs": ("selected pairs", "the draws and grown pairs that differ most"),
-    "random_pairs": ("random pairs", "as many draws and grown pairs at random: a baseline"),
+    "selected_pairs": ("selected pairs", "the draws and pairs lifted from seeds that differ most"),
+    "random_pairs": ("random pairs", "as many draws and pairs lifted from seeds at random: a baseline"),
     "nearest_annotation": ("nearest annotation", "the most similar image among those used, without any 3D: a baseline"),
     "fitted": ("fitted draws", "mean of the nearest draws, fitted to the image"),
     "blended": ("blended draws", "the nearest draws, aligned with the visible joints"),
@@ -140,9 +143,17 @@ _METRICS = {
     },
 }
 """Words and a sentence of each metric that is not declared as a figure, by which values are better."""
+_PARTS = {
+    "held_out": "held-out takes",
+    "leave_one_out": "left-out images",
+    "annotated": "annotated frames",
+    "unannotated": "other frames of the same takes",
+    "learned": "takes that draws are made from",
+}
+"""What scores are over, in words."""
 _ENDINGS = {"mean": ", mean", "median": ", median", "p90": ", 90 %", "p95": ", 95 %", "worst": ", worst"}
 _ENDINGS |= {"min": ", least", "max": ", most", "clean": ", cleaned up"}
-_ENDINGS |= {"first_seed": " from the first seed", "and_grown_seeds": " and grown pairs"}
+_ENDINGS |= {"first_seed": " from the first seed", "and_grown_seeds": " and pairs lifted from seeds"}
 """What is said after a name for what ends it."""
 
 
@@ -150,11 +161,20 @@ def in_words(name: str) -> str:
     """Return a method's or metric's name as people say it; of unknown ones the words of the name.
 
     >>> in_words("hand_contact_drift_p95"), in_words("cartesian_and_grown_seeds"), in_words("new_score")
-    ('drift of hands and feet in contact, 95 %', 'Cartesian and grown pairs', 'new score')
+    ('drift of hands and feet in contact, 95 %', 'Cartesian and pairs lifted from seeds', 'new score')
     """
     base, *endings = _parts(name)
     words = known[0] if (known := _known(base)) else re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", base)
     return "".join([words, *endings])
+
+
+def part_in_words(part: str) -> str:
+    """Return the part of the data that a score is over as people say it.
+
+    >>> part_in_words("held_out"), part_in_words("cross_scale test")
+    ('held-out takes', 'cross scale test')
+    """
+    return _PARTS.get(part, part.replace("_", " "))
 
 
 def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:

@@ -19,6 +19,8 @@ from flows.machine import usable_cores
 from flows.planning import Selection
 from flows.study_files import read_study_tree, shipped_studies
 from storage_schema.provenance import code_version
+from tasks.data import LOOK
+from tests.builders.pages import Page
 from tests.builders.toy_runs import build_here, run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -252,8 +254,11 @@ def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path
     lines = (tmp_path / "in_betweens.csv").read_text().splitlines()
     assert "last_frame,pair17_m.0.pelvis.x,pair17_m.0.pelvis.y,pair17_m.0.pelvis.z,pair17_m.0.spine.x" in lines[0]
     assert len(lines) == 5
+    assert len(Page((tmp_path / LOOK).read_text()).scenes) == 1, "who can be seen can be looked at beside the files"
+    (tmp_path / LOOK).unlink()
     assert call("export", "training_log:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
     assert "licence: CC0-1.0" in (tmp_path / "CREDITS.txt").read_text()
+    assert not (tmp_path / LOOK).exists()
 
 
 def test_export_as_bvh_of_a_table_without_motion_is_refused(

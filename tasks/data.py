@@ -270,6 +270,10 @@ class Data:
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
             return [self.pairs(reference).picture]
+        if table == "motions":
+            from tasks.evaluation.reconstruction import motion_picture  # here: topics of the evaluation import this
+
+            return [motion_picture(self.store, ref) for ref in resolve(reference, self.store)[:_MAX_PLAYERS]]
         of_table = {"poses": self._takes, "variants": self._variants}
         clips = of_table[table](reference) if table in of_table else ()
         return [one.picture for one in islice(clips, _MAX_PLAYERS)]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import pickle
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
@@ -16,6 +18,7 @@ from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.data import MAX_LINKS, Data, PairDataset, SplitName, links_of
 from tasks.facts import TakeFacts
+from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs
 from tests.builders.ingest_runs import planned, run
 from tests.builders.pages import Page, in_browser
@@ -164,3 +167,20 @@ def test_the_lines_of_the_readme_run(
     )
     exec(compile(toy, "README.md", "exec"), {})
     assert capsys.readouterr().out.count("A-uniform") >= 8
+
+
+def test_the_moving_picture_is_small_whole_and_always_the_same(store: Store) -> None:
+    variant = Data(store).variants("toy")[0]
+    assert variant.source is not None
+    clips = {"source": variant.source, "person A at 0.8 of the size": variant}
+    drawn = picture_of(clips)
+    assert drawn == picture_of(clips)
+    image = Image.open(io.BytesIO(drawn))
+    assert (image.format, image.width, image.n_frames) == ("WEBP", 720, 30)  # type: ignore[attr-defined]
+    pixels = np.asarray(image.convert("RGB")).astype(int)
+    is_drawn = np.abs(pixels - pixels[0, 0]).max(axis=-1) > 60
+    for edge in (is_drawn[0], is_drawn[-1], is_drawn[:32, 0], is_drawn[:32, -1]):
+        assert not edge.any(), "titles and people are whole"
+    for half in (pixels[:, :360], pixels[:, 360:]):
+        is_green = (half[..., 1] > half[..., 0] + 60) & (half[..., 1] > half[..., 2] + 30)
+        assert is_green.sum() > 10, "contacts are marked"

@@ -28,6 +28,7 @@ class Progress:
         left_s: Seconds to the end where shards take what those of their stage take, or took last time.
         is_all: Whether that is all; else there are stages of which nothing is known.
         partitions: By stage and partition of what is running, how many of its shards have ended, and how many it has.
+        noun: What is counted.
     """
 
     num_done: int
@@ -36,6 +37,7 @@ class Progress:
     left_s: float
     is_all: bool
     partitions: Mapping[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
+    noun: str = "shard"
 
 
 class Listener:

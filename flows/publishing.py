@@ -69,7 +69,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         return None
     name = settings.name or run.study.name
     built = {stage.name for stage in outcome.stages}
-    if built != set(run.graph.names) or outcome.missing:
+    if built != set(run.study.parameters) or outcome.missing:
         return Published(name, f"{name} is not published: this is not the whole of the study")
     refs = [ref for stage in outcome.stages for ref in stage.artifacts]
     manifests = [store.manifest(ref) for ref in refs]

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 from storage_schema.ancestry import find_manifest
 from storage_schema.credits import SourceCredit, merge_credits
+from storage_schema.croissant import describe_dataset
 from storage_schema.datasets import Dataset, add_dataset, check_names, datasets_with, digest_of, next_version
 from storage_schema.errors import DatasetExists, MissingArtifact, OlderSchema, StorageError
 from storage_schema.manifest import ArtifactRef, Manifest
@@ -90,7 +91,8 @@ def create_dataset(
 ) -> Dataset:
     """Return a list of artifacts a name and a version that never change.
 
-    Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card.
+    Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card, and what
+    other programs know it by (`storage_schema.croissant`).
 
     Raises:
         DatasetExists: This name and version are taken.
@@ -110,7 +112,8 @@ def create_dataset(
         path = store.root / "datasets" / f"{name}@{chosen}"
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
         dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
-        if add_dataset(store, dataset, attachments or {}):
+        described = describe_dataset(dataset, [store.manifest(ref) for ref in dict.fromkeys(refs)])
+        if add_dataset(store, dataset, {**described, **(attachments or {})}):
             return dataset
         if version is not None:
             raise DatasetExists(f"dataset {dataset.label} was already made and never changes; name another version")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 
@@ -11,7 +11,17 @@ from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import Judged, merge_verdicts, part_name
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
-from tasks.facts import DrawFacts, LiftedFacts, ModelFacts, PeopleFacts, SeedFacts, SequenceFacts, TakeFacts, facts_of
+from tasks.facts import (
+    DrawFacts,
+    LiftedFacts,
+    ModelFacts,
+    PeopleFacts,
+    SeedFacts,
+    SequenceFacts,
+    TakeFacts,
+    VariantFacts,
+    facts_of,
+)
 from tasks.stage import verdict_of, verdicts_of_parts
 
 _APART = "evaluation"
@@ -45,12 +55,13 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
     found = sorted(manifests, key=lambda one: (one.ref.stage, one.partition, one.name))
     counted = {thing: [one for one in found if thing.table in one.tables] for thing in _THINGS}
+    verdicts = dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank))
     sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in found for s in one.sources}}
     return Summary(
-        made=[made for thing, parts in counted.items() if (made := _made(thing, parts)).count],
+        made=[made for thing, parts in counted.items() if (made := _made(thing, parts, verdicts)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
         skipped=folded(sorted({sentence for one in found for sentence in _skipped(one)})),
-        verdicts=dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank)),
+        verdicts=verdicts,
     )
 
 
@@ -120,7 +131,7 @@ def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
 
 
-def _made(thing: _Thing, parts: Sequence[Manifest]) -> Made:
+def _made(thing: _Thing, parts: Sequence[Manifest], verdicts: Mapping[str, Verdict]) -> Made:
     """Count a thing in its artifacts; seconds are of motion, where its artifacts say how many frames it has."""
     count, seconds = 0, math.nan
     for one in parts:
@@ -137,4 +148,18 @@ def _made(thing: _Thing, parts: Sequence[Manifest]) -> Made:
             times = own if thing.table == "variant_quality" else 1
             length = times * facts.num_frames / facts.rate_hz
             seconds = length if math.isnan(seconds) else seconds + length
-    return Made(thing.name, count, seconds, sum(one.num_bytes for one in parts))
+    return Made(thing.name, count, seconds, sum(one.num_bytes for one in parts), _independent(thing, parts, verdicts))
+
+
+def _independent(thing: _Thing, parts: Sequence[Manifest], verdicts: Mapping[str, Verdict]) -> tuple[int, str] | None:
+    """Return how many of a thing are independent of each other, in words that people count; None where all are."""
+    facts = [facts_of(one) for one in parts]
+    if thing.table == "variant_quality":
+        return len({one.take_id for one in facts if isinstance(one, VariantFacts)}), "takes with variants"
+    if thing.table == "annotations":
+        found = {name for one in facts if isinstance(one, SequenceFacts) for name in one.sequence_ids}
+        return len(found), "annotated sequences"
+    chains = verdicts.get("chains")
+    if thing.table == "draws" and chains is not None and chains.figure == "effective sample size":
+        return round(chains.value * chains.count), "independent draws"
+    return None

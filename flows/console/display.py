@@ -143,6 +143,24 @@ class BarListener(LineListener):
             self._console.print(line, markup=False, soft_wrap=True)
 
 
+class Steps:
+    """Tells a listener of the steps of one piece of work, and the time left where all take as long; call it for each.
+
+    Args:
+        listener: Who is told.
+        total: Number of steps.
+    """
+
+    def __init__(self, listener: Listener, total: int) -> None:
+        self._listener, self._total, self._done, self._started = listener, total, 0, time.monotonic()
+
+    def __call__(self) -> None:
+        """Count a step."""
+        self._done = min(self._done + 1, self._total)
+        left_s = (time.monotonic() - self._started) / self._done * (self._total - self._done)
+        self._listener.progressed(Progress(self._done, self._total, (), left_s, is_all=True, noun="step"))
+
+
 def plan_lines(plan: Plan) -> list[str]:
     """Return a plan as lines: a stage a line, then its partitions that need work, with the reason."""
     lines: list[str] = []
@@ -190,7 +208,7 @@ def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:
 
 def progress_text(progress: Progress) -> str:
     """Return the progress of a run in one line: `12 of 45 shards, computing chains ic 0; about 40 s left`."""
-    words = [f"{progress.num_done} of {counted(progress.num_shards, 'shard')}", _running_text(progress)]
+    words = [f"{progress.num_done} of {counted(progress.num_shards, progress.noun)}", _running_text(progress)]
     return "; ".join(filter(None, [", ".join(filter(None, words)), left_text(progress)]))
 
 

@@ -20,7 +20,9 @@ def reconstruct(
     detect: DetectOption = None,
     database: Annotated[str | None, Option(metavar="REF", help="Projections; default: the store's only ones.")] = None,
     store: StoreOption = Path("store"),
-    out: Annotated[Path | None, Option(help="Folder for BVH files, or with --follow a file for the lines.")] = None,
+    out: Annotated[
+        Path | None, Option(help="Folder for BVH files and a page, this one by default; with --follow a file.")
+    ] = None,
     follow: Annotated[bool, Option("--follow", help="Read files while they are being written.")] = False,
     idle: Annotated[float, Option(min=0.0, metavar="S", help="End after this time without a new file, seconds.")] = 5.0,
     settings: Annotated[
@@ -40,7 +42,7 @@ def reconstruct(
     docs; each camera in a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
 
     \b
-      pasdedeux reconstruct walk/ --out out/                              a BVH and an npz file for each person
+      pasdedeux reconstruct walk/ --out out/                              a BVH and an npz file for each person, a page
       pasdedeux reconstruct walk/ --database projections:duets --follow   a JSON line per person and frame, live
       pasdedeux reconstruct dance.mp4 --detect rtmo-m.onnx --out out/     film; also --keys or --detections
 

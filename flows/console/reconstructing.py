@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -16,26 +16,29 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store, say
-from flows.console.display import format_table
+from flows.console.display import Steps, format_table, make_listener
 from flows.console.fetch import small_database_words
 from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
 from flows.machine import remembered_ctrl_c
 from flows.study_files import toml_value
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
+from pasdedeux.reconstruction.people import MethodMotions, ReconstructedTracks, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.settings import first_problem
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
+from tasks.data import player_page
+from tasks.evaluation.reconstruction import reconstruction_player
 from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations, find_videos
 from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.projections import read_cameras, read_database, read_pairs
@@ -124,6 +127,8 @@ def reconstruct_video(
     searchers, take_ids = _searchers(source, refs, pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
 
+    listener = make_listener()
+
     def reconstruct_sequence(resolved: ResolvedPeople, sequence: SequencePeople) -> None:
         if sequence.why_not_followed:
             raise InputError(sequence.why_not_followed)
@@ -131,8 +136,15 @@ def reconstruct_video(
         if not tracks:
             raise InputError("no frame shows enough joints of a person")
         pitch, searcher = None, searchers[0]
+        step = Steps(listener, len(searchers) + 2 * len(tracks))
+
+        def counted(every: Iterable[Searcher]) -> Iterator[Searcher]:
+            for one in every:
+                yield one
+                step()
+
         if len(searchers) > 1:
-            pitch = choose_pitch(searchers, tracks)
+            pitch = choose_pitch(counted(searchers), tracks)
             searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
         found = reconstruct_people(
             searcher,
@@ -143,6 +155,7 @@ def reconstruct_video(
             camera_height_m=camera_height_m,
             statures_m=_statures(statures, [one.person_id for one in tracks]),
             pitch=pitch,
+            on_step=step,
         )
         if not found.methods:
             raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
@@ -152,19 +165,23 @@ def reconstruct_video(
 
     failed: list[InputError] = []
     num_made = 0
-    for one in videos:
-        typer.echo(one.in_words(), err=True)
-        try:
-            resolved = one.resolve()
-        except InputError as error:
-            failed.append(error)
-            continue
-        for sequence in resolved.sequences:
+    listener.note(f"writing to {out.resolve()}")
+    try:
+        for one in videos:
+            listener.note(one.in_words())
             try:
-                reconstruct_sequence(resolved, sequence)
-                num_made += 1
+                resolved = one.resolve()
             except InputError as error:
-                failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
+                failed.append(error)
+                continue
+            for sequence in resolved.sequences:
+                try:
+                    reconstruct_sequence(resolved, sequence)
+                    num_made += 1
+                except InputError as error:
+                    failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
+    finally:
+        listener.close()
     for reason in failed if num_made else failed[:-1]:
         typer.echo(f"skipped: {reason}", err=True)
     if not num_made:
@@ -205,9 +222,25 @@ def _write_sequence(
     people = names.path(sequence.sequence_id, "people", suffix=".csv")
     write_text(people, write_decisions(sequence.decisions))
     typer.echo(f"{people}: who is who; --set people_file=COPY with changes overrules it", err=True)
+    page = names.path(sequence.sequence_id, suffix=".html")
+    write_text(page, player_page(sequence.sequence_id, [_shown(found.methods[-1], sequence.sequence_id)]))
+    typer.echo(f"look at it: {page}")
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was skipped: {reason}", err=True)
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
+
+
+def _shown(made: MethodMotions, sequence_id: str) -> Picture:
+    """Show the people of a sequence beside the 2D poses that they were found in."""
+    tracks = [one.track for one in made.people]
+    frames = np.unique(np.concatenate([track.frames for track in tracks]))
+    found, seen_px = (np.full((len(frames), len(tracks), 14, axes), np.nan) for axes in (3, 2))
+    for number, one in enumerate(made.people):
+        at = np.searchsorted(frames, one.track.frames)
+        found[at, number], seen_px[at, number] = one.positions_m, one.track.keypoints_px
+    player = reconstruction_player(found, rate_hz=tracks[0].rate_hz, keypoints_px=seen_px)
+    caption = f"{sequence_id}: the 2D poses, and what was reconstructed, five seconds from the middle. Turn it."
+    return Picture(f"{sequence_id}{PLAYER}", caption, player)
 
 
 def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: Sequence[int]) -> list[Track]:

@@ -15,12 +15,14 @@ import typer
 from flows.console.context import open_store, say
 from flows.console.display import format_table
 from flows.exports import RestPose, Units, write_credits
+from flows.exports.export_format import write_text
 from flows.exports.model_weights import stored_weights
 from flows.exports.own_skeletons import Person, RigFiles, people_of_take
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.formats.asf_amc import read_asf
 from pasdedeux.formats.file_format import FileStart
@@ -35,6 +37,8 @@ from pasdedeux.learning.registry import Weights, read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
+from tasks.data import LOOK, player_page
+from tasks.evaluation.augmentation import variant_player
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
@@ -220,7 +224,10 @@ def retarget_take(
     files = RigFiles(out, rest_pose=rest_pose, units=units)
     files.write_variant("retarget", people, positions_m, bone_scale)
     credits_path = write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)
-    say(map(str, (*files.close(), credits_path)))
+    player = variant_player(source, {"source": source.positions_m, "retarget": np.asarray(positions_m)})
+    shown = Picture(f"retarget{PLAYER}", f"take {take_id} and its retarget; its contacts are green", player)
+    page = write_text(out / LOOK, player_page(f"Take {take_id}", [shown]))
+    say(map(str, (*files.close(), credits_path, page)))
     if rows:
         header = ("person", "body", "size", "bones", "misfit mean", "greatest", "between")
         say(format_table(header, rows, text_columns=(0, 1, 3, 6)))

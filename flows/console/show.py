@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import typer
 from typer import Argument, Option
 
 from flows.console.context import JsonOption, StoreOption, answer, app, open_store, say
@@ -32,7 +33,8 @@ from storage_schema import (
 )
 
 SCORES = "scores"
-_ROWS, _SCORE_ROWS = 5, 12
+_ROWS, _SCORE_ROWS, _ROWS_OF_MANY, _MAX_STEPS = 5, 12, 3, 12
+"""Rows of a table, of scores of one topic, of one of several; artifacts that it comes from: so many are printed."""
 
 ReferenceArgument = Annotated[
     str, Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
@@ -43,7 +45,9 @@ ReferenceArgument = Annotated[
 def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
-    rows: Annotated[int | None, Option(min=0, help=f"Rows to show: {_ROWS}, of scores {_SCORE_ROWS} a topic.")] = None,
+    rows: Annotated[
+        int | None, Option(min=0, help=f"Rows to show: {_ROWS}; of scores {_SCORE_ROWS}, or {_ROWS_OF_MANY} a topic.")
+    ] = None,
     has_files: Annotated[bool, Option("--files", help="Only the paths of the Parquet files, one a line.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -60,7 +64,7 @@ def show(
         return
     described = _describe(opened, reference, _ROWS if rows is None else rows)
     if described["table"] == SCORES and described["row"] is None:
-        lines = _score_lines(opened, reference, _SCORE_ROWS if rows is None else rows)
+        lines = _score_lines(opened, reference, rows)
     else:
         lines = _row_lines(described, opened, reference)
     heading = [
@@ -82,10 +86,12 @@ def _row_lines(described: Mapping[str, Any], store: Store, reference: str) -> It
     if described["row"] is not None:
         yield from _joint_lines_of(store, reference)
     yield "comes from:"
-    for step in described["lineage"]:
+    for step in described["lineage"][:_MAX_STEPS]:
         place = f"{step['stage']}@{step['key'][:12]} {step['partition']} {step['name']}".rstrip()
         yield f"  {'  ' * step['depth']}{place}"
-    for file in described["files"]:
+    if (more := len(described["lineage"]) - _MAX_STEPS) > 0:
+        yield f"  ... and {more} more artifacts: --json"
+    for file in described["files"][:_MAX_STEPS]:
         yield f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})"
 
 
@@ -139,10 +145,16 @@ def export(
         paths, words = export_selection(open_store(store), reference, file_format, out, count=select, **options)
         say([*map(str, paths), words])
         return
+    opened = open_store(store)
     written = export_reference(
-        open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units, curation=curation, **options
+        opened, reference, file_format, out, rest_pose=rest_pose, units=units, curation=curation, **options
     )
     say(map(str, written))
+    from tasks.data import LOOK, Data, player_page  # here: half of the science, which `show` need not wait for
+
+    if pictures := Data(opened).pictures(reference):
+        (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
+        typer.echo(f"look at it: {out / LOOK}")
 
 
 def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
@@ -190,7 +202,7 @@ def _joint_lines_of(store: Store, text: str) -> list[str]:
     return lines
 
 
-def _score_lines(store: Store, text: str, num_rows: int) -> Iterator[str]:
+def _score_lines(store: Store, text: str, asked_rows: int | None) -> Iterator[str]:
     """Return scores as a table a topic: means over items where there are several, the best of a row with a star."""
     topics: dict[str, list[Score]] = {}
     for batch in iter_rows(text, store):
@@ -200,7 +212,8 @@ def _score_lines(store: Store, text: str, num_rows: int) -> Iterator[str]:
             found = {name: row[name] for name in COLUMNS if name in row}
             values = {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
             topics.setdefault(str(row["topic"]), []).append(Score(**values))
-    num_figures = sum(map(len, topics.values()))
+    num_figures, default = sum(map(len, topics.values())), _SCORE_ROWS if len(topics) == 1 else _ROWS_OF_MANY
+    num_rows, scope = default if asked_rows is None else asked_rows, text.partition("/")[0]
     yield "* is the best of a row, where it is known what is better"
     for topic, scores in topics.items():
         means = mean_table(scores, caption="means over items", has_marks=True)
@@ -208,8 +221,9 @@ def _score_lines(store: Store, text: str, num_rows: int) -> Iterator[str]:
         yield from ("", f"{topic}: {table.caption}")
         yield from format_table(table.headings, table.rows[:num_rows], text_columns=range(len(table.headings)))
         if len(table.rows) > num_rows:
-            more = f"... {len(table.rows) - num_rows} more rows: --rows {len(table.rows)}"
-            yield f"{more}; all figures: --json --rows {num_figures}"
+            more = f"--rows {len(table.rows)}" if len(topics) == 1 else f"pasdedeux show {scope}/{topic}"
+            yield f"... {len(table.rows) - num_rows} more rows: {more}"
+    yield f"all {num_figures:,} figures: --json --rows {num_figures}"
 
 
 def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:

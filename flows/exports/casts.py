@@ -166,9 +166,9 @@ def casts(export: Export) -> Iterator[Cast]:
         return
     make = {"poses": _take, "variants": _variants, "motions": _reconstructions}[export.reference.table]
     for ref in export.refs:
-        for scene in make(export.store, ref):
-            if "/".join(map(str, scene.parts)) not in export.left_out:
-                yield scene
+        for cast in make(export.store, ref):
+            if "/".join(map(str, cast.parts)) not in export.left_out:
+                yield cast
 
 
 def bone_radii(motion: Motion, height_m: float, roles: Mapping[str, str] | None = None) -> Array:

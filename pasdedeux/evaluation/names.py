@@ -15,11 +15,20 @@ def in_words(name: str) -> str:
     """Return a method's or metric's name as people say it; of unknown ones the words of the name.
 
     >>> in_words("hand_contact_drift_p95"), in_words("cartesian_and_grown_seeds"), in_words("new_score")
-    ('drift of hands and feet in contact, 95 %', 'Cartesian and grown pairs', 'new score')
+    ('drift of hands and feet in contact, 95 %', 'Cartesian and pairs lifted from seeds', 'new score')
     """
     base, *endings = _parts(name)
     words = known[0] if (known := _known(base)) else re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", base)
     return "".join([words, *endings])
+
+
+def part_in_words(part: str) -> str:
+    """Return the part of the data that a score is over as people say it.
+
+    >>> part_in_words("held_out"), part_in_words("cross_scale test")
+    ('held-out takes', 'cross scale test')
+    """
+    return str(_WORDS["parts"].get(part, part.replace("_", " ")))
 
 
 def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:

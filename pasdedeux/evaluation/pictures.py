@@ -18,7 +18,8 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.skeletons import PAIR17, Skeleton
+from pasdedeux.plausibility.capsules import capsule_model
+from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 
 if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
     from matplotlib.figure import Figure
@@ -29,7 +30,7 @@ PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
 """Colours of person A, B, ... in every picture; a sixth person has the first one again."""
 COLOUR_NAMES = ("orange", "blue", "purple", "ochre", "teal")
 """What these are called."""
-_TRUTH_COLOUR, _LINK_COLOUR, _OBJECT_COLOUR = "#8c8c8c", "#111111", "#777777"
+_TRUTH_COLOUR, LINK_COLOUR, _OBJECT_COLOUR = "#8c8c8c", "#12a150", "#777777"
 _SHADES = {"left_": 0.62, "right_": 1.0}
 """Brightness of left and right limbs."""
 _SHADE_BETWEEN = 0.85
@@ -71,6 +72,11 @@ class Picture:
     def scene(self) -> str:
         """What a player shows, as JSON that can stand within a page: nothing in it ends a script."""
         return self.content.decode().replace("<", "\\u003c").replace("&", "\\u0026")
+
+    def of_panels(self, count: int) -> Picture:
+        """Return a player with its first panels only."""
+        scene = json.loads(self.content)
+        return replace(self, content=_packed(scene | {"panels": scene["panels"][:count]}))
 
     @property
     def data_uri(self) -> str:
@@ -194,6 +200,14 @@ class ShownPerson:
     colour: str
     is_thin: bool = False
 
+    @property
+    def radii_m(self) -> list[float]:
+        """Radius of each joint's bone, millimetres kept; empty of who is drawn thin, and where none are known."""
+        there = self.positions_m[np.isfinite(self.positions_m).all(axis=(1, 2))]
+        if self.is_thin or self.skeleton not in (BODY22, PAIR17) or not len(there):
+            return []
+        return np.round(capsule_model(self.skeleton).radii_of(there[:, None])[0], 3).tolist()
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -287,11 +301,12 @@ def pack_player(
                     "num_points": figure.skeleton.num_joints,
                     "colour": figure.colour,
                     "is_thin": figure.is_thin,
+                    "radii_m": [] if panel.is_flat else figure.radii_m,
                 }
             )
         for ends, colour, width in (
             (panel.objects_m, _OBJECT_COLOUR, 1 if panel.is_flat else 6),
-            (panel.links_m, _LINK_COLOUR, 2),
+            (panel.links_m, LINK_COLOUR, 2),
         ):
             if ends is not None and ends.size:
                 lines.append({"start": add(ends), "num_lines": ends.shape[1], "colour": colour, "width": width})
@@ -313,6 +328,10 @@ def pack_player(
         "panels": described,
         "data": base64.b64encode(whole.tobytes()).decode(),
     }
+    return _packed(scene)
+
+
+def _packed(scene: Mapping[str, Any]) -> bytes:
     return json.dumps(scene, separators=(",", ":"), allow_nan=False).encode()
 
 

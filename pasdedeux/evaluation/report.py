@@ -40,12 +40,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """The whole page: its title, what the study makes, the answers on top, the sections."""
+    """The whole page: its title, what the study makes, the answers on top, the sections, and what moves first."""
 
     title: str
     description: str
     summary: Summary
     sections: Sequence[Section] = field(default_factory=tuple)
+    hero: Picture | None = None
 
 
 def _coded(text: str) -> Markup:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.evaluation.names import better_sign, in_words, is_bound
+from pasdedeux.evaluation.names import better_sign, in_words, is_bound, part_in_words
 from pasdedeux.evaluation.scores import Score
 
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
@@ -95,7 +95,8 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
         single.sort(key=lambda one: (one.split, _natural(one.item)))
         figures = {name: in_words(name) for name in sorted({one.metric for one in single})}
         items = pivot_table(
-            single, caption, ("part", "item"), lambda one: (one.split, one.item), figures, lambda one: one.metric, _text
+            *(single, caption, ("part", "item"), lambda one: (part_in_words(one.split), one.item), figures),
+            *(lambda one: one.metric, _text),
         )
         return _without_all(items)
     best = _best(single) if has_marks else set()
@@ -103,7 +104,7 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
         single,
         caption,
         ("figure", "part", "item"),
-        lambda one: (one.metric, one.split, one.item),
+        lambda one: (one.metric, part_in_words(one.split), one.item),
         methods,
         lambda one: one.method,
         lambda found: _text(found) + " *" * (found[-1] in best),

@@ -6,13 +6,32 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.verdicts import verdict_words
-from pasdedeux.verdict import Verdict
+from pasdedeux.verdict import Level, Verdict
 
 _MAX_SKIPPED = 8
 """Sentences on what was skipped among the last lines of the console, at most; the report and the card have all."""
 _MAX_NAMED = 6
 """Things that share a sentence and are named in it, at most."""
+_USABLE = {Level.PASS: "usable", Level.WARN: "usable, some with warnings", Level.FAIL: "not all usable"}
+_COMPARED = {Level.PASS: "better than {}", Level.WARN: "no better than {}", Level.FAIL: "worse than {}"}
+_PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
+    "takes": {"ingest": _USABLE},
+    "variants": {
+        "augmentation": _USABLE,
+        "evaluation: augmentation": {level: f"contacts kept {words}" for level, words in _COMPARED.items()},
+    },
+    "draws": {
+        "chains": {Level.PASS: "independent", Level.WARN: "not independent", Level.FAIL: "not independent"},
+        "evaluation: coverage": {level: f"cover real pairs {words}" for level, words in _COMPARED.items()},
+    },
+    "lifted pairs": {"evaluation: lifting": _COMPARED},
+    "reconstruction": {"evaluation: reconstruction": _COMPARED},
+    "models": {"evaluation: models": _COMPARED},
+    "generated motion": {"evaluation: generation": _COMPARED},
+}
+"""What a reader may use: the verdicts on it, and what these say in a few words."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +45,16 @@ class Credit:
 
 @dataclass(frozen=True)
 class Made:
-    """How much there is of one thing: its name in the plural, number, seconds of motion (NaN where none), bytes."""
+    """How much there is of one thing: its name in the plural, number, seconds of motion (NaN where none), bytes.
+
+    `independent` is how many of it are independent of each other and what those are, where not all of them are.
+    """
 
     thing: str
     count: int
     seconds: float
     num_bytes: int
+    independent: tuple[int, str] | None = None
 
     def __str__(self) -> str:
         """Return it in words.
@@ -54,6 +77,28 @@ class Made:
             return size
         minutes, seconds = divmod(round(self.seconds), 60)
         return f"{minutes} min {seconds} s, {size}" if minutes else f"{seconds} s, {size}"
+
+
+@dataclass(frozen=True)
+class Product:
+    """Something that a reader may use: its name, the worst of the verdicts on it, and what these say in few words."""
+
+    name: str
+    verdicts: Mapping[str, Verdict]
+
+    @property
+    def level(self) -> Level:
+        """The worst level."""
+        return max((one.level for one in self.verdicts.values()), key=lambda level: level.rank)
+
+    @property
+    def words(self) -> str:
+        """What the verdicts say: `usable; contacts kept better than plain forward kinematics`."""
+        said = []
+        for name, verdict in self.verdicts.items():
+            words = next(one for start, one in _PRODUCTS[self.name].items() if f"{name} ".startswith(f"{start} "))
+            said.append(words.get(verdict.level, "not judged").format(in_words(verdict.baseline_name) or "allowed"))
+        return "; ".join(dict.fromkeys(said))
 
 
 @dataclass(frozen=True)
@@ -80,6 +125,27 @@ class Summary:
         """How many verdicts there are of each kind, in one line."""
         levels = [verdict.level.value for verdict in self.verdicts.values()]
         return ", ".join(f"{levels.count(level)} {level}" for level in dict.fromkeys(sorted(levels))) or "not judged"
+
+    @property
+    def products(self) -> list[Product]:
+        """What a reader may use, each with the verdicts on it: those on parts of a topic where the whole has none."""
+        found = []
+        for product, judges in _PRODUCTS.items():
+            own = {
+                name: verdict
+                for start in judges
+                for name, verdict in self.verdicts.items()
+                if name == start or (start not in self.verdicts and name.startswith(f"{start} "))
+            }
+            found += [Product(product, own)] if own else []
+        return found
+
+    @property
+    def ranked(self) -> tuple[dict[str, Verdict], dict[str, Verdict]]:
+        """The verdicts on products and those that fail, and the others."""
+        first = {name: verdict for product in self.products for name, verdict in product.verdicts.items()}
+        first |= {name: verdict for name, verdict in self.verdicts.items() if verdict.level is Level.FAIL}
+        return first, {name: verdict for name, verdict in self.verdicts.items() if name not in first}
 
     def lines(self) -> list[str]:
         """All of it, a line for each answer, then one for each verdict and one for what was skipped."""

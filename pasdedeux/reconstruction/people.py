@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,6 +81,7 @@ def reconstruct_people(
     camera_height_m: float | None = None,
     statures_m: Mapping[int, float] | None = None,
     pitch: PitchEstimate | None = None,
+    on_step: Callable[[], None] = lambda: None,
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
@@ -97,6 +98,7 @@ def reconstruct_people(
         camera_height_m: Height of the camera over the floor where it is known, which gives people their size.
         statures_m: Stature of people, by person id, where it is known; gives them their size, and the others with them.
         pitch: Estimate of the camera's pitch; that of the searcher counts as stated.
+        on_step: Called when a track is matched, and when a method has made its motion.
     """
     statures_m, options = statures_m or {}, options or ReconstructionOptions()
     camera = searcher.database.camera
@@ -108,13 +110,13 @@ def reconstruct_people(
             matched.append((track, match_track(searcher, track, options)))
         except InputError as error:
             skipped[track.person_id] = str(error)
-    tried = {
-        method: tuple(
-            hold_hips(reconstruct_track(searcher, track, method, options, matches=matches))
-            for track, matches in matched
-        )
-        for method in (methods if matched else ())
-    }
+        on_step()
+    tried: dict[Method, tuple[Reconstruction, ...]] = {}
+    for method in methods if matched else ():
+        for track, matches in matched:
+            one = hold_hips(reconstruct_track(searcher, track, method, options, matches=matches))
+            tried[method] = (*tried.get(method, ()), one)
+            on_step()
     scene = None
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:

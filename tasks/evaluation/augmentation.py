@@ -24,6 +24,7 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.augmentation import batch_of, solver_variants
+from tasks.data import links_of
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
@@ -31,8 +32,6 @@ from tasks.takes import read_take
 
 _OURS, _PLAIN = "interaction_mesh", "naive_fk"
 _FK_DRIFT = "contact_drift_fk_m"
-_MAX_LINKS = 10
-"""Contacts drawn in a frame, at most."""
 QUALITY_COLUMNS = {
     "estimated_gap_m": "m",
     **{name: one.unit for name, one in FIGURES.items() if one.kind == "float" and name != _FK_DRIFT},
@@ -99,7 +98,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     ]
     caption = (
         f"{take_id}: the source, its variants of the smallest and greatest size, and that whose contacts moved most; "
-        "contacts of the source are black lines. Better: black lines stay short."
+        "contacts of the source are green. Better: green lines stay short."
     )
     pictures = [Picture(f"variants-{take_id}.player.json", caption, variant_player(source, shown))]
     if has_contacts:
@@ -260,21 +259,13 @@ def drift_figure(take_id: str, scale: Array, columns: Mapping[str, Array]) -> by
 
 
 def variant_player(source: Source, motions_m: Mapping[str, Array]) -> bytes:
-    """Show motions (frame, P, 22, 3), metres, by name, side by side with the source's contacts as black lines."""
+    """Show motions (frame, P, 22, 3), metres, by name, side by side with the source's contacts as green lines."""
     frames, rate_hz = shown_frames(source.num_frames, source.rate_hz)
     contacts = source.contacts()
-    held, ends = contacts.is_held[frames], contacts.points[frames].reshape(len(frames), -1, 2, 2)
-    shares = np.abs(contacts.shares[frames].reshape(*ends.shape, 1))
-    strongest = np.argsort(~held, axis=1, kind="stable")[:, : min(_MAX_LINKS, int(held.sum(axis=1).max(initial=0)))]
     objects = source.objects.ends_m[frames] if source.objects else None
     panels = []
     for name, motion in motions_m.items():
-        joints = motion[frames].reshape(len(frames), -1, 3)
-        links = (shares * joints[np.arange(len(frames))[:, None, None, None], ends]).sum(axis=3)
-        links[:, :, 1] += contacts.places_m[frames]
-        links[~held] = np.nan
-        links = np.take_along_axis(links, strongest[:, :, None, None], axis=1)
-        panels.append(people_panel(name, BODY22, motion[frames], links, objects))
+        panels.append(people_panel(name, BODY22, motion[frames], links_of(contacts, motion)[frames], objects))
     return pack_player(panels, rate_hz=rate_hz)
 
 

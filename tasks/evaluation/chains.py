@@ -117,7 +117,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult:
             rows.append((f"draw {at + 1:,}", row))
         caption = (
             f"States of one chain of {in_words(density)}, evenly spread, each as the nearest annotation saw it, beside "
-            "the three annotations most like it with their distance d_I (Yin et al. 2018, figs. 6, 7 and 11). Better: "
+            "the three annotations most like it with their distance (Yin et al. 2018, figs. 6, 7 and 11). Better: "
             "draws look like annotations and differ from each other."
         )
         pictures.append(Picture(f"draws-nearest-{density}.svg", caption, rows_figure(rows)))

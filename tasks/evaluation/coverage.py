@@ -12,7 +12,7 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
-from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.names import in_words, part_in_words
 from pasdedeux.evaluation.pictures import (
     CLOUD,
     CurvePanel,
@@ -41,7 +41,8 @@ from tasks.stage import Parameters, Shard, StageInputs, stream
 SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
 """Measures of coverage: where a curve has them, and their unit."""
-_ALONE = "draws without grown pairs"
+_MEASURE_WORDS = {"D_I": "by interaction", "D_C": "joint by joint", "D_S": "by shape"}
+_ALONE = "draws of chains alone"
 """What is judged beside all sets: draws of chains, which say something about densities."""
 _REAL = "real_frames"
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
@@ -60,7 +61,7 @@ _MARKERS = ("^", "s", "X", "D", "v")
 _MANY_SEEDS = 5
 _EXPLORATION = {
     "num_draws": "draws",
-    "coverage_D_C": "coverage D_C",
+    "coverage_D_C": "coverage",
     "as_good_as_real_frames_D_C": "as good as real",
     "draw_to_nearest_real_D_C_median": "draw to nearest real, median",
     "acceptance_rate_mean": "accepted",
@@ -134,8 +135,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     caption = (
         f"Distance from {words} real pairs to their nearest draw against the number of draws; lower is better, "
         "baselines are dashed, grey lines are as many real pairs in place of draws (Yin et al. 2018, fig. 9). "
-        "From the left: by distances "
-        "between both people's joints (D_I), joint by joint (D_C), by shape (D_S)."
+        "By interaction: by distances between both people's joints."
     )
     pictures = [Picture(f"coverage-{split}.svg", caption, coverage_figure(curves, levels, words))]
     shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), words)
@@ -277,9 +277,9 @@ def set_table(scores: Sequence[Score]) -> list[TextTable]:
     return [
         pivot_table(
             own,
-            "Sets of one size: distance from a real pair to the nearest one of the set, D_C",
+            "Sets of one size: distance from a real pair to the nearest one of the set",
             ("frames", "size of the set"),
-            lambda score: (score.split.replace("_", " "), f"{score.at:.0f}"),
+            lambda score: (part_in_words(score.split), f"{score.at:.0f}"),
             {name: in_words(name) for name in (_SELECTED, _RANDOM, _REAL)},
             lambda score: score.method,
             lambda found: format_value(found[0].value, found[0].unit),
@@ -343,7 +343,9 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
         real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
         own = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
         levels_of = {f"{count} real": float(value) for count, value in real}
-        panels.append(CurvePanel(f"{measure} to the nearest draw{end}", own, _baselines(curves), levels_of))
+        panels.append(
+            CurvePanel(f"to the nearest draw, {_MEASURE_WORDS[measure]}{end}", own, _baselines(curves), levels_of)
+        )
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
 
 
@@ -413,7 +415,7 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> lis
     return [
         pivot_table(
             known,
-            f"Methods of exploration: {split.replace('_', ' ')} frames",
+            f"Methods of exploration: {part_in_words(split)}",
             ("draws of",),
             lambda score: (in_words(score.method),),
             _EXPLORATION,

@@ -76,7 +76,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         parts.append(Items({method: ours_mm, _PLAIN: plain_mm}, [take_id] * len(times_s), times_s, len(items)))
         if not pictures:
             shown = {"take": source.positions_m} | {one.variant_id: one.motion_m for one in items[:_SHOWN]}
-            caption = f"{take_id}, and what was generated for it; contacts of the take are black lines."
+            caption = f"{take_id}, and what was generated for it; contacts of the take are green."
             pictures = [Picture(f"generated-{take_id}.player.json", caption, variant_player(source, shown))]
     more = {"split": f"{facts.split} test"}
     scores = [

@@ -225,7 +225,7 @@ def nearest_draw_figure(curves: Mapping[str, Mapping[str, Nearest]]) -> bytes:
         }
         panels.append(
             CurvePanel(
-                f"d_I to the nearest (cm), {_WORDS[split]}",
+                f"distance to the nearest (cm), {_WORDS[split]}",
                 {name: both for name, both in means.items() if len(both[0]) > 1},
                 _BASELINES,
                 {name: float(mean[0]) for name, (at, mean) in means.items() if len(at) == 1},
@@ -288,7 +288,7 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
         draw_pair(axis, scale * images_m[at], 100 * plane.places[at])
     axis.tick_params(labelsize=6)
     fit_map(figure, axis, scale=5.6, limits=(2.4, 7.0))
-    axis.set_xlabel("cm of d_I", fontsize=7)
+    axis.set_xlabel("cm of distance between images", fontsize=7)
     legend_beside(axis)
     return figure_svg(figure, title=f"annotations by how alike they are ({plane.share:.0%} of the spread shown)")
 
@@ -307,7 +307,7 @@ TOPIC = Topic(
     name="leave_one_out",
     heading="Leave-one-out images",
     introduction="Evidence that needs no ground truth: some images are kept from everything that draws are made from; "
-    "good draws include one that looks like each of them. Distances are those of images, d_I.",
+    "good draws include one that looks like each of them. Distances are those of images (d_I of Yin et al. 2018).",
     reads=("annotations", "views", "draws", "seeds", "poses"),
     plan=_plan,
     run=_run,

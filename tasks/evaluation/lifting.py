@@ -13,13 +13,14 @@ from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.lifting import completion_errors, in_between_errors, lifted_errors
-from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.names import in_words, part_in_words
 from pasdedeux.evaluation.pictures import (
     CLOUD,
     Picture,
     draw_pair,
     figure_svg,
     label_axis,
+    legend_beside,
     new_figure,
     pack_player,
     people_panel,
@@ -218,16 +219,16 @@ def calibration_scores(expected_m: Array, errors_m: Array, *, split: str) -> lis
 
 def expected_figure(parts: Mapping[str, tuple[Array, Array]]) -> bytes:
     """Draw true errors (n,) over expected ones (n, 3), metres, of each part, and what holds 80 %; give SVG bytes."""
-    figure, ((axis,),) = new_figure(4.6, 3.6)
+    figure, ((axis,),) = new_figure(5.8, 3.6)
     for marker, (name, (expected, errors)) in zip("os^D", parts.items(), strict=False):
-        label = name.replace("_", " ")
+        label = part_in_words(name)
         axis.scatter(100 * expected[:, 0], 100 * errors, s=14, marker=marker, label=label, alpha=0.7, **CLOUD)
     every = 100 * np.concatenate([expected for expected, _ in parts.values()])
     every = every[np.argsort(every[:, 0])]
     axis.plot(every[:, 0], every[:, 0], color="#444444", linewidth=0.8)
     axis.fill_between(every[:, 0], every[:, 1], every[:, 2], color="#444444", alpha=0.12, linewidth=0)
     label_axis(axis, "expected error (cm)", "true error (cm)")
-    axis.legend(fontsize=7)
+    legend_beside(axis)
     return figure_svg(figure)
 
 
@@ -273,7 +274,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult:
         return TopicResult(scores)
     caption = (
         "Lifted pairs with the expected error of a joint and its 80 % interval, each beside the other annotations and "
-        "the draws most like it, nearest first, with their distance d_I: of an annotation to the pair seen from where "
+        "the draws most like it, nearest first, with their distance: of an annotation to the pair seen from where "
         "that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Annotations of the same moment are "
         "excluded; the nearest draw may have been lifted from that very image. Better: all look alike; far neighbours "
         "mean that nothing like it is known."
@@ -322,7 +323,8 @@ def rows_figure(rows: Sequence[tuple[str, Sequence[tuple[str, Array]]]]) -> byte
         for column, (words, points) in enumerate(pairs):
             middle, top = _CELL_M[0] * (column + 0.5), -_CELL_M[1] * row
             draw_pair(axis, points, np.array([middle, top - 0.56 * _CELL_M[1]]))
-            axis.text(middle, top - 0.16 * _CELL_M[1], words, fontsize=7, ha="center")
+            lines = words.replace(", ", "\n")
+            axis.text(middle, top - 0.17 * _CELL_M[1], lines, fontsize=7, ha="center", va="center")
         axis.text(0.0, -_CELL_M[1] * (row + 0.05), label, fontsize=7, fontweight="bold")
     return figure_svg(figure)
 
@@ -361,7 +363,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
             between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
             errors = {method: np.concatenate(spans) for method, spans in filled.items()}
             judged[_BETWEEN] += _held_out(split, Items(errors, *between))
-    notes = [f"Joints were completed from {len(pool):,} draws and grown pairs."]
+    notes = [f"Joints were completed from {len(pool):,} draws and pairs lifted from seeds."]
     items = {name: Items.joined(found) for name, found in judged.items()}
     return TopicResult(scores, notes=notes, items=items, baselines=_BASELINES)
 

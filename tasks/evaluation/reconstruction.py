@@ -84,11 +84,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     facts = MotionFacts.of(store.manifest(motions))
     refuse_overlap(f"the projection database of sequence {shard.name}", facts.database_takes, facts.sequence_takes)
     if not annotations:
-        return _show(store, motions, f"{shard.name}: a video without ground truth; no scores.")
+        note = f"{shard.name}: a video without ground truth; no scores."
+        return TopicResult(pictures=[motion_picture(store, motions)], notes=[note])
     try:
         people, truth, film = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     except InputError as error:
-        return _show(store, motions, f"{shard.name}: {error}; no scores.")
+        return TopicResult(pictures=[motion_picture(store, motions)], notes=[f"{shard.name}: {error}; no scores."])
     split = "held_out" if any(one.is_held_out for one in SequenceFacts.read(store, annotations)) else "annotated"
     scores = [score for person in people for score in reconstruction_scores(person, split=split)]
     for one, other in combinations(people, 2):
@@ -364,8 +365,8 @@ def _middle(points: Array) -> Array:
     return np.median(known, axis=0) if len(known) else np.zeros(2)
 
 
-def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
-    """Show what the last method made of a sequence that cannot be scored."""
+def motion_picture(store: Store, motions: ArtifactRef) -> Picture:
+    """Show what the last method made of a sequence."""
     table = _read_motions(store, motions)
     method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
     is_shown = table["method"] == method
@@ -378,7 +379,7 @@ def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
         "short or bent wrongly show from the side."
     )
     player = reconstruction_player(found, rate_hz=rate_of(table["time_s"]))
-    return TopicResult(pictures=[Picture(_picture_name(sequence_id), caption, player)], notes=[note])
+    return Picture(_picture_name(sequence_id), caption, player)
 
 
 TOPIC = Topic(

@@ -25,6 +25,8 @@ from tasks.stage import Parameters, Shard, StageInputs, commit, followed, merge_
 from tasks.summary import judge, summary_of
 
 PARTITION = "report"
+_OPENING = ("augmentation", "generation", "reconstruction", "lifting", "takes", "clips")
+"""Topics whose moving people the page opens on, the best first."""
 _MAX_NOTES = 60
 """Sentences of a section, at most; tables have the rest."""
 _MAX_PICTURES = 24
@@ -76,7 +78,13 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     silent = [topic for topic, section in zip(topics, every, strict=True) if section is None]
     there = {table for manifest in inputs for table in manifest.tables}
     page = _page(
-        Report(settings.title, settings.description, summary, [one for one in every if one is not None]),
+        Report(
+            settings.title,
+            settings.description,
+            summary,
+            [one for one in every if one is not None],
+            _hero(store, found),
+        ),
         [*summary.skipped, *_unasked(silent, there)],
         card_tables(card),
     )
@@ -88,6 +96,15 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
         attachments={**figures, "report.html": page.encode(), "card.md": render("card.md", card=card).encode()},
         facts=Facts(takes=merge_takes(*inputs)),
     )
+
+
+def _hero(store: Store, found: Sequence[Manifest]) -> Picture | None:
+    """Return the moving picture that the page opens on: the first of the topics that show people best."""
+    for topic in _OPENING:
+        for part in (one for one in found if one.partition == topic):
+            for name in sorted(name for name in part.attachments if name.endswith(PLAYER)):
+                return Picture(name, TopicFacts.of(part).captions[name], store.attachment(part.ref, name)).of_panels(2)
+    return None
 
 
 def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None:

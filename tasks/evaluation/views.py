@@ -51,8 +51,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         if split == "held_out":
             items = Items(errors, [pair.take_id for pair in pairs], [pair.time_s for pair in pairs])
     caption = (
-        "Estimated view directions: psi is the azimuth round the pair, phi the angle from straight above (0) over "
-        "level (1.6) to straight below (3.1). Each dot is a hypothesis, larger where its weight is (Yin et al. 2018, "
+        "Estimated view directions: round the pair, and from straight above (0) over level (90 degrees) to straight "
+        "below (180). Each dot is a hypothesis, larger where its weight is (Yin et al. 2018, "
         "fig. 4b). Better: a few tight clusters for each camera."
     )
     skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
@@ -90,10 +90,17 @@ def view_errors(hypotheses: Sequence[tuple[Array, Array]], truth: Array) -> dict
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array) -> bytes:
     """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give SVG bytes."""
     figure, ((axis,),) = new_figure(5.6, 3.2)
-    axis.scatter(psi_rad, phi_rad, s=1.0 + 12.0 * np.asarray(weight), alpha=0.35, color="#1f5fa8", **CLOUD)
-    axis.set_xlim(-np.pi, np.pi)
-    axis.set_ylim(np.pi, 0)
-    label_axis(axis, "psi (rad)", "phi (rad)")
+    axis.scatter(
+        np.rad2deg(psi_rad),
+        np.rad2deg(phi_rad),
+        s=1.0 + 12.0 * np.asarray(weight),
+        alpha=0.35,
+        color="#1f5fa8",
+        **CLOUD,
+    )
+    axis.set_xlim(-180, 180)
+    axis.set_ylim(180, 0)
+    label_axis(axis, "direction round the pair (degrees)", "from straight above (degrees)")
     return figure_svg(figure, title="estimated views (size: weight of the hypothesis)")
 
 

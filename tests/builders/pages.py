@@ -30,6 +30,7 @@ class Page(HTMLParser):
     scenes: list[dict[str, Any]] = field(default_factory=list)
     figures: list[bytes] = field(default_factory=list)
     cells: list[str] = field(default_factory=list)
+    framed: str = ""
     problems: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -54,6 +55,8 @@ class Page(HTMLParser):
             self.headings.append((int(tag[1]), ""))
         if tag == "img":
             self.figures.append(base64.b64decode((named["src"] or "").partition("base64,")[2], validate=True))
+        if tag == "iframe":
+            self.framed = named["srcdoc"] or ""
         if tag == "td":
             self.cells.append("")
         needs = {"img": "alt", "canvas": "aria-label", "input": "aria-label", "select": "aria-label"}.get(tag)

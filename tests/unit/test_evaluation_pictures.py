@@ -121,10 +121,12 @@ def _page() -> str:
     pictures = [Picture(f"{n}.player.json", f"person {n} & <co>", moving) for n in range(5)] + [
         Picture("v.svg", "views", drawn)
     ]
-    rows = tuple((f"row <{n}>", str(value)) for n, value in enumerate((10, 9, 1000, 2)))
-    table = TextTable("<scores>", ("method", "value"), rows)
-    sections = [Section("Takes & <all>", ("text",), (table,), tuple(pictures)), Section("Nothing")]
-    return render("report.html", report=Report("A <study>", "made from <duets>", SUMMARY, sections))
+    values = (10, 9, 1000, *range(2, 9), *range(11, 14))
+    rows = tuple((f"row <{n}>", str(value)) for n, value in enumerate(values))
+    tables = TextTable("<scores>", ("method", "value"), rows), TextTable("short", ("method", "value"), rows[:12])
+    sections = [Section("Takes & <all>", ("text",), tables, tuple(pictures)), Section("Nothing")]
+    hero = Picture("hero.player.json", "what moves first", moving).of_panels(1)
+    return render("report.html", report=Report("A <study>", "made from <duets>", SUMMARY, sections, hero))
 
 
 def test_the_page_needs_no_other_file_and_names_everything_and_escapes_what_it_shows() -> None:
@@ -136,12 +138,17 @@ def test_the_page_needs_no_other_file_and_names_everything_and_escapes_what_it_s
     assert [level for level, _ in page.headings] == [1, 2, 2, 2, 2]
     assert page.headings[0][1] == "A <study>"
     assert page.cells[:2] == ["row <0>", "10"]
-    assert [len(scene["panels"]) for scene in page.scenes] == [2] * 5
+    assert [len(scene["panels"]) for scene in page.scenes] == [1] + [2] * 5
     assert page.scenes[0]["panels"][0]["title"] == "</script><b>"
 
 
 _PROBE = """
-const figures = [...document.querySelectorAll("figure.player")];
+const [hero, ...figures] = [...document.querySelectorAll("figure.player")];
+const folded = [...document.querySelectorAll("main details")].every((one) => !one.open || one.matches(".topic *"));
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+for (let tries = 0; tries < 20 && !players.get(hero)?.isPlaying; tries++) await wait(50);
+const opening = { plays: players.get(hero)?.isPlaying, bottom: hero.getBoundingClientRect().bottom };
+window.requestAnimationFrame = (act) => setTimeout(() => act(performance.now()), 20);  // no screen, hardly a frame
 document.querySelectorAll("details").forEach((one) => { one.open = true; });
 const seen = (canvas) => {
   const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
@@ -149,8 +156,7 @@ const seen = (canvas) => {
   for (let at = 0; at < data.length; at++) sum = (sum * 31 + data[at]) % 1000003;
   return sum;
 };
-const wait = (ms) => new Promise((done) => setTimeout(done, ms));
-const players = figures.map(ready), first = figures[0], canvas = first.querySelector("canvas");
+const shown = figures.map(ready), first = figures[0], canvas = first.querySelector("canvas");
 await wait(200);
 const drawn = [seen(canvas)];
 const slider = first.querySelector("input");
@@ -161,9 +167,11 @@ canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
 drawn.push(seen(canvas));
 first.querySelector("button.home").click();
 drawn.push(seen(canvas));
-const before = players[0].frame;
+first.scrollIntoView();
+await wait(100);
+const before = shown[0].frame;
 first.querySelector("button.play").click();
-for (let tries = 0; tries < 20 && players[0].frame === before; tries++) await wait(150);
+for (let tries = 0; tries < 20 && shown[0].frame === before; tries++) await wait(150);
 first.querySelector("button.play").click();
 const table = document.querySelector("table");
 const column = () => [...table.tBodies[0].rows].map((row) => row.cells[1].textContent);
@@ -175,8 +183,9 @@ const filter = document.querySelector("details.table input");
 filter.value = "1000";
 filter.dispatchEvent(new Event("input"));
 const left = [...table.tBodies[0].rows].filter((row) => !row.hidden).length;
-return { drawn, moved: players[0].frame !== before, rising, falling: column(), left,
-         wide: document.documentElement.scrollWidth <= innerWidth, num: players.length };
+const filters = [...document.querySelectorAll("details.table")].map((one) => one.querySelectorAll("input").length);
+return { drawn, moved: shown[0].frame !== before, rising, falling: column(), left, filters, opening, folded,
+         wide: document.documentElement.scrollWidth <= innerWidth, num: shown.length };
 """
 
 
@@ -190,8 +199,12 @@ def test_players_move_and_turn_and_tables_sort_in_a_browser(tmp_path: Path, widt
     assert home == scrubbed
     assert found["moved"]
     assert found["num"] == 5
-    assert found["rising"] == ["2", "9", "10", "1000"] == found["falling"][::-1]
+    assert found["rising"] == [str(n) for n in (*range(2, 9), *range(9, 14), 1000)] == found["falling"][::-1]
     assert found["left"] == 1
+    assert found["filters"] == [1, 0], "twelve rows need no filter"
+    assert found["opening"]["plays"]
+    assert found["opening"]["bottom"] < 900, "what moves is on the first screen"
+    assert found["folded"]
     assert found["wide"], "the page is wider than the screen"
 
 

@@ -23,7 +23,7 @@ def test_the_best_coverage_of_unseen_frames_comes_first_and_chains_are_means_ove
     coverage = [*covered("ic", 20.0), *covered("grown_seeds", 6.0), *covered("ic", 1.0, split="annotated")]
     (table,) = exploration_table(coverage, [went("ic", 0, 0.25), went("ic", 1, 0.75)])
     assert [row[:4] for row in table.rows] == [
-        ("grown pairs", "50", "6 cm", "30 frames"),
+        ("pairs lifted from seeds", "50", "6 cm", "30 frames"),
         ("interaction coordinates", "50", "20 cm", "30 frames"),
     ]
     columns = table.headings.index("accepted")
@@ -33,7 +33,7 @@ def test_the_best_coverage_of_unseen_frames_comes_first_and_chains_are_means_ove
 def test_without_held_out_frames_the_unannotated_ones_count_and_without_chains_there_is_no_table() -> None:
     scores = [*covered("ic", 9.0, split="unannotated"), *covered("ic", 3.0, split="annotated")]
     (table,) = exploration_table(scores, [went("ic", 0, 0.5)])
-    assert "unannotated" in table.caption
+    assert "other frames of the same takes" in table.caption
     assert table.rows[0][2] == "9 cm"
     assert exploration_table(scores, []) == []
     assert exploration_table([], [went("ic", 0, 0.5)]) == []

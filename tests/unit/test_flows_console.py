@@ -18,9 +18,12 @@ from flows.console.app import run_command_line
 from flows.machine import usable_cores
 from flows.planning import Selection
 from flows.study_files import read_study_tree, shipped_studies
+from storage_schema import Store, list_datasets
 from storage_schema.provenance import code_version
-from tests.builders.toy_runs import build_here, call, run_toys, write_study
-from tests.builders.toys import TOYS
+from tasks.data import LOOK
+from tests.builders.pages import Page
+from tests.builders.storage_rows import put
+from tests.builders.toy_runs import STUDY, build_here, call, run_toys, write_study
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +49,15 @@ def test_a_run_until_a_stage_ends_with_a_page_on_what_it_made_and_keeps_a_whole_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     build_here(monkeypatch)
-    study, store = str(write_study(tmp_path)), str(tmp_path / "store")
+    study, store = str(write_study(tmp_path, f"{STUDY}[publish]\nrequired = []\n")), str(tmp_path / "store")
     assert call("run", study, "--store", store, "--until", "grow", "--json") == 0
     first = json.loads(capsys.readouterr().out)
+    assert list_datasets(Store(store)) == [], "a part of a study is no version of its dataset"
     assert [stage["stage"] for stage in first["stages"]] == ["grow", "judge"]
     assert (Path(first["report"]) / "report.html").is_file()
     assert call("run", study, "--store", store, "--json") == 0
     whole = json.loads(capsys.readouterr().out)
+    assert [one.label for one in list_datasets(Store(store))] == ["toy@1"]
     assert call("run", study, "--store", store, "--until", "grow", "--json") == 0
     again = json.loads(capsys.readouterr().out)
     assert (again["num_computed"], again["report"]) == (0, whole["report"])
@@ -220,6 +225,36 @@ def test_show_gives_columns_rows_lineage_and_sources(
     assert json.loads(capsys.readouterr().out)["rows"][0]["step"] == 2
 
 
+def test_show_ends_before_it_floods_and_says_how_to_see_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    run_toys(study, store, "grow.num_takes=9")
+    assert call("show", "training_log:toy", "--store", str(store)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "  ... and 15 more artifacts: --json" in lines
+    assert sum("grow@" in line for line in lines) == 12
+    opened = Store(store)
+    names = ("topic", "metric", "method", "split", "item", "at", "value", "unit", "count", "low", "high", "is_baseline")
+    plain = {"split": "all", "at": np.nan, "value": 1.0, "unit": "m", "count": 1, "low": np.nan, "high": np.nan}
+    scores = [
+        plain | {"topic": topic, "metric": f"m{number:02d}", "method": method, "item": "all", "is_baseline": False}
+        for topic in ("lifting", "views")
+        for method in "ab"
+        for number in range(20)
+    ]
+    columns = {name: [row[name] for row in scores] for name in names}
+    made = put(opened, "evaluation", "all", {"scores": columns}, {})
+    for reference, shown, hint in (
+        (f"scores@{made.ref.key[:12]}", 6, "... 17 more rows: pasdedeux show"),
+        (f"scores@{made.ref.key[:12]}#3", 1, ""),
+    ):
+        assert call("show", reference, "--store", str(store)) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert sum(re.match(r"(m\d\d|  #3)", line) is not None for line in lines) == shown
+        assert any(line.startswith(hint) for line in lines)
+
+
 def test_verify_finds_a_changed_byte(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = tmp_path / "store"
     run_toys(write_study(tmp_path), store)
@@ -248,8 +283,11 @@ def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path
     lines = (tmp_path / "in_betweens.csv").read_text().splitlines()
     assert "last_frame,pair17_m.0.pelvis.x,pair17_m.0.pelvis.y,pair17_m.0.pelvis.z,pair17_m.0.spine.x" in lines[0]
     assert len(lines) == 5
+    assert len(Page((tmp_path / LOOK).read_text()).scenes) == 1, "who can be seen can be looked at beside the files"
+    (tmp_path / LOOK).unlink()
     assert call("export", "training_log:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
     assert "licence: CC0-1.0" in (tmp_path / "CREDITS.txt").read_text()
+    assert not (tmp_path / LOOK).exists()
 
 
 def test_export_as_bvh_of_a_table_without_motion_is_refused(

@@ -7,13 +7,16 @@ import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 
 from flows.console.app import run_command_line
+from flows.console.display import LineListener
 from flows.console.live import list_frames
+from flows.progress import Progress
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
@@ -25,6 +28,7 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store
 from storage_schema.errors import SchemaError
 from tasks.projections import read_database
+from tests.builders.pages import Page
 from tests.builders.walkers import reconstruction, walk
 from tests.builders.walkers_on_video import FRAMES, LAYOUT, build_store, openpose, reference, write_walkers
 
@@ -58,7 +62,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
         assert made["is_seen"].all()
         assert (float(made["rate_hz"]), int(made["first_frame"])) == (pytest.approx(30.0), 0)
     said = capsys.readouterr()
-    header, *lines = said.out.splitlines()
+    header, *lines, look = said.out.splitlines()
     assert header.split()[0] == "file"
     assert [line.split()[:2] for line in lines] == [
         [str(out / f"{video.name}_{person}.bvh"), "0-39"] for person in (0, 1)
@@ -66,6 +70,31 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     assert all(re.search(r"\d+ cm .* (pass|warn|fail)", line) for line in lines)
     assert "camera pitch" in said.err
     assert "the database has 288 poses of 1 take: enough for motion like its own, not for other" in said.err
+    assert f"writing to {out}" in said.err
+    page = Page((out / f"{video.name}.html").read_text())
+    assert look == f"look at it: {out / video.name}.html"
+    assert (page.problems, page.outside) == ([], [])
+    (scene,) = page.scenes
+    assert [panel["is_flat"] for panel in scene["panels"]] == [True, False], "the 2D poses beside the result"
+
+
+def test_a_reconstruction_says_how_far_it_is(video: Path, store: Store, tmp_path: Path, monkeypatch: Any) -> None:
+    heard: list[Progress] = []
+    monkeypatch.setattr(LineListener, "progressed", lambda _, progress: heard.append(progress))
+    command = [
+        "reconstruct",
+        str(video),
+        *reference(store),
+        "--out",
+        str(tmp_path),
+        "--set",
+        "image_size_px=[1920, 1080]",
+    ]
+    assert run_command_line(command) == 0
+    done = [one.num_done for one in heard]
+    assert done == sorted(done)
+    assert heard[-1].num_done == heard[-1].num_shards > 4
+    assert heard[0].left_s > heard[-1].left_s == 0.0
 
 
 def test_files_of_people_who_come_later_start_with_the_others(video: Path, store: Store, tmp_path: Path) -> None:

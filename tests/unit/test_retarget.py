@@ -20,10 +20,12 @@ from pasdedeux.learning.registry import Weights, write_weights
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store, resolve
+from tasks.data import LOOK
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
 from tasks.takes import read_take
 from tests.builders.own_sources import write_walk
+from tests.builders.pages import Page
 from tests.builders.source_samples import bvh_text, figure_motion
 from tests.builders.stored_models import put_model
 
@@ -81,7 +83,10 @@ def test_files_become_the_same_people_with_the_bones_of_others(
     np.testing.assert_allclose(lengths_m(first, ELBOWS), lengths_m(files / "a.bvh", ELBOWS), atol=1e-5)
     np.testing.assert_allclose(lengths_m(second, ELBOWS), lengths_m(files / "long.bvh", ELBOWS), atol=1e-4)
     np.testing.assert_allclose(lengths_m(second, KNEES), lengths_m(files / "b.bvh", KNEES), atol=1e-4)
-    assert {path.name for path in tmp_path.iterdir()} >= {"UNITS.txt", "CREDITS.txt", "a_retarget_A.npz"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"UNITS.txt", "CREDITS.txt", "a_retarget_A.npz", LOOK}
+    (scene,) = Page((tmp_path / LOOK).read_text()).scenes
+    assert [panel["title"] for panel in scene["panels"]] == ["source", "retarget"]
+    assert LOOK in said
     assert read_bvh(first.read_bytes()).num_frames == 12
 
 

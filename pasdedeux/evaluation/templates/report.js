@@ -50,10 +50,10 @@ class Player {
   play() {
     this.isPlaying = true;
     this.button.textContent = "Pause";
-    let before = performance.now(), at = this.frame;
+    let before = null, at = this.frame;  // a frame's time may lie before that of the click
     const step = (now) => {
       if (!this.isPlaying) return;
-      at = (at + ((now - before) / 1000) * this.scene.rate_hz * this.speed) % this.scene.num_frames;
+      at = (at + ((now - (before ?? now)) / 1000) * this.scene.rate_hz * this.speed) % this.scene.num_frames;
       before = now;
       if (Math.floor(at) !== this.frame) this.show(Math.floor(at));
       requestAnimationFrame(step);
@@ -152,12 +152,13 @@ class Player {
         line(project([x - far, 0, z + i]), project([x + far, 0, z + i]), FLOOR, 1);
       }
     }
-    const strokes = [];
+    const strokes = [], marks = [];
     for (const figure of panel.figures) {
       const { bones, head } = this.scene.skeletons[figure.skeleton];
       for (const [parent, child, factor] of bones) {
         const a = this.point(figure.start + parent), b = this.point(figure.start + child);
-        if (a && b) strokes.push([project(a), project(b), shade(figure.colour, factor), figure.is_thin ? 1.5 : 3]);
+        const thick = figure.radii_m?.length ? 2 * figure.radii_m[child] * scale : figure.is_thin ? 1.5 : 3;
+        if (a && b) strokes.push([project(a), project(b), shade(figure.colour, factor), thick]);
       }
       const top = this.point(figure.start + head);
       if (top) strokes.push([project(top), project(top), figure.colour, figure.is_thin ? 4 : Math.max(5, (isFlat ? 0.05 : 0.13) * scale)]);
@@ -165,10 +166,17 @@ class Player {
     for (const lines of panel.lines)
       for (let i = 0; i < lines.num_lines; i++) {
         const a = this.point(lines.start + 2 * i), b = this.point(lines.start + 2 * i + 1);
-        if (a && b) strokes.push([project(a), project(b), lines.colour, lines.width]);
+        if (a && b) (lines.width > 2 || isFlat ? strokes : marks).push([project(a), project(b), lines.colour, lines.width]);
       }
     strokes.sort((one, other) => one[0][2] + one[1][2] - other[0][2] - other[1][2]);
-    for (const stroke of strokes) line(...stroke);
+    for (const [a, b, colour, thick] of strokes) {
+      if (thick > 6) line(a, b, shade(colour, 0.6), thick + 2);
+      line(a, b, colour, thick);
+    }
+    for (const [a, b, colour, thick] of marks) {
+      line(a, b, colour, thick);
+      for (const end of [a, b]) { line(end, end, "#ffffff", 9); line(end, end, colour, 7); }
+    }
     pen.fillStyle = "#1c2430";
     pen.font = "12px system-ui, sans-serif";
     pen.fillText(panel.title, 4, 14, width - 8);
@@ -187,15 +195,27 @@ function ready(figure) {
 }
 const near = new IntersectionObserver((seen) => {
   for (const one of seen) {
-    if (one.isIntersecting) ready(one.target);
+    if (one.isIntersecting) {
+      const isNew = !players.has(one.target), player = ready(one.target);
+      if (isNew && one.target.matches(".moving") && !matchMedia("(prefers-reduced-motion: reduce)").matches) player.play();
+    }
     else players.get(one.target)?.pause();
   }
 }, { rootMargin: "300px" });
-document.querySelectorAll("figure.player").forEach((figure) => {
-  if (figure.getBoundingClientRect().top < window.innerHeight) ready(figure);
-  near.observe(figure);
+document.querySelectorAll("figure.player").forEach((figure) => near.observe(figure));
+window.addEventListener("beforeprint", () => {
+  document.querySelectorAll("details.topic").forEach((one) => { one.open = true; });
+  document.querySelectorAll("figure.player").forEach(ready);
 });
-window.addEventListener("beforeprint", () => document.querySelectorAll("figure.player").forEach(ready));
+
+// A link opens the section that it leads to.
+function unfold() {
+  const one = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  const topic = one && one.closest("details.topic");
+  if (topic) { topic.open = true; one.scrollIntoView(); }
+}
+window.addEventListener("hashchange", unfold);
+unfold();
 
 // Tables: sort by a column, keep rows that hold a word, copy as CSV.
 function asNumber(text) {
@@ -205,7 +225,7 @@ function asNumber(text) {
 
 document.querySelectorAll("details.table").forEach((folded) => {
   const table = folded.querySelector("table"), body = table.tBodies[0], rows = [...body.rows];
-  folded.querySelector("input").addEventListener("input", (event) => {
+  folded.querySelector("input")?.addEventListener("input", (event) => {
     const wanted = event.target.value.toLowerCase().split(/\s+/);
     for (const row of rows) row.hidden = !wanted.every((word) => row.textContent.toLowerCase().includes(word));
   });

@@ -1,0 +1,158 @@
+"""What lies beside a dataset for programs that do not know this one: Croissant metadata, and a page for people.
+
+Both name the Parquet files by their places relative to the dataset's folder, so the folder is read where it lies in its
+store: `croissant.json` (MLCommons Croissant 1.0), and a `README.md` whose head the library `datasets` reads.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from storage_schema.columns import Column
+from storage_schema.manifest import Manifest
+from storage_schema.tables import TABLES
+
+if TYPE_CHECKING:
+    from storage_schema.datasets import Dataset
+
+CROISSANT_FILE, README_FILE = "croissant.json", "README.md"
+_CONTEXT = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "citeAs": "cr:citeAs",
+    "column": "cr:column",
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "extract": "cr:extract",
+    "field": "cr:field",
+    "fileObject": "cr:fileObject",
+    "fileProperty": "cr:fileProperty",
+    "fileSet": "cr:fileSet",
+    "format": "cr:format",
+    "includes": "cr:includes",
+    "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath",
+    "key": "cr:key",
+    "md5": "cr:md5",
+    "parentField": "cr:parentField",
+    "path": "cr:path",
+    "recordSet": "cr:recordSet",
+    "references": "cr:references",
+    "regex": "cr:regex",
+    "repeated": "cr:repeated",
+    "replace": "cr:replace",
+    "separator": "cr:separator",
+    "source": "cr:source",
+    "subField": "cr:subField",
+    "transform": "cr:transform",
+}
+"""The context that the specification prescribes."""
+_PARQUET = "application/x-parquet"
+
+
+def describe_dataset(dataset: Dataset, manifests: Sequence[Manifest]) -> dict[str, bytes]:
+    """Return both files by name, for these artifacts of a dataset."""
+    files = {
+        table: {
+            f"../../{one.ref.stage}/{one.ref.key[:2]}/{one.ref.key}/{table}.parquet": one.tables[table] for one in own
+        }
+        for table in sorted({name for one in manifests for name in one.tables})
+        if (own := [one for one in manifests if table in one.tables])
+    }
+    places = {place: f"{table}-{number}" for table, own in files.items() for number, place in enumerate(own)}
+    objects = [
+        {
+            "@type": "cr:FileObject",
+            "@id": places[place],
+            "name": places[place],
+            "contentUrl": place,
+            "encodingFormat": _PARQUET,
+            "contentSize": f"{file.bytes} B",
+            "sha256": file.sha256,
+        }
+        for own in files.values()
+        for place, file in own.items()
+    ]
+    sets = [
+        {
+            "@type": "cr:FileSet",
+            "@id": table,
+            "name": table,
+            "containedIn": [{"@id": places[place]} for place in own],
+            "encodingFormat": _PARQUET,
+            "includes": "*.parquet",
+        }
+        for table, own in files.items()
+    ]
+    licences = list(dict.fromkeys(source.licence for source in dataset.sources))
+    thanks = list(dict.fromkeys(source.credit for source in dataset.sources))
+    described = {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": dataset.name,
+        "version": dataset.version,
+        "description": dataset.note or f"{dataset.label}: {', '.join(files)}, made with pasdedeux.",
+        "license": licences,
+        "creator": [{"@type": "sc:Organization", "name": source.name} for source in dataset.sources],
+        "citeAs": "; ".join(thanks),
+        "datePublished": dataset.created_at,
+        "distribution": [*objects, *sets],
+        "recordSet": [_record_set(table) for table in files],
+    }
+    head = "".join(
+        f"- config_name: {table}\n  data_files:\n" + "".join(f"  - {json.dumps(place)}\n" for place in own)
+        for table, own in files.items()
+    )
+    rows = "".join(
+        f"| {table} | {sum(one.rows for one in own.values()):,} | {TABLES[table].meaning} |\n"
+        for table, own in files.items()
+    )
+    text = (
+        f"---\nconfigs:\n{head}---\n\n# {dataset.label}\n\n{described['description']}\n\n"
+        f"Licence: {', '.join(licences)}. "
+        f"Credit: {'; '.join(thanks)}\n\n| table | rows | |\n|---|---|---|\n{rows}"
+    )
+    return {CROISSANT_FILE: json.dumps(described, indent=1).encode(), README_FILE: text.encode()}
+
+
+def _record_set(table: str) -> dict[str, Any]:
+    return {
+        "@type": "cr:RecordSet",
+        "@id": f"{table}-rows",
+        "name": f"{table}-rows",
+        "description": TABLES[table].meaning,
+        "field": [_field(table, column) for column in TABLES[table].columns],
+    }
+
+
+def _field(table: str, column: Column) -> dict[str, Any]:
+    is_list = pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type)
+    value = column.type.value_type if is_list else column.type
+    kinds = (
+        (pa.types.is_floating, "sc:Float"),
+        (pa.types.is_integer, "sc:Integer"),
+        (pa.types.is_boolean, "sc:Boolean"),
+    )
+    kind = next((name for is_kind, name in kinds if is_kind(value)), "sc:Text")
+    shape = f" ({' x '.join(map(str, column.shape))}: {', '.join(column.axes)})" if column.shape else ""
+    unit = f", {column.unit}" if column.unit else ""
+    return {
+        "@type": "cr:Field",
+        "@id": f"{table}-rows/{column.name}",
+        "name": f"{table}-rows/{column.name}",
+        "description": f"{column.meaning}{unit}{shape}",
+        "dataType": kind,
+        "source": {"fileSet": {"@id": table}, "extract": {"column": column.name}},
+        **({"repeated": True} if is_list else {}),
+    }

@@ -1,0 +1,409 @@
+"""Takes, variants, draws and contacts of a store as objects for Python and notebooks: `from tasks.data import Data`.
+
+Positions are in metres, Y up, as (frame, person, joint, 3); every object says its joints and its rate, gives numpy and
+pandas, and shows itself in a notebook with the report's player.  It stands here, as this is the lowest package that may
+know both the store and the science.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+from string import ascii_uppercase
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation import Source
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.report import render
+from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
+from pasdedeux.spread import evenly_spread
+from storage_schema import ArtifactRef, Manifest, Store, iter_rows, parse_reference, resolve
+from tasks.augmentation import batch_of
+from tasks.facts import TakeFacts, VariantFacts
+from tasks.takes import read_take
+from tasks.training.items import interaction_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNIT, UP_AXIS = "m", "Y"
+MAX_LINKS = 10
+"""Contacts drawn in a frame, at most."""
+LOOK = "look.html"
+"""File of a player beside exported files."""
+_MAX_SHOWN = 60
+"""Draws that a player shows, evenly spread."""
+_DRAWS_PER_S = 5.0
+_KEPT = 8
+"""Variants that a data set of pairs keeps in memory."""
+_MAX_PLAYERS = 12
+"""Players on a page beside files, at most."""
+_OF_PAIRS = ("draws", "seeds", "lifted_pairs", "in_betweens")
+
+
+def player_page(title: str, pictures: Sequence[Picture]) -> str:
+    """Return moving people as one HTML file that needs no other."""
+    return render("players.html", title=title, pictures=pictures)
+
+
+def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Return the points of the contacts that are held (frame, n, 2, 3), the first ten of each frame, NaN: no contact.
+
+    Args:
+        contacts: The contacts.
+        positions_m: The people (frame, person, joint, 3), metres, of these contacts or in another motion.
+    """
+    held = contacts.is_held
+    ends = contacts.ends(positions_m.reshape(len(positions_m), -1, 3))
+    ends[~held] = np.nan
+    first = np.argsort(~held, axis=1, kind="stable")[:, : min(MAX_LINKS, int(held.sum(axis=1).max(initial=0)))]
+    return np.asarray(np.take_along_axis(ends, first[:, :, None, None], axis=1))
+
+
+@dataclass(frozen=True)
+class ContactRows:
+    """Contacts, one a row: frame, person and bone of both points, the points (n, 2, 3) and their distance, metres.
+
+    A bone is named by the joint that it ends in; `weight` is from 0 to 1, from a half on it counts as held.
+    """
+
+    frame: npt.NDArray[np.int64]
+    person: npt.NDArray[np.int64]
+    bone: npt.NDArray[np.int64]
+    weight: npt.NDArray[np.float64]
+    points_m: npt.NDArray[np.float64]
+
+    @property
+    def distance_m(self) -> npt.NDArray[np.float64]:
+        """Distance between both points on the bones, (n,)."""
+        return np.asarray(np.linalg.norm(self.points_m[:, 0] - self.points_m[:, 1], axis=-1))
+
+    def matrix(self, first: int, stop: int) -> npt.NDArray[np.float32]:
+        """Return the weights between the bones of A and those of B in these frames, (frame, 22, 22)."""
+        found = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
+        order = np.argsort(self.person, axis=1)
+        bone, person = (np.take_along_axis(one, order, axis=1) for one in (self.bone, self.person))
+        both = (person == (0, 1)).all(axis=1) & (self.frame >= first) & (self.frame < stop)
+        where = (self.frame[both] - first, *bone[both].T)
+        np.maximum.at(found, where, self.weight[both].astype(np.float32))
+        return found
+
+    def pandas(self) -> pd.DataFrame:
+        """Return the rows as a data frame."""
+        import pandas as pd
+
+        columns: dict[str, Any] = {"frame": self.frame}
+        for at, which in enumerate(("first", "second")):
+            columns[f"{which}_person"] = [ascii_uppercase[one] for one in self.person[:, at]]
+            columns[f"{which}_bone"] = [BODY22.joint_names[one] for one in self.bone[:, at]]
+            columns |= {f"{which}_{axis}_m": self.points_m[:, at, number] for number, axis in enumerate("xyz")}
+        return pd.DataFrame({**columns, "distance_m": self.distance_m, "weight": self.weight})
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A take, or a variant of one (then `source` is the take), read from the store when it is first asked for."""
+
+    name: str
+    take: Manifest = field(repr=False)
+    store: Store = field(repr=False)
+    source: Clip | None = None
+    part: Manifest | None = field(default=None, repr=False)
+    rows: slice | None = field(default=None, repr=False)
+    verdict: str = ""
+
+    unit, up_axis, skeleton = UNIT, UP_AXIS, BODY22
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return self.skeleton.joint_names
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second."""
+        return TakeFacts.of(self.take).rate_hz
+
+    @cached_property
+    def _source(self) -> Source:
+        return read_take(self.store, self.take.ref).source
+
+    @cached_property
+    def positions_m(self) -> npt.NDArray[np.float64]:
+        """Positions (frame, person, joint, 3)."""
+        if self.part is None:
+            return self._source.positions_m
+        count = TakeFacts.of(self.take).num_persons
+        motion = self.store.read(self.part.ref, "variants", columns=["body22_m"], rows=self.rows)["body22_m"]
+        return np.asarray(motion.reshape(-1, count, *motion.shape[1:]), dtype=np.float64)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return np.array(self.positions_m, dtype=dtype)
+
+    @cached_property
+    def _contacts(self) -> Contacts:
+        if self.source is not None and self.part is not None:
+            return self.source._source.contacts(batch_of(self.part).contacts)
+        return self._source.contacts(TakeFacts.of(self.take).contacts)
+
+    @cached_property
+    def contacts(self) -> ContactRows:
+        """The contacts between people; of a variant those of its source, where they are now."""
+        found, joints = self._contacts, self.skeleton.num_joints
+        ends, bones = found.ends(self.positions_m.reshape(len(self.positions_m), -1, 3)), found.bones()
+        at = np.nonzero((found.weights > 0.0) & (found.objects < 0))
+        return ContactRows(at[0], bones[at] // joints, bones[at] % joints, found.weights[at], ends[at])
+
+    def pandas(self) -> pd.DataFrame:
+        """Return a row for each frame, person and joint: time_s, x_m, y_m, z_m."""
+        import pandas as pd
+
+        num_frames, num_people, num_joints = self.positions_m.shape[:3]
+        index = pd.MultiIndex.from_product(
+            [range(num_frames), list(ascii_uppercase[:num_people]), self.joints], names=["frame", "person", "joint"]
+        )
+        rows = pd.DataFrame(self.positions_m.reshape(-1, 3), index=index, columns=["x_m", "y_m", "z_m"])
+        rows.insert(0, "time_s", np.repeat(np.arange(num_frames) / self.rate_hz, num_people * num_joints))
+        return rows
+
+    @property
+    def picture(self) -> Picture:
+        """What the player shows: the clip, a variant beside its source, with contacts."""
+        clips = [one for one in (self.source, self) if one is not None]
+        frames, rate_hz = shown_frames(min(len(one.positions_m) for one in clips), self.rate_hz)
+        panels = []
+        for one in clips:
+            links = links_of(one._contacts, one.positions_m)[frames]
+            panels.append(people_panel(one.name, self.skeleton, one.positions_m[frames], links))
+        where = "; contacts are green" if self._contacts.weights.size else ""
+        return Picture(f"{self.name}{PLAYER}", f"{self.name}{where}", pack_player(panels, rate_hz=rate_hz))
+
+    def _repr_html_(self) -> str:
+        return _framed(self.picture)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Draws: pairs that agree with annotations, (draw, person=2, joint, 3), in no order of time."""
+
+    name: str
+    positions_m: npt.NDArray[np.float64] = field(repr=False)
+
+    unit, up_axis, rate_hz = UNIT, UP_AXIS, None
+    skeleton: Skeleton = field(default=PAIR17, repr=False)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return self.skeleton.joint_names
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return np.array(self.positions_m, dtype=dtype)
+
+    def __len__(self) -> int:
+        return len(self.positions_m)
+
+    def pandas(self) -> pd.DataFrame:
+        """Return a row for each draw, person and joint: x_m, y_m, z_m."""
+        import pandas as pd
+
+        levels = [range(len(self)), list("AB"), self.joints]
+        index = pd.MultiIndex.from_product(levels, names=["draw", "person", "joint"])
+        return pd.DataFrame(self.positions_m.reshape(-1, 3), index=index, columns=["x_m", "y_m", "z_m"])
+
+    @property
+    def picture(self) -> Picture:
+        """What the player shows: some draws, evenly spread, one after another."""
+        at = evenly_spread(len(self), _MAX_SHOWN)
+        panel = people_panel(self.name, self.skeleton, self.positions_m[at])
+        labels = [f"#{index}" for index in at]
+        player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels, has_floor=False)
+        return Picture(f"{self.name}{PLAYER}", f"{self.name}: {len(at)} of {len(self):,}, one after another", player)
+
+    def _repr_html_(self) -> str:
+        return _framed(self.picture)
+
+
+class Data:
+    """What studies have put into a store; `where` is `study`, `study/partition` or `dataset@version`.
+
+    Args:
+        store: Store or its folder.
+
+    Raises:
+        UnknownReference: What is asked for is not there; says what is.
+    """
+
+    def __init__(self, store: Store | str | Path = "store") -> None:
+        self.store = store if isinstance(store, Store) else Store(store)
+        self.store.refresh()
+
+    def takes(self, where: str) -> list[Clip]:
+        """Return takes."""
+        return list(self._takes(f"poses:{where}"))
+
+    def variants(self, where: str) -> list[Clip]:
+        """Return the variants of takes, each with its source."""
+        return list(self._variants(f"variants:{where}"))
+
+    def draws(self, where: str) -> Pairs:
+        """Return draws."""
+        return self.pairs(f"draws:{where}")
+
+    def pairs(self, reference: str) -> Pairs:
+        """Return the pairs of a table that has some, such as `lifted_pairs:study`: draws, seeds, in-betweens, too."""
+        found = [batch["pair17_m"] for batch in iter_rows(reference, self.store, columns=["pair17_m"])]
+        return Pairs(reference, np.concatenate(found).astype(np.float64).reshape(-1, 2, PAIR17.num_joints, 3))
+
+    def pictures(self, reference: str) -> list[Picture]:
+        """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
+        table = parse_reference(reference).table
+        if table in _OF_PAIRS:
+            return [self.pairs(reference).picture]
+        if table == "motions":
+            from tasks.evaluation.reconstruction import motion_picture  # here: topics of the evaluation import this
+
+            return [motion_picture(self.store, ref) for ref in resolve(reference, self.store)[:_MAX_PLAYERS]]
+        of_table = {"poses": self._takes, "variants": self._variants}
+        clips = of_table[table](reference) if table in of_table else ()
+        return [one.picture for one in islice(clips, _MAX_PLAYERS)]
+
+    def _takes(self, reference: str) -> Iterator[Clip]:
+        yield from map(self._take, resolve(reference, self.store))
+
+    def _take(self, ref: ArtifactRef) -> Clip:
+        manifest = self.store.manifest(ref)
+        return Clip(TakeFacts.of(manifest).take_id, manifest, self.store)
+
+    def _variants(self, reference: str) -> Iterator[Clip]:
+        takes: dict[ArtifactRef, Clip] = {}
+        for ref in resolve(reference, self.store):
+            part = self.store.manifest(ref)
+            take = next(one for one in part.inputs if "poses" in self.store.manifest(one).tables)
+            source = takes.setdefault(take, self._take(take))
+            sizes = self.store.read(ref, "variant_quality", columns=["variant_id", "num_frames", "verdict"])
+            count, first = VariantFacts.of(part).num_persons, 0
+            for name, frames, verdict in zip(*(sizes[one] for one in sizes), strict=True):
+                rows = slice(first, first + count * int(frames))
+                first = rows.stop
+                yield Clip(f"{source.name}, {name}", source.take, self.store, source, part, rows, str(verdict))
+
+
+SplitName = Literal["train", "validation", "test"]
+
+
+class PairDataset:
+    """Windows of variants with their sources and contacts: a map-style data set for torch's `DataLoader`.
+
+    An item has `source` and `variant`, (window, 2, 22, 3) in metres, `contacts`, the weights between the bones of both
+    people (window, 22, 22), all float32, and `name` and `start`.  Items stand in a fixed order; variants that failed
+    are left out.  Takes never stand on two sides: those held out test, or a fifth of all where none is; a tenth of the
+    others, at least one of three, validates.  With `by="interaction"` performances of one interaction stay together.
+
+    Args:
+        reference: `variants:study`, `variants:study/partition` or `variants:dataset@version`.
+        window: Frames of an item.
+        split: `train`, `validation` or `test`.
+        store: Store or its folder.
+        stride: Frames from the start of a window to the next; half a window when not given.
+        by: What stays together.
+        seed: Decides which takes validate, and test where none is held out.
+
+    Raises:
+        InputError: The reference is not of variants, or nothing is on this side.
+    """
+
+    def __init__(
+        self,
+        reference: str,
+        window: int = 60,
+        split: SplitName = "train",
+        *,
+        store: Store | str | Path = "store",
+        stride: int | None = None,
+        by: Literal["take", "interaction"] = "take",
+        seed: int = 0,
+    ) -> None:
+        table, _, where = reference.partition(":")
+        if table != "variants" or not where:
+            raise InputError(
+                f"'{reference}' is not of variants: name them as variants:study or variants:dataset@version"
+            )
+        if split not in SplitName.__args__ or window < 1:  # type: ignore[attr-defined]
+            raise InputError(
+                f"split '{split}', window {window}: a split is train, validation or test, a window 1 or more"
+            )
+        clips = [one for one in Data(store).variants(where) if one.verdict != "fail"]
+        sides = _sides([one.take for one in clips], seed, is_by_take=by == "take")
+        self.window = window
+        self._read: dict[int, npt.NDArray[np.float64]] = {}
+        self._clips = [one for one in clips if sides.get(one.take.ref) == split]
+        step = stride or max(1, window // 2)
+        lengths = [TakeFacts.of(one.take).num_frames for one in self._clips]
+        pairs = [TakeFacts.of(one.take).num_persons == 2 for one in self._clips]
+        self._items = [
+            (number, start)
+            for number, (length, is_pair) in enumerate(zip(lengths, pairs, strict=True))
+            for start in range(0, (length - window + 1) if is_pair else 0, step)
+        ]
+        if not self._items:
+            raise InputError(
+                f"'{reference}': no variant of two people, long enough for {window} frames, is on the side {split} "
+                f"({len(self._clips)} of {len(clips)} variants are, split by {by})"
+            )
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        number, start = self._items[index]
+        clip, stop = self._clips[number], start + self.window
+        source = clip.source
+        assert source is not None, "a variant has a source"
+        if number not in self._read:
+            if len(self._read) >= _KEPT:
+                del self._read[next(iter(self._read))]
+            self._read[number] = replace(clip).positions_m
+        return {
+            "source": source.positions_m[start:stop].astype(np.float32),
+            "variant": self._read[number][start:stop].astype(np.float32),
+            "contacts": source.contacts.matrix(start, stop),
+            "name": clip.name,
+            "start": start,
+        }
+
+
+def _sides(takes: Sequence[Manifest], seed: int, *, is_by_take: bool) -> dict[ArtifactRef, SplitName]:
+    """Return the side that each take stands on; takes whose interaction is tested stand on none."""
+    group = {one.ref: TakeFacts.of(one).take_id if is_by_take else interaction_of(one) for one in takes}
+    held = {one.ref for one in takes if TakeFacts.of(one).is_held_out}
+    tested = {group[ref] for ref in held}
+    rest = sorted(
+        {name for name in group.values() if name not in tested},
+        key=lambda name: hashlib.sha256(f"{seed} {name}".encode()).hexdigest(),
+    )
+    num_test = 0 if held or len(rest) < 3 else max(1, round(0.2 * len(rest)))
+    num_validation = 0 if len(rest) - num_test < 2 else max(1, round(0.1 * len(rest)))
+    ranked = dict(zip(rest, (["test"] * num_test + ["validation"] * num_validation), strict=False))
+    sides: dict[ArtifactRef, SplitName] = {}
+    for ref, name in group.items():
+        if ref in held:
+            sides[ref] = "test"
+        elif name not in tested:
+            sides[ref] = ranked.get(name, "train")  # type: ignore[assignment]
+    return sides
+
+
+def _framed(picture: Picture) -> str:
+    page = html.escape(player_page("", [picture]), quote=True)
+    return f'<iframe srcdoc="{page}" style="width:100%;height:27rem;border:0"></iframe>'

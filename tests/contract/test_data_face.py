@@ -1,0 +1,186 @@
+"""A store's takes, variants, draws and contacts as objects, and as windows to train on."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import BODY22
+from storage_schema import ShardRecord, Store, UnknownReference, record_latest
+from tasks import augmentation
+from tasks.augmentation import AugmentationParameters
+from tasks.data import MAX_LINKS, Data, PairDataset, SplitName, links_of
+from tasks.facts import TakeFacts
+from tasks.moving_picture import picture_of
+from tasks.stage import StageInputs
+from tests.builders.ingest_runs import planned, run
+from tests.builders.pages import Page, in_browser
+from tests.builders.storage_rows import commit_rows
+
+HELD_OUT = "hug-001"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    store = Store(tmp_path_factory.mktemp("store"))
+    duets = [{"name": "waltz", "count": 3, "duration_s": 2}, {"name": "hug", "count": 1, "duration_s": 2}]
+    shards = planned(rate_hz=15, duets=duets, held_out=[HELD_OUT])
+    takes = [made for (_, name), made in run(store, [one for one in shards if one.name == "take"]).items()]
+    inputs = StageInputs({"poses": takes, "takes": takes}, seed=3)
+    told = AugmentationParameters(scales=(0.8, 1.2), persons=("A",), kinds=("uniform",))
+    variants = [store.manifest(augmentation.run_shard(one, store)) for one in augmentation.plan(inputs, told)]
+    draws = [store.manifest(commit_rows(store, "draws", 7, stage="chains", partition="ic-seed0"))]
+    made = {"ingest": takes, "augmentation": variants, "chains": draws}
+    records = {stage: [ShardRecord.of(one, store) for one in found] for stage, found in made.items()}
+    record_latest(store, "toy", "run-1", records)
+    return store
+
+
+def test_clips_say_joints_rate_and_unit_and_give_numpy_and_pandas(store: Store) -> None:
+    take, *others = Data(store).takes("toy")
+    assert len(others) == 3
+    assert (take.joints, take.rate_hz, take.unit, take.up_axis) == (BODY22.joint_names, 15.0, "m", "Y")
+    variant = Data(store.root).variants(f"toy/{take.name}")[0]
+    assert variant.source is not None
+    assert (variant.name, variant.source.name) == (f"{take.name}, A-uniform-0.80", take.name)
+    assert np.asarray(variant).shape == np.asarray(take).shape == (30, 2, 22, 3)
+    rows = variant.pandas()
+    wrist = variant.positions_m[3, 1, BODY22.index("left_wrist")]
+    np.testing.assert_array_equal(rows.loc[3, "B", "left_wrist"][["x_m", "y_m", "z_m"]], wrist)
+    assert rows.loc[(3, "B"), "time_s"].tolist() == [3 / 15] * 22
+    leg = BODY22.indices(("left_hip", "left_knee", "left_ankle"))
+    legs = [np.linalg.norm(np.diff(one.positions_m[0, 0, leg], axis=0)) for one in (variant, take)]
+    assert legs[0] < legs[1], "person A is the smaller one"
+
+
+def test_contacts_are_those_of_the_source_where_they_are_now(store: Store) -> None:
+    variant = next(one for one in Data(store).variants("toy") if "waltz" in one.name)
+    source = variant.source
+    assert source is not None
+    there, here = source.contacts, variant.contacts
+    assert len(here.frame) > 20
+    np.testing.assert_array_equal(there.bone, here.bone)
+    assert np.abs(there.distance_m - here.distance_m).mean() < 0.02, "contacts are kept"
+    frame, person, bone = (one[0] for one in (here.frame, here.person, here.bone))
+    parent = BODY22.parents[bone[0]]
+    ends = variant.positions_m[frame, person[0], [parent, bone[0]]]
+    along = np.linalg.norm(ends - here.points_m[0, 0], axis=-1)
+    assert along.sum() == pytest.approx(np.linalg.norm(np.diff(ends, axis=0))), "a point lies on its bone"
+    table = here.pandas()
+    assert set(table["first_person"]) | set(table["second_person"]) == {"A", "B"}
+    matrix = here.matrix(5, 9)
+    at = (here.frame == 6).nonzero()[0][0]
+    pair = here.bone[at][np.argsort(here.person[at])]
+    assert matrix[1, pair[0], pair[1]] > 0.0
+    links = links_of(variant._contacts, variant.positions_m)
+    assert links.shape[1] <= MAX_LINKS
+    assert (np.isfinite(links).all(axis=(2, 3)).sum(axis=1) <= variant._contacts.is_held.sum(axis=1)).all()
+
+
+def test_clips_and_draws_show_themselves_with_the_player_of_the_report(store: Store, tmp_path: Path) -> None:
+    data = Data(store)
+    draws = data.draws("toy")
+    assert len(draws) == len(draws.pandas()) // 34 == 7
+    for shown, panels in ((data.takes("toy")[0], 1), (data.variants("toy")[0], 2), (draws, 1)):
+        frame = Page(f"<html>{shown._repr_html_()}</html>")
+        assert (frame.problems, frame.outside) == ([], [])
+        page = Page(frame.framed)
+        assert (page.problems, page.outside, page.unnamed) == ([], [], [])
+        assert [len(scene["panels"]) for scene in page.scenes] == [panels]
+    answer = in_browser(frame.framed, "return document.querySelectorAll('canvas').length;", tmp_path)
+    assert answer == {"found": 1, "errors": []}
+
+
+def keys(items: PairDataset) -> list[tuple[str, int]]:
+    return [(one["name"], one["start"]) for one in map(items.__getitem__, range(len(items)))]
+
+
+@pytest.mark.parametrize("by", ["take", "interaction"])
+def test_no_take_stands_on_two_sides_and_held_out_ones_test(store: Store, by: Any) -> None:
+    sides = {}
+    for split in get_args(SplitName):
+        try:
+            found = PairDataset("variants:toy", 10, split, store=store.root, by=by)
+        except InputError as error:
+            assert "0 of 8 variants are" in str(error)  # noqa: PT017 - a side may be empty
+            continue
+        sides[split] = {one.source.name for one in found._clips if one.source is not None}
+    assert sides["test"] == {HELD_OUT}
+    assert sum(map(len, sides.values())) == len(set().union(*sides.values())) == 4
+    assert ("validation" in sides) == (by == "take"), "three takes of one interaction stay together"
+
+
+def test_windows_are_the_same_in_every_order_and_process(store: Store) -> None:
+    items = PairDataset("variants:toy", 10, store=store.root)
+    assert keys(items) == keys(PairDataset("variants:toy", 10, store=store.root))
+    assert len(items) == 4 * 5
+    again = pickle.loads(pickle.dumps(items))
+    for index in (7, 19, 0):
+        one, other = items[index], again[index]
+        assert all(np.array_equal(one[name], other[name]) for name in one)
+        assert [one[name].shape for name in ("source", "variant", "contacts")] == [(10, 2, 22, 3)] * 2 + [(10, 22, 22)]
+    clip = items._clips[0]
+    np.testing.assert_allclose(items[2]["variant"], clip.positions_m[10:20], atol=1e-6)
+
+
+def test_torch_loads_batches_with_workers(store: Store) -> None:
+    from torch.utils.data import DataLoader
+
+    items = PairDataset("variants:toy", 10, store=store.root)
+    plain, spread = (
+        [batch["variant"] for batch in DataLoader(items, batch_size=8, num_workers=count)]  # type: ignore[arg-type]
+        for count in (0, 1)
+    )
+    assert [tuple(batch.shape) for batch in plain] == [(8, 10, 2, 22, 3)] * 2 + [(4, 10, 2, 22, 3)]
+    assert all((one == other).all() for one, other in zip(plain, spread, strict=True))
+
+
+def test_what_holds_no_windows_is_said(store: Store) -> None:
+    with pytest.raises(InputError, match="'poses:toy' is not of variants"):
+        PairDataset("poses:toy", store=store.root)
+    with pytest.raises(InputError, match="long enough for 60 frames, is on the side train"):
+        PairDataset("variants:toy", store=store.root)
+    with pytest.raises(InputError, match="a split is train, validation or test"):
+        PairDataset("variants:toy", 10, "dev", store=store.root)  # type: ignore[arg-type]
+    with pytest.raises(UnknownReference, match="study 'salsa' has not run"):
+        Data(store).takes("salsa")
+    assert all(TakeFacts.of(one.take).rate_hz == 15 for one in Data(store).takes("toy"))
+
+
+def test_the_lines_of_the_readme_run(
+    store: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    (lines,) = (block.partition("```")[0] for block in text.split("```python\n")[1:])
+    monkeypatch.setenv("PASDEDEUX_STORE", str(store.root))
+    toy = (
+        lines.replace('Data("store")', f'Data("{store.root}")')
+        .replace("duets", "toy")
+        .replace("window=30", f'window=10, store="{store.root}"')
+    )
+    exec(compile(toy, "README.md", "exec"), {})
+    assert capsys.readouterr().out.count("A-uniform") >= 8
+
+
+def test_the_moving_picture_is_small_whole_and_always_the_same(store: Store) -> None:
+    variant = Data(store).variants("toy")[0]
+    assert variant.source is not None
+    clips = {"source": variant.source, "person A at 0.8 of the size": variant}
+    drawn = picture_of(clips)
+    assert drawn == picture_of(clips)
+    image = Image.open(io.BytesIO(drawn))
+    assert (image.format, image.width, image.n_frames) == ("WEBP", 720, 30)  # type: ignore[attr-defined]
+    pixels = np.asarray(image.convert("RGB")).astype(int)
+    is_drawn = np.abs(pixels - pixels[0, 0]).max(axis=-1) > 60
+    for edge in (is_drawn[0], is_drawn[-1], is_drawn[:32, 0], is_drawn[:32, -1]):
+        assert not edge.any(), "titles and people are whole"
+    for half in (pixels[:, :360], pixels[:, 360:]):
+        is_green = (half[..., 1] > half[..., 0] + 60) & (half[..., 1] > half[..., 2] + 30)
+        assert is_green.sum() > 10, "contacts are marked"

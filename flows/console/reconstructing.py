@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -28,14 +28,16 @@ from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import MethodMotions, ReconstructedTracks, reconstruct_people
-from pasdedeux.reconstruction.pitch import choose_pitch
+from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
-from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
+from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.settings import first_problem
+from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.data import player_page
 from tasks.evaluation.reconstruction import reconstruction_player
@@ -71,7 +73,8 @@ def follow_video(
     if not video.path.is_dir():
         raise InputError(f"{video.path} is not a folder of OpenPose files")
     source, refs = _projections(database, store)
-    (searcher,), _ = _searchers(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
+    (seen,), _ = _databases(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
+    searcher = Searcher.of(seen)
     warm_up(searcher, options)
     rate_hz = video.rate_hz or DEFAULT_RATE_HZ
     people = LivePeople(searcher, rate_hz=rate_hz, image_size_px=video.image_size_px, options=options)
@@ -124,7 +127,7 @@ def reconstruct_video(
     """
     videos = find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
     source, refs = _projections(database, store)
-    searchers, take_ids = _searchers(source, refs, pitch_deg)
+    databases, take_ids = _databases(source, refs, pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
 
     listener = make_listener()
@@ -135,17 +138,10 @@ def reconstruct_video(
         tracks = _tracks(resolved, sequence.sequence_id, person_ids)
         if not tracks:
             raise InputError("no frame shows enough joints of a person")
-        pitch, searcher = None, searchers[0]
-        step = Steps(listener, len(searchers) + 2 * len(tracks))
-
-        def counted(every: Iterable[Searcher]) -> Iterator[Searcher]:
-            for one in every:
-                yield one
-                step()
-
-        if len(searchers) > 1:
-            pitch = choose_pitch(counted(searchers), tracks)
-            searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
+        step = Steps(listener, 1 + 2 * len(tracks))
+        pitch = choose_camera(databases, tracks)
+        step()
+        searcher = Searcher.of(replace(databases[0], camera=DatabaseCamera(pitch.pitch_rad)))
         found = reconstruct_people(
             searcher,
             tracks,
@@ -159,9 +155,13 @@ def reconstruct_video(
         )
         if not found.methods:
             raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
-        doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
-        unseen_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
-        _write_sequence(found, sequence, out, units, unseen_m, doubts)
+        judged = judge_tracks(
+            found,
+            left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0)),
+            sequence_id=sequence.sequence_id,
+            pitches_rad=[one.camera.pitch_rad for one in databases],
+        )
+        _write_sequence(found, sequence, out, units, judged)
 
     failed: list[InputError] = []
     num_made = 0
@@ -193,29 +193,32 @@ def _write_sequence(
     sequence: SequencePeople,
     out: Path,
     units: str,
-    unseen_m: float,
-    doubts: Sequence[str],
+    judged: Judged,
 ) -> None:
     """Write files of every person of one sequence, and say how good they are."""
     out.mkdir(parents=True, exist_ok=True)
     names = FileNames(out)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for made in found.methods[-1].people:
         track, motion = made.track, found.motions[made.track.person_id]
         path = write_text(names.path(sequence.sequence_id, track.person_id, suffix=".bvh"), motion.bvh(units))
         path.with_suffix(".npz").write_bytes(write_npz(motion))
-        judged = judge_person(made, unseen_m, doubts=doubts)
+        one = judged.people[track.person_id]
         rows.append(
             (
                 str(path),
                 f"{track.first_frame}-{int(track.frames[-1])}",
-                f"{100 * judged.expected_error_m:.0f} cm",
-                f"{100 * judged.misfit_m:.1f} cm",
-                f"{100 * unseen_m:.1f} cm" if math.isfinite(unseen_m) else "",
-                f"{judged.share_seen:.0%}",
-                f"{judged.share_bridged:.0%}",
-                judged.verdict.level.value + (f": {judged.verdict.reason}" if judged.verdict.reason else ""),
+                one.expected_in_words,
+                f"{100 * one.misfit_m:.1f} cm",
+                f"{100 * one.left_out_m:.1f} cm" if math.isfinite(one.left_out_m) else "",
+                f"{one.share_seen:.0%}",
+                f"{one.share_bridged:.0%}",
+                _in_words(one.verdict),
             )
+        )
+    for (first, second), place in judged.places.items():
+        rows.append(
+            (f"place of {first} and {second}", "", place.expected_in_words, *[""] * 4, _in_words(place.verdict))
         )
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
     write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), units_text(motion, units))
@@ -241,6 +244,10 @@ def _shown(made: MethodMotions, sequence_id: str) -> Picture:
     player = reconstruction_player(found, rate_hz=tracks[0].rate_hz, keypoints_px=seen_px)
     caption = f"{sequence_id}: the 2D poses, and what was reconstructed, five seconds from the middle. Turn it."
     return Picture(f"{sequence_id}{PLAYER}", caption, player)
+
+
+def _in_words(verdict: Verdict) -> str:
+    return verdict.level.value + (f": {verdict.reason}" if verdict.reason else "")
 
 
 def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: Sequence[int]) -> list[Track]:
@@ -300,9 +307,9 @@ def _is_part(store: Store, ref: ArtifactRef) -> bool:
     return "projections" in store.manifest(ref).tables
 
 
-def _searchers(
+def _databases(
     store: Store, refs: list[ArtifactRef], pitch_deg: float | None
-) -> tuple[list[Searcher], npt.NDArray[np.object_]]:
+) -> tuple[list[Database], npt.NDArray[np.object_]]:
     """Return the database as each of its cameras sees it, or as one of this pitch does, and the take of each row."""
     cameras = read_cameras([store.manifest(ref) for ref in refs])
     if pitch_deg is not None:
@@ -310,4 +317,4 @@ def _searchers(
     level, take_ids, _ = read_database(store, refs)
     if words := small_database_words(level.num_rows, len(set(take_ids))):
         typer.echo(words, err=True)
-    return [Searcher.of(replace(level, camera=camera)) for camera in cameras], take_ids
+    return [replace(level, camera=camera) for camera in cameras], take_ids

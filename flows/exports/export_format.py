@@ -13,7 +13,7 @@ from typing import Literal
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Reference, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
-from tasks.curation import rejected_names, without
+from tasks.curation import content_columns, rejected_names, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -51,11 +51,8 @@ class Export:
     @cached_property
     def left_out(self) -> Collection[str]:
         """The names of what is left out."""
-        return rejected_names(
-            self.rejected,
-            self.reference.table,
-            lambda columns: iter_rows(replace(self.reference, row=None), self.store, columns=columns),
-        )
+        rows = iter_rows(replace(self.reference, row=None), self.store, columns=content_columns(self.reference.table))
+        return rejected_names(self.rejected, rows)
 
 
 @dataclass(frozen=True)

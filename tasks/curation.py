@@ -7,7 +7,7 @@ survives a rebuild that gives the same content; of other content nobody has said
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -38,6 +38,7 @@ POSITIONS: Mapping[str, str] = {
     "annotations": "pair17_px",
 }
 """The column that is the content of such a thing."""
+UNDECIDED = "undecided"
 _DIGITS = 12
 _HEADER = "# decision table name content reason\n"
 
@@ -122,29 +123,29 @@ def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
     return {name: said[1] for name, said in found.items() if said[0] == "reject"}
 
 
+def content_columns(table: str) -> list[str] | None:
+    """Return the columns by which a thing of a table, and its content, are known; None of a table without things."""
+    return [*IDENTITY[table], POSITIONS[table]] if table in IDENTITY else None
+
+
 def names_of(data: TableData) -> np.ndarray:
     """Return the name of what each row is of (row,)."""
     columns = (np.asarray(data[name]).astype(str) for name in IDENTITY[data.table.name])
     return np.array(["/".join(one) for one in zip(*columns, strict=True)])
 
 
-def rejected_names(
-    rejected: Mapping[str, str], table: str, batches: Callable[[list[str]], Iterable[TableData]]
-) -> Collection[str]:
-    """Return the names of what is rejected and has the content that was looked at; what is not named is not read far.
+def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) -> Collection[str]:
+    """Return the names of what is rejected and has the content that was looked at.
 
     Args:
-        rejected: What `rejections` gave.
-        table: Table of it.
-        batches: Reads columns of the rows.
+        rejected: What `rejections` gave; where that is nothing, nothing is read.
+        batches: Rows with the columns that `content_columns` names.
     """
-    if not rejected:
-        return ()
     parts: dict[str, list[Any]] = {}
-    for data in batches([*IDENTITY[table], POSITIONS[table]]):
+    for data in batches if rejected else ():
         names = names_of(data)
         for name in rejected.keys() & set(names.tolist()):
-            parts.setdefault(name, []).append(data[POSITIONS[table]][names == name])
+            parts.setdefault(name, []).append(data[POSITIONS[data.table.name]][names == name])
     return {name for name, values in parts.items() if content_of(np.concatenate(values)) == rejected[name]}
 
 
@@ -158,3 +159,40 @@ def without(data: TableData, names: Collection[str]) -> TableData:
 def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
     """Return which rows (n,) are of nothing with one of these names."""
     return np.flatnonzero(~np.isin(names_of(data), list(names))) if names else np.arange(data.num_rows)
+
+
+class Choosing:
+    """A file of choices, read again before each change: two people, or a person and an editor, lose nothing.
+
+    Raises:
+        InputError: The file holds something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+        read_choices(self.path)
+
+    def about(self, table: str, name: str) -> Choice | None:
+        """Return what was chosen, whatever the content was."""
+        return read_choices(self.path).get(f"{table} {name}")
+
+    def words(self, table: str, name: str, content: str) -> str:
+        """Return what was chosen in words, and whether it was of this content."""
+        choice = self.about(table, name)
+        if choice is None:
+            return UNDECIDED
+        said = f"{choice.decision}ed{f': {choice.reason}' if choice.reason else ''}"
+        return said if choice.content == content else f"{said} (it had other content then: choose again)"
+
+    def decide(
+        self, decision: Decision | Literal["undo"], table: str, name: str, content: str, reason: str = ""
+    ) -> str:
+        """Write a choice, or forget it, and say so."""
+        choices = read_choices(self.path)
+        if decision == "undo":
+            choices.pop(f"{table} {name}", None)
+        else:
+            choice = Choice(decision, table, name, content, reason)
+            choices[choice.about] = choice
+        write_choices(self.path, choices.values())
+        return f"{table} {name}: {UNDECIDED if decision == 'undo' else f'{decision}ed'}; {len(choices)} in {self.path}"

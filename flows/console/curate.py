@@ -32,9 +32,9 @@ def curate(
     (`[curation] file`): exports, training and published datasets then leave out what is rejected, as long as its
     content is the same.
     """
-    from flows.viewing.choosing import Choosing
     from flows.viewing.kinds import thing_of
     from flows.viewing.shelf import open_shelf
+    from tasks.curation import Choosing
 
     shelf = open_shelf(open_store(store), reference)
     part, index, row = shelf.find(reference)

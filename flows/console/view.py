@@ -43,10 +43,10 @@ def view(
     Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
     """
     from flows.console.retargeting import find_take
-    from flows.viewing.choosing import Choosing
     from flows.viewing.editing import Editor
     from flows.viewing.shelf import Shelf, open_shelf
     from flows.viewing.viewer import Viewer
+    from tasks.curation import Choosing
 
     words = what or []
     with contextlib.ExitStack() as held:
@@ -60,6 +60,5 @@ def view(
         Editor(viewer, Path("restarts"), workers)
         typer.echo(f"{viewer.url} shows it; Ctrl-C ends it")
         with contextlib.suppress(KeyboardInterrupt):
-            while not viewer.wait(3600.0):
-                pass
+            viewer.ended.wait()
         viewer.stop()

@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, SourceCredit, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
-from tasks.curation import rejected_names, rejections, without
+from tasks.curation import content_columns, rejected_names, rejections, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -73,12 +73,11 @@ class Export:
     @cached_property
     def left_out(self) -> Collection[str]:
         """The names of what is left out."""
-        table = self.reference.table
-        return rejected_names(
-            rejections(self.choices, table),
-            table,
-            lambda columns: iter_rows(replace(self.reference, row=None), self.store, columns=columns),
-        )
+        rejected = rejections(self.choices, self.reference.table)
+        if not rejected:
+            return ()
+        whole = replace(self.reference, row=None)
+        return rejected_names(rejected, iter_rows(whole, self.store, columns=content_columns(whole.table)))
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,6 @@ from tasks.lifting import lift_again
 from tasks.priors import read_limits
 from tasks.seeds.files import pair_in_store
 
-_LOOK_S = 1.0
 _PERSONS = ("A", "B")
 _TOO_FAR = 6
 
@@ -47,7 +46,6 @@ class Editor:
     def __init__(self, viewer: Viewer, out: Path, num_workers: int | None = None) -> None:
         self.viewer, self.out, self._num_workers = viewer, out, num_workers
         self.process: subprocess.Popen[str] | None = None
-        self._thread: threading.Thread | None = None
         gui, scene = viewer.server.gui, viewer.server.scene
         with gui.add_folder("Change and restart", expand_by_default=False) as self._folder:
             self._is_on = gui.add_checkbox("change this pair", initial_value=False)
@@ -98,8 +96,7 @@ class Editor:
         self._hand.visible = is_on
         if not is_on:
             return
-        if viewer.is_playing:
-            viewer.play(is_playing=False)
+        viewer.play(is_playing=False)
         self._place = _PERSONS.index(self._person.value), PAIR17.index(self._joint.value)
         at = self.pose[self._place]
         self._hand.position = np.where(np.isfinite(at), at, 0.0)
@@ -127,9 +124,6 @@ class Editor:
 
     def show_limits(self) -> None:
         """Name the angles that are out of range."""
-        if self.is_image:
-            self._limits.value = ""
-            return
         refs = self.viewer.shelf.having("joint_limits")
         limits = read_limits(self.viewer.shelf.store, refs) if refs else JointLimits.published()
         bad = [
@@ -137,6 +131,7 @@ class Editor:
             for person, angle in np.argwhere(limits.invalid_angles(self.pose))
         ]
         more = f" and {len(bad) - _TOO_FAR} more" if len(bad) > _TOO_FAR else ""
+        self._limits.visible = not self.is_image
         self._limits.value = f"{', '.join(bad[:_TOO_FAR])}{more} out of range" if bad else "all angles in range"
 
     # What is saved.
@@ -170,58 +165,43 @@ class Editor:
         if self.process is not None and self.process.poll() is None:
             raise InputError("a restart is running; wait for its end")
         ref, row = viewer.item.row(viewer.scene.row_of(viewer.frame))
-        words = ["restart", f"draws@{ref.content_digest[:16]}#{row}", "--out", str(self.out)]
-        if viewer.pose is not None:
-            words += ["--edited", str(self.save())]
+        seed = self.save()
+        words = ["restart", f"draws@{ref.content_digest[:16]}#{row}", "--edited", str(seed)]
         words += ["--store", str(viewer.shelf.store)]
         words += [] if self._num_workers is None else ["--workers", str(self._num_workers)]
-        before = set(viewer.shelf.store.folders("chains"))
         self._progress.value = "starting"
         self.process = subprocess.Popen(
             [sys.executable, "-m", "flows.console", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
-        self._thread = threading.Thread(target=self._follow, args=(before,), daemon=True)
-        self._thread.start()
-        threading.Thread(target=self._show_progress, daemon=True).start()
+        threading.Thread(target=self._follow, args=(self.process, seed.name), daemon=True).start()
 
-    def _show_progress(self) -> None:
-        """Say what the process says, line by line."""
-        assert self.process is not None
-        assert self.process.stdout is not None
+    def _follow(self, process: subprocess.Popen[str], seed: str) -> None:
+        """Say what the process says, line by line, and offer new draws while they come."""
+        assert process.stdout is not None
+        before = set(self.viewer.shelf.store.folders("chains"))
         last = ""
-        for line in self.process.stdout:
-            last = line.strip() or last
-            self._progress.value = last
-        code = self.process.wait()
-        self.process.stdout.close()
-        self._progress.value = f"done: {last}" if code == 0 else f"failed: {last}"
+        with process.stdout as lines:
+            for line in lines:
+                last = line.strip() or last
+                self._progress.value = last
+                self._offer(before, seed)
+        self._progress.value = f"{'done' if process.wait() == 0 else 'failed'}: {last}"
+        self._offer(before, seed)
 
-    def _follow(self, before: set[Path]) -> None:
-        """Offer new draws while they come."""
-        assert self.process is not None
-        while True:
-            is_over = self.process.poll() is not None
-            new = sorted(set(self.viewer.shelf.store.folders("chains")) - before)
-            self._offer([one.ref for path in new if (one := self.viewer.shelf.store.find("chains", path.name))])
-            if is_over:
-                return
-            threading.Event().wait(_LOOK_S)
-
-    def _offer(self, refs: list[ArtifactRef]) -> None:
-        """Put draws on the shelf: a part for each partition, with those that are there so far."""
-        viewer = self.viewer
+    def _offer(self, before: set[Path], seed: str) -> None:
+        """Put new draws that come from a seed file on the shelf: a part for each partition."""
+        viewer, store = self.viewer, self.viewer.shelf.store
+        found: dict[str, list[ArtifactRef]] = {}
+        for path in sorted(set(store.folders("chains")) - before):
+            one = store.find("chains", path.name)
+            if one is not None and "draws" in one.tables:
+                names = {name for ref in one.inputs for name, _ in store.manifest(ref).files}
+                if seed in names:
+                    found.setdefault(f"restart {Path(seed).stem} {one.partition}", []).append(one.ref)
         with viewer.lock:
-            found: dict[str, list[ArtifactRef]] = {}
-            for ref in refs:
-                manifest = viewer.shelf.store.manifest(ref)
-                if "draws" in manifest.tables:
-                    found.setdefault(f"restart {manifest.partition}", []).append(ref)
-            parts = {part.name: part for part in viewer.shelf.parts if part.table == "draws"}
-            new = [Part("draws", name, tuple(own)) for name, own in found.items()]
-            if changed := [part for part in new if parts.get(part.name) != part]:
-                names = {part.name for part in changed}
-                kept = [one for one in viewer.shelf.parts if not (one.table == "draws" and one.name in names)]
-                viewer.shelf.parts = [*kept, *changed]
+            new = [Part("draws", name, tuple(refs)) for name, refs in found.items()]
+            if set(new) - set(viewer.shelf.parts):
+                viewer.shelf.parts = [one for one in viewer.shelf.parts if one.name not in found] + new
                 viewer.parts_changed()
 
     # 2D poses.

@@ -18,7 +18,9 @@ _PAPER, _INK = 250, (60, 60, 60)
 
 def flat_panels(flats: Sequence[Flat]) -> Array:
     """Return 2D poses as one image (height, width, 3), RGB, two panels in a row."""
-    panels = [_panel(flat) for flat in flats] or [_blank(_PANEL[1])]
+    panels = [_panel(flat, 0.36 if len(flats) == 1 else 0.55) for flat in flats] or [
+        np.full((*_PANEL[::-1], 3), _PAPER, dtype=np.uint8)
+    ]
     if len(panels) > 1:
         if len(panels) % 2:
             panels.append(np.full_like(panels[0], _PAPER))
@@ -26,12 +28,12 @@ def flat_panels(flats: Sequence[Flat]) -> Array:
     return np.vstack(panels)
 
 
-def _panel(flat: Flat) -> Any:
+def _panel(flat: Flat, font: float) -> Any:
     import cv2
 
     width, height = flat.size_px
     scale = min(_PANEL[0] / width, (_PANEL[1] - 20) / height)
-    image = _blank(_PANEL[1])
+    image = np.full((*_PANEL[::-1], 3), _PAPER, dtype=np.uint8)
     low = np.array([(_PANEL[0] - scale * width) / 2, 20.0])
     corner = low + scale * np.array([width, height])
     cv2.rectangle(image, list(map(int, low)), list(map(int, corner)), (200, 200, 200), 1)
@@ -43,12 +45,8 @@ def _panel(flat: Flat) -> Any:
                 start, end = (list(map(int, placed[joint] * 8)) for joint in (parent, child))
                 shade = shade_of(flat.skeleton.joint_names[child])
                 cv2.line(image, start, end, (shade * colour).tolist(), 2, cv2.LINE_AA, 3)
-    cv2.putText(image, flat.title[:52], (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.36, _INK, 1, cv2.LINE_AA)
+    cv2.putText(image, flat.title[: int(19 / font)], (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, _INK, 1, cv2.LINE_AA)
     return image
-
-
-def _blank(height: int) -> Any:
-    return np.full((height, _PANEL[0], 3), _PAPER, dtype=np.uint8)
 
 
 def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
@@ -61,6 +59,29 @@ def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
         rows.append(np.array([(120, 170, 120), (230, 170, 40), (200, 30, 50)])[levels])
     columns = np.linspace(0, len(is_there) - 1, _PANEL[0] * 2).round().astype(int)
     return np.repeat(np.stack(rows)[:, columns], 12, axis=0).astype(np.uint8)
+
+
+def plot_curves(curves: Sequence[Array], frame: int) -> Any:
+    """Return figures over the frames as an image: the last of them over the others, and a line at a frame."""
+    import cv2
+
+    height, width, edge = 170, 2 * _PANEL[0], 22
+    image = np.full((height, width, 3), _PAPER, dtype=np.uint8)
+    low, high = (take([take(one) for one in curves if np.isfinite(one).any()]) for take in (np.nanmin, np.nanmax))
+    across = np.linspace(0, width - 1, len(curves[-1]))
+    for number, curve in enumerate(curves, 1 - len(curves)):
+        points = np.stack(
+            [across, height - edge - (curve - low) / max(high - low, 1e-12) * (height - 2 * edge)], axis=-1
+        )
+        is_there = np.isfinite(points[:, 1])
+        runs = np.split(points[is_there], np.flatnonzero(np.diff(np.flatnonzero(is_there)) > 1) + 1)
+        colour = rgb(PERSON_COLOURS[(number + 2) % 3 + 2]) if number else rgb(PERSON_COLOURS[1])
+        cv2.polylines(image, [np.round(8 * run).astype(np.int32) for run in runs], False, colour, 1, cv2.LINE_AA, 3)
+    at = round(across[min(frame, len(across) - 1)])
+    cv2.line(image, [at, 0], [at, height], rgb(PERSON_COLOURS[0]), 2)
+    for value, y in ((high, edge - 4), (low, height - 4)):
+        cv2.putText(image, f"{value:.3g}", (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
+    return image
 
 
 def encode(image: Array, suffix: str) -> bytes:

@@ -20,7 +20,7 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_seen_pairs
-from tasks.curation import IDENTITY, POSITIONS, content_of, names_of
+from tasks.curation import POSITIONS, content_columns, content_of, names_of
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.facts import MotionFacts, SequenceFacts
 from tasks.takes import read_motion
@@ -75,7 +75,7 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
         rate_of(data["time_s"]),
         behind=People(BODY22, read_motion(store, taken, "body22_m")["body22_m"]),
         behind_name="source",
-        curves={name.replace("_", " "): np.asarray(found[name], dtype=np.float64)[own] for name in names},
+        curves={name: np.asarray(found[name], dtype=np.float64)[own] for name in names},
         levels=np.array([_LEVELS.get(str(word), 0) for word in found["verdict"][own]], dtype=np.int64),
     )
 
@@ -103,7 +103,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         rate_of(data["time_s"]),
         behind=None if truth is None else People(BODY22, truth),
         behind_name="as captured",
-        curves={"distance to the match (m)": np.nanmean(grid.fill(data["score_m"]), axis=1)},
+        curves={"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)},
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
         facts=(
@@ -157,7 +157,7 @@ def _seeds(shelf: Shelf, part: Part, item: Item) -> Scene:
         origin = data["take_id"][frame] or data["sequence_id"][frame] or data["made_from"][frame]
         return [f"seed {data['seed_index'][frame]} of {plain(origin)}"]
 
-    return Scene(people, rows, curves={"log prior": data["log_prior"]}, say=say, has_floor=False)
+    return Scene(people, rows, curves={"log_prior": data["log_prior"]}, say=say, has_floor=False)
 
 
 def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
@@ -197,7 +197,7 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
         titles = [f"{evidence[k].place.sequence_id}, {100 * d:.1f} cm" for k, d in zip(which, d_i, strict=True)]
         return [*flats, *(_image_of(evidence[k].image_m, title) for k, title in zip(which, titles, strict=True))]
 
-    curves = {name.replace("_", " "): data[name] for name in terms}
+    curves = {name: data[name] for name in terms}
     return Scene(people, rows, curves=curves, others=chains, say=say, images=images, has_floor=False)
 
 
@@ -213,18 +213,14 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
             truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
 
     def say(frame: int) -> list[str]:
-        return [
-            " ".join(map(str, places[frame])),
-            f"residual {100 * data['residual_m'][frame]:.1f} cm, {data['num_joints_seen'][frame]} of 34 joints seen",
-            f"expected error {100 * data['expected_error_m'][frame]:.1f} cm",
-        ]
+        return [" ".join(map(str, places[frame])), f"{data['num_joints_seen'][frame]} of 34 joints seen"]
 
     return Scene(
         people,
         rows,
         behind=People(PAIR17, truths) if np.isfinite(truths).any() else None,
         behind_name="as captured",
-        curves={"expected error (m)": data["expected_error_m"], "residual (m)": data["residual_m"]},
+        curves={name: data[name] for name in ("expected_error_m", "residual_m")},
         say=say,
         images=lambda frame: _Seen.of(shelf, places[frame].sequence_id).flats(
             places[frame].frame, places[frame].sequence_id
@@ -254,7 +250,7 @@ def thing_of(shelf: Shelf, part: Part, item: Item, row: int) -> tuple[str, str]:
     """Return name and content of what is accepted or rejected at a row of an item: the row's own, or all of it."""
     ref, at = item.row(row)
     own = Item(item.names, ((ref, np.array([at])),), item.label) if KINDS[part.table].is_each else item
-    data = own.read(shelf.store, part.table, [*IDENTITY[part.table], POSITIONS[part.table]])
+    data = own.read(shelf.store, part.table, content_columns(part.table) or [])
     return str(names_of(data)[0]), content_of(data[POSITIONS[part.table]])
 
 

@@ -29,17 +29,9 @@ from storage_schema import (
 )
 from storage_schema.references import find_rows
 from storage_schema.table_data import concatenate
+from tasks.curation import IDENTITY
 
-GROUPS = {
-    "variants": ("take_id", "variant_id"),
-    "poses": ("take_id",),
-    "motions": ("sequence_id", "method"),
-    "lifted_pairs": ("method",),
-    "draws": ("density", "seed_index", "chain"),
-    "seeds": ("origin",),
-    "annotations": ("sequence_id",),
-    "in_betweens": ("sequence_id", "method"),
-}
+GROUPS = {**IDENTITY, "lifted_pairs": ("method",), "draws": ("density", "seed_index", "chain"), "seeds": ("origin",)}
 """Tables that can be looked at, and the columns by which their rows are items."""
 SINGLE_IMAGES = "single images"
 _STILLS = 3
@@ -207,6 +199,23 @@ def moment_reference(part: Part, item: Item, row: int) -> str:
     """Return the reference of a row of an item, by the content of its artifact: it outlives runs and keys."""
     ref, at = item.row(row)
     return f"{part.table}@{ref.content_digest[:16]}#{at}"
+
+
+def figure_words(name: str, value: Any) -> str:
+    """Return a figure by the name of its column, in a unit that people read.
+
+    >>> figure_words("contact_drift_m", 0.00152), figure_words("rhat_max", 1.25), figure_words("bend_rad", np.pi)
+    ('contact drift 0.15 cm', 'rhat max 1.25', 'bend 180 degrees')
+    """
+    words, _, unit = name.rpartition("_")
+    scaled = {"m": (100.0, "cm", ".2f"), "rad": (180.0 / np.pi, "degrees", ".3g")}.get(unit)
+    if scaled is None or not _is_finite(value):
+        return f"{name.replace('_', ' ')} {plain(value)}"
+    return f"{words.replace('_', ' ')} {value * scaled[0]:{scaled[2]}} {scaled[1]}"
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, float | np.floating) and bool(np.isfinite(value))
 
 
 def plain(value: Any) -> str:

@@ -15,23 +15,21 @@ from urllib.parse import parse_qs, quote, urlsplit
 import numpy as np
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
-from flows.viewing.choosing import UNDECIDED, Choosing
-from flows.viewing.images import encode, encode_clip, flat_panels, presence_strip
+from flows.viewing.images import encode, encode_clip, flat_panels, plot_curves, presence_strip
 from flows.viewing.kinds import KINDS, qualities, thing_of
 from flows.viewing.scene import People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, moment_reference, plain
+from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_reference
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import PasdedeuxError
 from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
-from tasks.curation import Decision
+from tasks.curation import UNDECIDED, Choosing, Decision
 
 TICK_S = 1.0 / 30.0
 STILLS_HZ = 10.0
 """Frames that do not follow each other in time are played at this rate."""
-_CURVE_POINTS = 300
 _MARK_M = 0.035
 _APART_M = 0.5
 _MOVED_M = 2.0
@@ -40,15 +38,12 @@ _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
 _GREY = (120, 120, 120)
 _DARKER = 1.7
 """Exponent of colours: the lights of the room make them paler."""
-_LINES = (("#b58900", 1), ("#8a5a9e", 1), ("#3f7f7f", 1), ("#1f5fa8", 2), ("#c1440e", 2))
-"""Of a figure for other chains, then of this one, and at the last of the moment that is shown."""
-_NUM_OTHERS = len(_LINES) - 2
-_NO_IMAGE = np.zeros((1, 1, 3), dtype=np.uint8)
 _CLIP_S = 4.0
 _CLIP_HZ = 10.0
 COMPARE = ("over", "beside", "hidden")
 ALL, FAILS, WARNS, PASSES = "all", "fail", "warn", "pass"
 STORED_ORDER = "as stored"
+ONLY = (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
@@ -78,9 +73,9 @@ class Viewer:
         self._started = (0.0, 0)
         self._handles: dict[str, Any] = {}
         self._middle = np.full(3, np.inf)
-        self._curve: list[Array] | None = None
+        self._curves: list[Array] = []
         self._num_marks: tuple[int, ...] = (0, 0)
-        self._ended = threading.Event()
+        self.ended = threading.Event()
         self._looked = threading.Event()
         first = shelf.find(at) if at is not None else None
         self.server = start_server(port, self.visit, "pasdedeux")
@@ -105,13 +100,9 @@ class Viewer:
         """The reference of the moment that is shown."""
         return moment_reference(self.part, self.item, self.scene.row_of(self.frame))
 
-    def wait(self, seconds: float) -> bool:
-        """Wait for the end of the viewer, at most some time; tells whether it has ended."""
-        return self._ended.wait(seconds)
-
     def stop(self) -> None:
         """End the clock and the server."""
-        self._ended.set()
+        self.ended.set()
         self._looked.set()
         for thread in self._threads:
             thread.join(timeout=5.0)
@@ -174,19 +165,18 @@ class Viewer:
     def _show_scene(self, scene: Scene, row: int | None) -> None:
         with self.lock:
             self.scene: Scene = scene
-            self.bodies = Bodies(self.scene.people, self.scene.ends_m, self.scene.radii_m, is_thin=self._is_flat)
-            self._behind = None if self.scene.behind is None else Bodies(self.scene.behind)
+            self.bodies = Bodies(scene.people, scene.ends_m, scene.radii_m, is_thin=self._is_flat)
+            self._behind = None if scene.behind is None else Bodies(scene.behind)
+            self._thing = ("", "")
             self._set("item", self._item_label(self.index))
             self._draw_room()
             self._draw_curve()
-            for name in ("compare", "through"):
-                self._handles[name].visible = {"compare": self._behind, "through": self.scene.camera}[name] is not None
-            self._handles["compare"].label = self.scene.behind_name or "compare"
-            self._handles["facts"].value = "\n".join(self._item_lines())
-            self._handles["failing"].visible = self.scene.levels is not None
+            for name, needed in (("compare", self._behind), ("through", scene.camera), ("failing", scene.levels)):
+                self._handles[name].visible = needed is not None
+            self._handles["compare"].label = scene.behind_name or "compare"
             self._show_scales()
-            self._handles["timeline"].max = max(self.scene.num_frames - 1, 1)
-            self.seek(0 if row is None else int(self.scene.frame_of_row[row]))
+            self._handles["timeline"].max = max(scene.num_frames - 1, 1)
+            self.seek(0 if row is None else int(scene.frame_of_row[row]))
 
     def step_item(self, by: int) -> None:
         """Go to another item, in the order of the list."""
@@ -226,7 +216,7 @@ class Viewer:
         with self.lock:
             levels = self.scene.levels
             worst = 0 if levels is None else int(levels.max(initial=0))
-            if levels is None or worst == 0:
+            if not worst:
                 self.tell("no frame of this item fails or is a warning")
                 return
             bad = np.flatnonzero(levels == worst)
@@ -236,17 +226,13 @@ class Viewer:
     def decide(self, decision: Decision | Literal["undo"]) -> None:
         """Accept or reject what is shown, for the reason that stands in the panel, and go on to the next thing."""
         with self.lock:
-            is_each = KINDS[self.part.table].is_each
-            name, content = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame))
+            name, content = self._thing_shown()
             reason = str(self._handles["reason"].value)
             self.tell(self.choosing.decide(decision, self.part.table, name, content, reason))
             self._handles["reason"].value = ""
-            if is_each and decision != "undo":
-                self.step(1)
-            else:
-                self.sort(self.index)
-                self._set("item", self._item_label(self.index))
-            self._looked.set()
+            self.sort(self.index)
+            self._set("item", self._item_label(self.index))
+            self.step(1 if KINDS[self.part.table].is_each and decision != "undo" else 0)
 
     def tell(self, text: str) -> None:
         """Say something in one line of the panel."""
@@ -268,7 +254,8 @@ class Viewer:
                 found = marks(scene.people.skeleton, shown, self.bodies.radii_m)
             else:
                 found = (np.empty((0, 3)),) * 2
-            _place(self._marks, *_with_none(marker_balls(found, _MARK_M)))
+            places, sizes = marker_balls(found, _MARK_M)
+            _place(self._marks, places, None, sizes)
             self._set("timeline", frame)
         self._num_marks = tuple(map(len, found))
 
@@ -283,94 +270,71 @@ class Viewer:
         put = self._handles
         put["part"] = gui.add_dropdown("show", tuple(map(self._part_label, self.shelf.parts)))
         put["item"] = self.gui_item = gui.add_dropdown("item", ("none",))
-        put["play"] = gui.add_button("Play (space)")
+        put["play"] = self._button("Play", lambda _: self.play(), "space")
         put["timeline"] = gui.add_slider("frame", 0, 1, 1, initial_value=0)
         put["facts"] = gui.add_text("about", "", multiline=True, disabled=True)
         put["picture"] = gui.add_image(flat_panels([]), label=None, visible=False)
         put["compare"] = gui.add_dropdown("compare", COMPARE)
-        put["failing"] = gui.add_button("Next failing frame (F)")
-        put["through"] = gui.add_button("Look through its camera")
+        put["failing"] = self._button("Next failing frame", lambda _: self.next_failing(), "F")
+        put["through"] = self._button("Look through its camera", lambda event: self._look_through(event.client))
         put["said"] = gui.add_text("said", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
             put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
             put["loop"] = gui.add_checkbox("loop", initial_value=True)
             put["marks"] = gui.add_checkbox("contacts (green), penetration (red)", initial_value=True)
         with gui.add_folder("Filter and sort", expand_by_default=False):
-            self.gui_filter = put["filter"] = gui.add_dropdown(
-                "only", (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
-            )
+            self.gui_filter = put["filter"] = gui.add_dropdown("only", ONLY)
             self.gui_sort = put["sort"] = gui.add_dropdown("largest first", (STORED_ORDER,))
         self._scales_folder = gui.add_folder("Scales", visible=False)
         self._curve_folder = gui.add_folder("Curve")
         with self._curve_folder:
-            put["strip"] = gui.add_image(_NO_IMAGE, label="who is there, and verdicts", visible=False)
+            put["strip"] = gui.add_image(flat_panels([]), label="who is there, and verdicts", visible=False)
             put["curve"] = gui.add_dropdown("figure", ("none",))
-            lines = [{"stroke": colour, "width": width, "label": ""} for colour, width in _LINES]
-            self._uplot = gui.add_uplot(
-                (np.arange(2.0),) * (1 + len(lines)),
-                ({"label": "frame"}, *lines),
-                aspect=2.0,
-                scales={"x": {"time": False}},
-                legend={"show": False},
-            )
+            put["plot"] = gui.add_image(flat_panels([]), visible=False)
         with gui.add_folder("Accept or reject", expand_by_default=False):
             put["reason"] = gui.add_text("reason", "")
-            for decision, label in (("accept", "Accept (K)"), ("reject", "Reject (X)"), ("undo", "Undo (U)")):
-                put[decision] = gui.add_button(label)
+            self._button("Accept", lambda _: self.decide("accept"), "K")
+            self._button("Reject", lambda _: self.decide("reject"), "X")
+            self._button("Undo", lambda _: self.decide("undo"), "U")
         with gui.add_folder("Link and save", expand_by_default=False):
             put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
-            put["image"] = gui.add_button("Save picture")
-            put["clip"] = gui.add_button("Save clip")
+            self._button("Save picture", lambda event: self._save(event.client, is_clip=False))
+            self._button("Save clip", lambda event: self._save(event.client, is_clip=True))
         self._rods = self._balls = self._marks = self._grey = None
         self._nodes: dict[str, Any] = {}
         self._rooms: set[str] = set()
         self._rod, self._ball = _meshes()
         self._scales: list[Any] = []
-        actions: Mapping[str, Callable[[Any], None]] = {
-            "play": lambda _: self.play(),
-            "failing": lambda _: self.next_failing(),
-            "through": lambda event: self._look_through(event.client),
-            "accept": lambda _: self.decide("accept"),
-            "reject": lambda _: self.decide("reject"),
-            "undo": lambda _: self.decide("undo"),
-            "image": lambda event: self._save(event.client, is_clip=False),
-            "clip": lambda event: self._save(event.client, is_clip=True),
-        }
-        for name, action in actions.items():
-            put[name].on_click(self.safely(action))
         changes: Mapping[str, Callable[[Any], None]] = {
-            "part": lambda value: self.show_part(self.shelf.parts[self._part_labels.index(value)]),
+            "part": lambda value: self.show_part(self.shelf.parts[put["part"].options.index(value)]),
             "item": lambda value: self.show_item(self.order[self.gui_item.options.index(value)]),
             "timeline": lambda value: self.step(int(value) - self.frame),
             "compare": lambda _: self.show_item(self.index, self.scene.row_of(self.frame)),
             "speed": lambda _: self.play(self.is_playing),
             "marks": lambda _: self.show_frame(),
             "curve": lambda _: self._draw_curve(),
-            "filter": lambda _: self._sorted_again(),
-            "sort": lambda _: self._sorted_again(),
+            **dict.fromkeys(("filter", "sort"), lambda _: self._sorted_again()),
             "link": self.visit,
         }
         for name, change in changes.items():
             put[name].on_update(self._from_client(change))
-        keys: tuple[tuple[str, str, Callable[[], None]], ...] = (
-            ("Play or stop", "space", self.play),
-            ("One frame back", "arrowleft", lambda: self.step(-1)),
-            ("One frame on", "arrowright", lambda: self.step(1)),
-            ("Item before", "arrowup", lambda: self.step_item(-1)),
-            ("Next item", "arrowdown", lambda: self.step_item(1)),
-            ("First frame", "home", lambda: self.step(-self.scene.num_frames)),
-            ("Last frame", "end", lambda: self.step(self.scene.num_frames)),
-            ("Next failing frame", "F", self.next_failing),
-            ("Accept", "K", lambda: self.decide("accept")),
-            ("Reject", "X", lambda: self.decide("reject")),
-            ("Undo", "U", lambda: self.decide("undo")),
-        )
-        for label, key, action_of in keys:
-            self.add_key(label, key, action_of)
+        steps = {"arrowleft": ("One frame back", -1), "arrowright": ("One frame on", 1)}
+        steps |= {"home": ("First frame", -(10**9)), "end": ("Last frame", 10**9)}
+        for key, (label, by) in steps.items():
+            self._bind(label, key, lambda _, by=by: self.step(by))
+        self._bind("Item before", "arrowup", lambda _: self.step_item(-1))
+        self._bind("Next item", "arrowdown", lambda _: self.step_item(1))
 
-    def add_key(self, label: str, key: str, action: Callable[[], None]) -> None:
-        """Bind a key to an action."""
-        self.server.gui.add_command(label, hotkey=key).on_trigger(self.safely(lambda _: action()))
+    def _bind(self, label: str, key: str, action: Callable[..., None]) -> None:
+        self.server.gui.add_command(label, hotkey=key).on_trigger(self.safely(action))
+
+    def _button(self, label: str, action: Callable[..., None], key: str = "") -> Any:
+        """Add a button, which a key may press too."""
+        button = self.server.gui.add_button(f"{label} ({key})" if key else label)
+        button.on_click(self.safely(action))
+        if key:
+            self._bind(label, key, action)
+        return button
 
     def safely(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback that says in the panel what went wrong with what the store holds."""
@@ -392,16 +356,12 @@ class Viewer:
         if self._handles[name].value != value:
             self._handles[name].value = value
 
-    @property
-    def _part_labels(self) -> list[str]:
-        return [self._part_label(part) for part in self.shelf.parts]
-
     def _part_label(self, part: Part) -> str:
         return f"{part.table.replace('_', ' ')}: {part.name}"
 
     def parts_changed(self) -> None:
         """Offer the parts that the shelf has now."""
-        self._handles["part"].options = tuple(self._part_labels)
+        self._handles["part"].options = tuple(map(self._part_label, self.shelf.parts))
 
     def _item_label(self, index: int) -> str:
         item = self.shelf.items(self.part)[index]
@@ -418,15 +378,13 @@ class Viewer:
 
     def _sorted_again(self) -> None:
         self.sort()
-        if self.order:
-            self.show_item(self.order[0])
-        else:
-            self.tell("no item is so")
+        self.tell("" if self.order else "no item is so")
+        self.step_item(0)
 
     def _item_lines(self) -> list[str]:
         """Return what is known of the item: its figures as the store has them."""
         row = self._figures.get(self.item.names, {})
-        figures = [f"{name.replace('_', ' ')} {plain(value)}" for name, value in row.items() if _is_number(value)]
+        figures = [figure_words(name, value) for name, value in row.items() if _is_number(value)]
         return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *figures]
 
     # The room.
@@ -514,8 +472,7 @@ class Viewer:
         if self.scene.camera is not None and client is not None:
             wxyz, position, fov = _view_of(self.scene.camera)
             with client.atomic():
-                client.camera.fov = fov
-                client.camera.wxyz, client.camera.position = wxyz, position
+                client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
 
     # Scales of variants.
 
@@ -555,44 +512,29 @@ class Viewer:
         """Draw a figure over the frames, those of other chains beside it, and who is there."""
         scene = self.scene
         there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
-        has_strip = scene.levels is not None or not there.all()
-        self._handles["strip"].visible = has_strip
-        if has_strip:
-            self._handles["strip"].image = presence_strip(there, scene.levels)
+        self._handles["strip"].visible = has_strip = scene.levels is not None or not there.all()
+        self._handles["strip"].image = presence_strip(there, scene.levels)
         known = [name for name, curve in scene.curves.items() if np.isfinite(curve).any() and np.ptp(curve) > 0]
         chosen = self._handles["curve"]
         if known and tuple(known) != chosen.options:
             chosen.options = tuple(known)
-        for handle in (chosen, self._uplot):
+        for handle in (chosen, self._handles["plot"]):
             handle.visible = bool(known)
         self._curve_folder.visible = bool(known) or has_strip
-        self._curve = None
-        if known:
-            at = np.unique(np.linspace(0, scene.num_frames - 1, _CURVE_POINTS).round().astype(int))
-            own = np.asarray(scene.curves[str(chosen.value)], dtype=np.float64)[at]
-            others = [curve[at] for curve in scene.others[:_NUM_OTHERS]] if chosen.value == known[0] else []
-            self._curve = [at.astype(np.float64), *others, *[own] * (1 + _NUM_OTHERS - len(others))]
-            self._uplot.data = (*self._curve, self._cursor())
-
-    def _cursor(self) -> Array:
-        """Return a line across the curve at the frame that is shown, NaN elsewhere."""
-        assert self._curve is not None
-        at, curve = self._curve[0], self._curve[-1]
-        now = min(int(np.searchsorted(at, self.frame)), len(at) - 2)
-        cursor = np.full(len(at), np.nan)
-        cursor[now : now + 2] = np.nanmin(curve), np.nanmax(curve)
-        return cursor
+        others = scene.others if known and chosen.value == known[0] else ()
+        self._curves = [*others, np.asarray(scene.curves[str(chosen.value)], dtype=np.float64)] if known else []
+        self._looked.set()
 
     def _look(self) -> None:
         """Bring the words, the curve and the pictures after the bodies, at most ten times a second."""
-        while not self._ended.is_set():
+        while not self.ended.is_set():
             self._looked.wait()
             self._looked.clear()
-            if self._ended.is_set():
+            if self.ended.is_set():
                 return
             with suppress(PasdedeuxError, StorageError):
                 self.describe_frame()
-            self._ended.wait(0.1 if not self.is_playing else 0.3)
+            self.ended.wait(0.1 if not self.is_playing else 0.3)
 
     def describe_frame(self) -> None:
         """Say what is known of the frame that is shown: words, curve, pictures, its link."""
@@ -601,24 +543,30 @@ class Viewer:
             time_s = "" if scene.rate_hz is None else f", {frame / scene.rate_hz:.2f} s"
             level = "" if scene.levels is None else f", {(PASSES, WARNS, FAILS)[scene.levels[frame]]}"
             lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *scene.say(frame)]
-            lines += [f"{name} {plain(curve[frame])}" for name, curve in scene.curves.items()]
+            lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
             touch, through = self._num_marks
             if not self._is_flat and self._handles["marks"].value:
                 lines.append(f"{touch} contacts, {through} penetrations")
-            thing = thing_of(self.shelf, self.part, self.item, scene.row_of(frame))
-            chosen = self.choosing.words(self.part.table, *thing)
+            chosen = self.choosing.words(self.part.table, *self._thing_shown())
             self._set("facts", "\n".join([*lines, chosen, *self._item_lines()]))
             self._set("link", f"{self.url}/?at={quote(self.reference, safe='@')}")
-            if self._curve is not None:
-                self._uplot.data = (*self._curve, self._cursor())
-            flats = [] if self.is_playing and scene.rate_hz is None else scene.images(frame)
-            self._handles["picture"].visible = bool(flats)
-            if flats:
-                self._handles["picture"].image = flat_panels(flats)
+            if self._curves:
+                self._handles["plot"].image = plot_curves(self._curves, frame)
+            is_skipped = self.is_playing and scene.rate_hz is None
+        flats = [] if is_skipped else scene.images(frame)  # without the lock: a key need not wait for them
+        if flats and scene is self.scene:
+            self._handles["picture"].image = flat_panels(flats)
+        self._handles["picture"].visible = bool(flats)
+
+    def _thing_shown(self) -> tuple[str, str]:
+        """Return name and content of what would be accepted or rejected now; an item's is read once."""
+        if KINDS[self.part.table].is_each or not self._thing[0]:
+            self._thing = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame))
+        return self._thing
 
     def _play(self) -> None:
         """Follow the clock while it plays: what is too slow leaves frames out, and time is kept."""
-        while not self._ended.wait(TICK_S):
+        while not self.ended.wait(TICK_S):
             if not self.is_playing:
                 continue
             with self.lock:
@@ -648,9 +596,8 @@ class Viewer:
         self.play(False)
         rate = self.scene.rate_hz or STILLS_HZ
         step = max(1, round(rate / _CLIP_HZ))
-        frames = range(self.frame, min(self.frame + int(_CLIP_S * rate), self.scene.num_frames), step)
         images = []
-        for frame in frames:
+        for frame in range(self.frame, min(self.frame + int(_CLIP_S * rate), self.scene.num_frames), step):
             self.seek(frame)
             images.append(client.get_render(height // 2, width // 2, timeout=20.0))
         client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
@@ -660,10 +607,7 @@ def _meshes() -> tuple[Any, Any]:
     """Return a rod (along z, of radius and length 1) and a ball (of radius 1)."""
     import trimesh
 
-    return (
-        trimesh.creation.cylinder(radius=1.0, height=1.0, sections=20),
-        trimesh.creation.icosphere(subdivisions=2, radius=1.0),
-    )
+    return trimesh.creation.cylinder(1.0, 1.0, sections=20), trimesh.creation.icosphere(2, 1.0)
 
 
 def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:
@@ -671,10 +615,6 @@ def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> Non
     handle.batched_positions, handle.batched_scales = places, sizes
     if turns is not None:
         handle.batched_wxyzs = turns
-
-
-def _with_none(found: tuple[Array, Array]) -> tuple[Array, None, Array]:
-    return found[0], None, found[1]
 
 
 def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -12,9 +11,9 @@ from pasdedeux.augmentation import AugmentationSettings, Source
 from pasdedeux.learning.model import TrainingItem, VariantRequest, mapped_item, mapped_source
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
-from storage_schema import ArtifactRef, Manifest, Store, TableData
+from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import batch_of
-from tasks.curation import rejected_names
+from tasks.curation import content_columns, rejected_names
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.takes import TakeMotion, read_take
 
@@ -31,10 +30,6 @@ class _Home:
     ref: ArtifactRef
     bone_scale: np.ndarray
     is_failed: bool
-
-
-def _batches(store: Store, ref: ArtifactRef, columns: Sequence[str]) -> Iterator[TableData]:
-    return store.iter_batches(ref, "variants", columns=columns)
 
 
 class StoredVariants:
@@ -59,7 +54,7 @@ class StoredVariants:
         for ref in variants:
             take_id = VariantFacts.of(store.manifest(ref)).take_id
             own = {name: it for name, it in (rejected or {}).items() if name.partition("/")[0] == take_id}
-            refused = rejected_names(own, "variants", partial(_batches, store, ref))
+            refused = rejected_names(own, store.iter_batches(ref, "variants", columns=content_columns("variants")))
             table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
             for row, variant_id in enumerate(table["variant_id"]):
                 is_refused = str(table["verdict"][row]) == "fail" or f"{take_id}/{variant_id}" in refused

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.viewing.choosing import Choosing
 from flows.viewing.editing import Editor
 from flows.viewing.kinds import KINDS
 from flows.viewing.shelf import open_shelf
@@ -19,7 +18,7 @@ from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Store
-from tasks.curation import read_choices
+from tasks.curation import Choosing, read_choices
 from tests.builders.browser import Tab, open_page
 from tests.builders.real_study import BuiltStudy
 from tests.builders.toy_runs import wait_until

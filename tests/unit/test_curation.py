@@ -12,13 +12,12 @@ from flows.exports import export_reference
 from flows.reasons import changed_leaves
 from flows.study import load_study, study_from_record
 from flows.study_files import StudyError
-from flows.viewing.choosing import Choosing
 from pasdedeux.errors import InputError
 from storage_schema import ShardRecord, Store, open_table, record_latest
 from tasks.augmentation import AugmentationParameters
 from tasks.augmentation import plan as plan_variants
 from tasks.augmentation import run_shard as solve
-from tasks.curation import Choice, as_settings, content_of, read_choices, rejections, write_choices
+from tasks.curation import Choice, Choosing, as_settings, content_of, read_choices, rejections, write_choices
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training.items import StoredVariants

@@ -80,6 +80,11 @@ class FoundAnnotations:
         stated, frames = self.parameters, _read(self.parameters, self.files)
         number = len(self.files)
         words = [f"{number} files of the format '{stated.format}'" if number > 1 else f"format '{stated.format}'"]
+        if isinstance(stated, FilmParameters):
+            words = [
+                f"frames {stated.first_frame} to {stated.first_frame + stated.num_frames - 1} of {self.video.name}"
+            ]
+            words.append("by a detector" if stated.num_networks else f"by the format '{stated.format}'")
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
         beside = "" if self.video is None else f" ({self.video.name})"
         if stated.rate_hz is None and frames.rate_hz is None:

@@ -81,9 +81,8 @@ class FoundAnnotations:
         number = len(self.files)
         words = [f"{number} files of the format '{stated.format}'" if number > 1 else f"format '{stated.format}'"]
         if isinstance(stated, FilmParameters):
-            words = [
-                f"frames {stated.first_frame} to {stated.first_frame + stated.num_frames - 1} of {self.video.name}"
-            ]
+            name, last = Path(self.files[-1].path).name, stated.first_frame + stated.num_frames - 1
+            words = [f"frames {stated.first_frame} to {last} of {name}"]
             words.append("by a detector" if stated.num_networks else f"by the format '{stated.format}'")
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
         beside = "" if self.video is None else f" ({self.video.name})"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import threading
+import tracemalloc
 from collections.abc import Iterator
 from functools import cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -16,8 +17,13 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
+from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.film.detectors import DETECTORS, load_detector
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store
 from tasks.ingest.annotations import find_videos
@@ -28,6 +34,8 @@ from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
 from tests.builders.rendered_film import write_film
 from tests.builders.source_samples import person_px
+from tests.builders.walkers import walk
+from tests.builders.walkers_on_video import FRAMES, build_store, reference
 
 NAMES = KEYPOINT_LAYOUTS["coco17"].keypoint_names
 COUNT = 40
@@ -330,3 +338,55 @@ def test_a_detector_is_run_over_the_film_and_its_gaps_are_tracked(tmp_path: Path
     assert np.abs(middle - true)[::3].max() < 4.0
     assert frames.status is not None
     assert set(frames.status[1].tolist()) <= {1, 2}
+
+
+def test_a_film_with_key_frames_becomes_bvh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    worlds = np.stack(
+        [walk(FRAMES, seed=50 + at, rate_hz=30.0) + np.array([1.4 * at, 0.0, 0.0]) for at in (0, 1)], axis=1
+    )
+    camera = look_at_camera(
+        mid_hip(worlds).mean(axis=(0, 1)),
+        distance_m=5.0,
+        yaw_rad=0.3,
+        pitch_rad=0.1,
+        focal_px=470.0,
+        image_size_px=(640, 360),
+    )
+    px = camera.project(worlds).px
+    film = write_film(tmp_path / "walkers.mp4", (scene(1)[:360] for _ in range(FRAMES)))
+    lines = ["# layout: op14", "frame,person,joint,x,y"]
+    for frame in [*range(0, FRAMES, 4), FRAMES - 1]:
+        for person, joint in np.ndindex(2, OP14.num_joints):
+            x, y = px[frame, person, joint]
+            lines.append(f"{frame},{person},{OP14.joint_names[joint]},{x:.2f},{y:.2f}")
+    keys = tmp_path / "keys.csv"
+    keys.write_text("\n".join(lines))
+    where = [*reference(build_store(tmp_path / "store")), "--out", str(tmp_path / "out")]
+    assert run_command_line(["reconstruct", str(film), "--keys", str(keys), *where]) == 0
+    told = capsys.readouterr()
+    assert f"walkers: frames 0 to {FRAMES - 1} of walkers.mp4, by the format 'annotation_csv'" in told.err
+    for person in (0, 1):
+        text = (tmp_path / "out" / f"walkers_{person}.bvh").read_text()
+        assert f"Frames: {FRAMES}" in text
+    assert run_command_line(["reconstruct", str(film), "--keys", str(keys), "--follow", *where]) == 2
+    assert "--follow reads OpenPose files, not film" in capsys.readouterr().err
+    assert run_command_line(["reconstruct", str(film), *where]) == 2
+    assert "give key frames (--keys FILE)" in capsys.readouterr().err
+
+
+def test_a_long_film_is_tracked_in_the_memory_of_a_short_one(tmp_path: Path) -> None:
+    walls = [painted(0, frame) for frame in range(4)]
+
+    def images(count: int) -> Iterator[np.ndarray]:
+        for frame in range(count):
+            yield walls[frame % 4]
+
+    px = np.stack([walker_px(0, at) for at in (0, 1)])
+    given = AnnotatedFrames("coco17", ("a",) * 2, np.zeros(2, int), np.arange(2), px, np.ones((2, 17)), rate_hz=30.0)
+    peaks = []
+    for count in (55, 110):
+        tracemalloc.start()
+        annotate_shot(given, images(count), 0, count, is_key=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 5_000_000 < 60_000_000

@@ -7,10 +7,11 @@ import hashlib
 import threading
 import tracemalloc
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -24,57 +25,23 @@ from pasdedeux.film.detectors import DETECTORS, load_detector
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store
+from tasks.evaluation import evaluation_stage
+from tasks.evaluation import film as film_topic
+from tasks.facts import TopicFacts
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import open_film, read_film
 from tasks.ingest.parameters import FilmOptions
+from tasks.stage import StageInputs
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
+from tests.builders.painted_film import painted, scene, walker_px, write_keys
 from tests.builders.rendered_film import write_film
-from tests.builders.source_samples import person_px
 from tests.builders.walkers import walk
 from tests.builders.walkers_on_video import FRAMES, build_store, reference
 
-NAMES = KEYPOINT_LAYOUTS["coco17"].keypoint_names
 COUNT = 40
-
-
-def scene(seed: int) -> np.ndarray:
-    """Return a wall that a person can be painted on."""
-    cells = np.random.default_rng(seed).uniform(40, 120, (15, 20, 3)).astype(np.float32)
-    return cv2.resize(cells, (640, 480), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
-
-
-def walker_px(frame: int, person: int = 0) -> np.ndarray:
-    """Return coco17 keypoints, whole pixels, of a person who walks to the right."""
-    return np.asarray(np.round(person_px("coco17")) + np.array([200.0 * person + 2.0 * frame, 40.0]))
-
-
-@cache
-def patch(person: int, joint: int) -> np.ndarray:
-    cells = np.random.default_rng(100 * person + joint).uniform(0, 255, (5, 5, 1)).astype(np.float32)
-    return np.repeat(cv2.resize(cells, (25, 25), interpolation=cv2.INTER_CUBIC).clip(0, 255)[..., None], 3, axis=2)
-
-
-def painted(seed: int, frame: int) -> np.ndarray:
-    """Return an image with two walkers: a patch of their own at every joint."""
-    image = scene(seed)
-    for person in range(2):
-        for joint, (x, y) in enumerate(walker_px(frame, person).astype(int).tolist()):
-            image[y - 12 : y + 13, x - 12 : x + 13] = patch(person, joint)
-    return image
-
-
-def write_keys(path: Path, frames: list[int], *, notes: str = "") -> Path:
-    lines = [f"# layout: coco17\n{notes}frame,person,joint,x,y"]
-    for frame in frames:
-        for person in range(2):
-            for name, (x, y) in zip(NAMES, walker_px(frame, person), strict=True):
-                lines.append(f"{frame},{person},{name},{x:.3f},{y:.3f}")
-    path.write_text("\n".join(lines) + "\n")
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +186,17 @@ def test_the_shots_of_a_film_are_shards_of_ingest_and_their_annotations_an_attac
     text = store.attachment(manifest.ref, "annotations.csv").decode()
     statuses = {row["status"] for row in csv.DictReader(line for line in text.splitlines() if line[0] != "#")}
     assert {"annotated", "tracked"} <= statuses <= {"annotated", "tracked", "interpolated"}
+    sheet, clip = (store.attachment(manifest.ref, f"{name}.svg") for name in ("sheet", "clip"))
+    assert (sheet.count(b"<image"), sheet.count(b"<animate")) == (1, 0)
+    assert clip.count(b"<image") == clip.count(b"<animate") == 10
+    ElementTree.fromstring(clip)
+    topics = evaluation_stage([film_topic.TOPIC])
+    inputs = StageInputs(manifests={"annotations": (manifest,)}, seed=1)
+    shown, page = topics.plan(inputs, topics.parameters())
+    (facts,) = (TopicFacts.of(store.manifest(topics.run_shard(shown, store))),)
+    assert set(facts.captions) == {"walk.shot00-sheet.svg", "walk.shot00-clip.svg"}
+    assert facts.notes[0].startswith("walk.shot00: frames 0 to 19, 2 people; keypoints: 15% annotated, 8")
+    assert page.name == "report" or page.partition == "report"
     film_sha = hashlib.sha256(film.read_bytes()).hexdigest()
     assert film_sha in {file.sha256 for file in shards[0].files}
 

@@ -73,11 +73,9 @@ class Export:
     @cached_property
     def left_out(self) -> Collection[str]:
         """The names of what is left out."""
-        rejected = rejections(self.choices, self.reference.table)
-        if not rejected:
-            return ()
         whole = replace(self.reference, row=None)
-        return rejected_names(rejected, iter_rows(whole, self.store, columns=content_columns(whole.table)))
+        rows = iter_rows(whole, self.store, columns=content_columns(whole.table))
+        return rejected_names(rejections(self.choices, whole.table), rows)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Sequence
 
@@ -68,6 +69,28 @@ def contact_sheet(images: Sequence[Image], titles: Sequence[str], *, num_columns
         y, x = (index // columns) * cell[1], (index % columns) * cell[0]
         sheet[y : y + cell[1], x : x + cell[0]] = small
     return sheet
+
+
+def moving_svg(images: Sequence[Image], rate_hz: float) -> bytes:
+    """Return images of one size as an SVG that shows one after the other, over and over; one image stands still."""
+    import cv2  # here: a quarter of a second that others need not wait for
+
+    height, width = images[0].shape[:2]
+    size = f'width="{width}" height="{height}"'
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" {size}>']
+    for index, image in enumerate(images):
+        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])
+        source = f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+        parts.append(f'<image {size} href="{source}">')
+        if len(images) > 1:
+            share, step = len(images), 1.0 / len(images)
+            times = ";".join(f"{at:.5f}" for at in (0.0, index * step, (index + 1) * step, 1.0))
+            parts.append(
+                f'<animate attributeName="visibility" calcMode="discrete" values="hidden;visible;hidden;hidden" '
+                f'keyTimes="{times}" dur="{share / rate_hz:.3f}s" repeatCount="indefinite"/>'
+            )
+        parts.append("</image>")
+    return "".join([*parts, "</svg>"]).encode()
 
 
 def evenly(numbers: Integers, count: int) -> list[int]:

@@ -70,6 +70,7 @@ def track_points(images: Iterable[Image], known_px: Array, is_start: Flags, size
                 chosen = np.flatnonzero(is_moved)
                 if len(chosen):
                     reached[there, chosen] = _step(block[before], block[after], place[chosen], size_px[chosen])
+        block.clear()  # or these images would be held until the next block is full
     return Tracks(forward, backward)
 
 

@@ -15,6 +15,7 @@ from tasks.evaluation import (
     coverage,
     detector,
     downstream,
+    film,
     generation,
     leave_one_out,
     lifting,
@@ -33,6 +34,7 @@ __all__ = ["STAGE", "TOPICS", "evaluation_stage"]
 
 TOPICS: tuple[Topic, ...] = (
     takes.TOPIC,
+    film.TOPIC,
     clips.TOPIC,
     views.TOPIC,
     chains.TOPIC,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pasdedeux.errors import InputError, named
+from pasdedeux.film.drawing import contact_sheet, draw_people, evenly, moving_svg
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.detections import UNKNOWN, Footage
@@ -26,7 +27,7 @@ from tasks.ingest.cameras import CameraFiles, find_cameras, read_header, video_b
 from tasks.ingest.films import digest_of
 from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.ingest.shard_parameters import AnnotationParameters, FilmParameters
-from tasks.ingest.shots import annotate, find_shots, read_shot
+from tasks.ingest.shots import annotate, find_shots, read_shot, shot_images
 from tasks.ingest.sources import load_file, own_layout_of, read_again
 from tasks.stage import Shard, SourceFile, commit
 
@@ -35,6 +36,9 @@ PEOPLE_NAME = "people.csv"
 """Who is who, as ingest decided it, beside the tables."""
 ANNOTATIONS_NAME = "annotations.csv"
 """Annotations of a film beside the tables, with the status of each keypoint."""
+SHEET_NAME, CLIP_NAME = "sheet.svg", "clip.svg"
+"""Images of a film with the people drawn, and a short moving clip of it, beside the tables."""
+_SHEET_IMAGES, _CLIP_IMAGES = 8, 30
 MAX_NAMED_FILES = 20
 """Skipped files that are named, of any number."""
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
@@ -80,6 +84,10 @@ class FoundAnnotations:
         stated, frames = self.parameters, _read(self.parameters, self.files)
         number = len(self.files)
         words = [f"{number} files of the format '{stated.format}'" if number > 1 else f"format '{stated.format}'"]
+        if isinstance(stated, FilmParameters):
+            name, last = Path(self.files[-1].path).name, stated.first_frame + stated.num_frames - 1
+            words = [f"frames {stated.first_frame} to {last} of {name}"]
+            words.append("by a detector" if stated.num_networks else f"by the format '{stated.format}'")
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
         beside = "" if self.video is None else f" ({self.video.name})"
         if stated.rate_hz is None and frames.rate_hz is None:
@@ -278,8 +286,29 @@ def _attachments(
     decisions = write_decisions(row for one in resolved.sequences for row in one.decisions)
     found = {PEOPLE_NAME: decisions.encode()}
     if isinstance(parameters, FilmParameters):
-        found[ANNOTATIONS_NAME] = write_annotation_csv(annotate(parameters, files).frames).encode()
+        frames = annotate(parameters, files).frames
+        found[ANNOTATIONS_NAME] = write_annotation_csv(frames).encode()
+        found |= _film_pictures(parameters, files, frames)
     return found
+
+
+def _film_pictures(
+    parameters: FilmParameters, files: tuple[SourceFile, ...], frames: AnnotatedFrames
+) -> dict[str, bytes]:
+    """Return a sheet of images of a shot and a short clip from its middle, people drawn and faces blurred."""
+    on_sheet = evenly(frames.frame, _SHEET_IMAGES)
+    middle = int(np.median(frames.frame))
+    in_clip = range(middle - _CLIP_IMAGES, middle + _CLIP_IMAGES, 2)
+    first = parameters.first_number + parameters.first_frame
+    sheet, clip = [], []
+    for number, one in enumerate(shot_images(parameters, files), start=first):
+        if number in on_sheet or number in in_clip:
+            drawn = draw_people(one.image, frames, number)
+            sheet += [(f"frame {number}", drawn)] if number in on_sheet else []
+            clip += [contact_sheet([drawn], [f"frame {number}"])] if number in in_clip else []
+    rate_hz = 0.5 * (frames.rate_hz or DEFAULT_RATE_HZ)
+    titles, images = zip(*sheet, strict=True)
+    return {SHEET_NAME: moving_svg([contact_sheet(images, titles)], 1.0), CLIP_NAME: moving_svg(clip, rate_hz)}
 
 
 def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:

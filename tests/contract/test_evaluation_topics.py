@@ -25,7 +25,9 @@ from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of, verdicts_of_parts
 from tests.builders.pages import Page, in_browser
+from tests.builders.painted_film import painted, write_keys
 from tests.builders.real_study import SMALL, BuiltStudy
+from tests.builders.rendered_film import write_film
 from tests.builders.storage_rows import put, take_rows
 
 pytestmark = pytest.mark.slow
@@ -67,6 +69,7 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
     _detect(store)
     _learn_to_draw(store)
     _dance_again(store)
+    _film(store, tmp_path_factory.mktemp("film"))
     made = evaluate(store, STAGE, **EVERYTHING)
     return store, made, page_of(store, made)
 
@@ -79,6 +82,14 @@ def _dance_again(store: Store) -> None:
         StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"duets": again, "rate_hz": 12.0})
     )
     for shard in planned:
+        ingest.run_shard(shard, store)
+
+
+def _film(store: Store, folder: Path) -> None:
+    """Put a shot of a film into the small study's store."""
+    film = write_film(folder / "walk.mp4", (painted(0, frame) for frame in range(12)))
+    source = {"id": "walk", "path": film, "keys": write_keys(folder / "keys.csv", [0, 11]), "leave_one_out_every": 0}
+    for shard in ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"videos": [source]})):
         ingest.run_shard(shard, store)
 
 

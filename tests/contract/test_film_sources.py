@@ -5,68 +5,43 @@ from __future__ import annotations
 import csv
 import hashlib
 import threading
+import tracemalloc
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
+from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.film.detectors import DETECTORS, load_detector
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
 from storage_schema import Store
+from tasks.evaluation import evaluation_stage
+from tasks.evaluation import film as film_topic
+from tasks.facts import TopicFacts
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import open_film, read_film
 from tasks.ingest.parameters import FilmOptions
+from tasks.stage import StageInputs
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
+from tests.builders.painted_film import painted, scene, walker_px, write_keys
 from tests.builders.rendered_film import write_film
-from tests.builders.source_samples import person_px
+from tests.builders.walkers import walk
+from tests.builders.walkers_on_video import FRAMES, build_store, reference
 
-NAMES = KEYPOINT_LAYOUTS["coco17"].keypoint_names
 COUNT = 40
-
-
-def scene(seed: int) -> np.ndarray:
-    """Return a wall that a person can be painted on."""
-    cells = np.random.default_rng(seed).uniform(40, 120, (15, 20, 3)).astype(np.float32)
-    return cv2.resize(cells, (640, 480), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
-
-
-def walker_px(frame: int, person: int = 0) -> np.ndarray:
-    """Return coco17 keypoints, whole pixels, of a person who walks to the right."""
-    return np.asarray(np.round(person_px("coco17")) + np.array([200.0 * person + 2.0 * frame, 40.0]))
-
-
-@cache
-def patch(person: int, joint: int) -> np.ndarray:
-    cells = np.random.default_rng(100 * person + joint).uniform(0, 255, (5, 5, 1)).astype(np.float32)
-    return np.repeat(cv2.resize(cells, (25, 25), interpolation=cv2.INTER_CUBIC).clip(0, 255)[..., None], 3, axis=2)
-
-
-def painted(seed: int, frame: int) -> np.ndarray:
-    """Return an image with two walkers: a patch of their own at every joint."""
-    image = scene(seed)
-    for person in range(2):
-        for joint, (x, y) in enumerate(walker_px(frame, person).astype(int).tolist()):
-            image[y - 12 : y + 13, x - 12 : x + 13] = patch(person, joint)
-    return image
-
-
-def write_keys(path: Path, frames: list[int], *, notes: str = "") -> Path:
-    lines = [f"# layout: coco17\n{notes}frame,person,joint,x,y"]
-    for frame in frames:
-        for person in range(2):
-            for name, (x, y) in zip(NAMES, walker_px(frame, person), strict=True):
-                lines.append(f"{frame},{person},{name},{x:.3f},{y:.3f}")
-    path.write_text("\n".join(lines) + "\n")
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -211,6 +186,17 @@ def test_the_shots_of_a_film_are_shards_of_ingest_and_their_annotations_an_attac
     text = store.attachment(manifest.ref, "annotations.csv").decode()
     statuses = {row["status"] for row in csv.DictReader(line for line in text.splitlines() if line[0] != "#")}
     assert {"annotated", "tracked"} <= statuses <= {"annotated", "tracked", "interpolated"}
+    sheet, clip = (store.attachment(manifest.ref, f"{name}.svg") for name in ("sheet", "clip"))
+    assert (sheet.count(b"<image"), sheet.count(b"<animate")) == (1, 0)
+    assert clip.count(b"<image") == clip.count(b"<animate") == 10
+    ElementTree.fromstring(clip)
+    topics = evaluation_stage([film_topic.TOPIC])
+    inputs = StageInputs(manifests={"annotations": (manifest,)}, seed=1)
+    shown, page = topics.plan(inputs, topics.parameters())
+    (facts,) = (TopicFacts.of(store.manifest(topics.run_shard(shown, store))),)
+    assert set(facts.captions) == {"walk.shot00-sheet.svg", "walk.shot00-clip.svg"}
+    assert facts.notes[0].startswith("walk.shot00: frames 0 to 19, 2 people; keypoints: 15% annotated, 8")
+    assert page.name == "report" or page.partition == "report"
     film_sha = hashlib.sha256(film.read_bytes()).hexdigest()
     assert film_sha in {file.sha256 for file in shards[0].files}
 
@@ -330,3 +316,55 @@ def test_a_detector_is_run_over_the_film_and_its_gaps_are_tracked(tmp_path: Path
     assert np.abs(middle - true)[::3].max() < 4.0
     assert frames.status is not None
     assert set(frames.status[1].tolist()) <= {1, 2}
+
+
+def test_a_film_with_key_frames_becomes_bvh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    worlds = np.stack(
+        [walk(FRAMES, seed=50 + at, rate_hz=30.0) + np.array([1.4 * at, 0.0, 0.0]) for at in (0, 1)], axis=1
+    )
+    camera = look_at_camera(
+        mid_hip(worlds).mean(axis=(0, 1)),
+        distance_m=5.0,
+        yaw_rad=0.3,
+        pitch_rad=0.1,
+        focal_px=470.0,
+        image_size_px=(640, 360),
+    )
+    px = camera.project(worlds).px
+    film = write_film(tmp_path / "walkers.mp4", (scene(1)[:360] for _ in range(FRAMES)))
+    lines = ["# layout: op14", "frame,person,joint,x,y"]
+    for frame in [*range(0, FRAMES, 4), FRAMES - 1]:
+        for person, joint in np.ndindex(2, OP14.num_joints):
+            x, y = px[frame, person, joint]
+            lines.append(f"{frame},{person},{OP14.joint_names[joint]},{x:.2f},{y:.2f}")
+    keys = tmp_path / "keys.csv"
+    keys.write_text("\n".join(lines))
+    where = [*reference(build_store(tmp_path / "store")), "--out", str(tmp_path / "out")]
+    assert run_command_line(["reconstruct", str(film), "--keys", str(keys), *where]) == 0
+    told = capsys.readouterr()
+    assert f"walkers: frames 0 to {FRAMES - 1} of walkers.mp4, by the format 'annotation_csv'" in told.err
+    for person in (0, 1):
+        text = (tmp_path / "out" / f"walkers_{person}.bvh").read_text()
+        assert f"Frames: {FRAMES}" in text
+    assert run_command_line(["reconstruct", str(film), "--keys", str(keys), "--follow", *where]) == 2
+    assert "--follow reads OpenPose files, not film" in capsys.readouterr().err
+    assert run_command_line(["reconstruct", str(film), *where]) == 2
+    assert "give key frames (--keys FILE)" in capsys.readouterr().err
+
+
+def test_a_long_film_is_tracked_in_the_memory_of_a_short_one(tmp_path: Path) -> None:
+    walls = [painted(0, frame) for frame in range(4)]
+
+    def images(count: int) -> Iterator[np.ndarray]:
+        for frame in range(count):
+            yield walls[frame % 4]
+
+    px = np.stack([walker_px(0, at) for at in (0, 1)])
+    given = AnnotatedFrames("coco17", ("a",) * 2, np.zeros(2, int), np.arange(2), px, np.ones((2, 17)), rate_hz=30.0)
+    peaks = []
+    for count in (55, 110):
+        tracemalloc.start()
+        annotate_shot(given, images(count), 0, count, is_key=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 5_000_000 < 60_000_000

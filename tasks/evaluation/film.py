@@ -1,0 +1,51 @@
+"""Topic `film`: what is seen in film and what was made of it, image by image, with faces blurred."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.evaluation.pictures import Picture
+from pasdedeux.formats.annotated_frames import KeypointStatus
+from pasdedeux.formats.annotation_csv import read_annotation_csv
+from storage_schema import Store
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.ingest.annotations import ANNOTATIONS_NAME, CLIP_NAME, SHEET_NAME
+from tasks.stage import Parameters, Shard, StageInputs
+
+
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan a shard for each shot of a film."""
+    films = [one for one in inputs.of("annotations") if SHEET_NAME in one.attachments]
+    return [TOPIC.shard(inputs, one.partition, film=[one]) for one in films]
+
+
+def _run(shard: Shard, store: Store) -> TopicResult:
+    """Show a shot, and say where its keypoints come from and what was left out."""
+    ref = shard.ref("film")
+    name = store.manifest(ref).partition
+    frames = read_annotation_csv(store.attachment(ref, ANNOTATIONS_NAME))
+    assert frames.status is not None
+    shares = np.bincount(frames.status.reshape(-1), minlength=len(KeypointStatus)) / frames.status.size
+    words = ", ".join(f"{shares[one]:.0%} {one.name.lower()}" for one in reversed(KeypointStatus) if shares[one] > 0)
+    kept = store.read(ref, "annotations", columns=["keypoint_confidence"])["keypoint_confidence"]
+    num_kept, num_known = sum(int((np.asarray(one) > 0).sum()) for one in kept), int((frames.confidence > 0).sum())
+    note = (
+        f"{name}: frames {frames.frame.min()} to {frames.frame.max()}, {len(np.unique(frames.person_id))} people; "
+        f"keypoints: {words}; {max(num_known - num_kept, 0)} of {num_known} left out as faults."
+    )
+    captions = {SHEET_NAME: "dots are annotated, detected or tracked, rings interpolated", CLIP_NAME: "a clip"}
+    pictures = [
+        Picture(f"{name}-{file}", f"{name}: {says}.", store.attachment(ref, file)) for file, says in captions.items()
+    ]
+    return TopicResult(pictures=pictures, notes=[note])
+
+
+TOPIC = Topic(
+    name="film",
+    heading="Film",
+    introduction="Shots of film with the people annotated, detected or tracked in them. Faces of annotated people are "
+    "blurred. Keypoints that are missing are hidden, or were lost on the way from one known place to the next.",
+    reads=("annotations",),
+    plan=_plan,
+    run=_run,
+)

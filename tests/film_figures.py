@@ -1,0 +1,136 @@
+"""Measures what is said of film: tracking against interpolation, its speed and memory, people who cross; not a test.
+
+`python -m tests.film_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from pasdedeux.film.annotating import annotate_shot
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.people.resolution import SequenceRows, resolve_sequence
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tests.builders.crowds import SALSA_TAKES, salsa_couple
+from tests.builders.filmed_people import film as seen_by_detector
+from tests.builders.rendered_film import Film, render, salsa_bodies
+
+EVERY = 15
+
+
+def key_frames(film: Film, hidden: float) -> AnnotatedFrames:
+    """Return true joints every half second, hidden ones with a confidence of `hidden`."""
+    frames = sorted({*range(0, len(film.px), EVERY), len(film.px) - 1})
+    at = [(frame, person) for frame in frames for person in range(film.px.shape[1])]
+    return AnnotatedFrames(
+        "pair17",
+        ("film",) * len(at),
+        np.array([frame for frame, _ in at]),
+        np.array([person for _, person in at]),
+        np.stack([film.px[one] for one in at]),
+        np.stack([np.where(film.is_visible[one], 1.0, hidden) for one in at]),
+        rate_hz=30.0,
+    )
+
+
+def tracked(film: Film, hidden: float) -> dict[str, float]:
+    """Return mean errors over visible joints between key frames, % of body height, and what is filled of them."""
+    given = key_frames(film, hidden)
+    start = time.process_time()
+    frames = annotate_shot(given, iter(film.images), 0, len(film.images), is_key=True).frames
+    seconds = time.process_time() - start
+    px = np.full(film.px.shape, np.nan)
+    px[frames.frame, frames.person_id] = frames.keypoints_px
+    keys, count = np.unique(given.frame), len(film.px)
+    is_between = film.is_visible & ~np.isin(np.arange(count), keys)[:, None, None]
+    is_filled = is_between & np.isfinite(px[..., 0])
+    flat = film.px.reshape(count, -1)
+    others = {
+        "linear": np.stack([np.interp(np.arange(count), keys, one) for one in flat[keys].T], axis=-1),
+        "pchip": PchipInterpolator(keys, flat[keys])(np.arange(count)),
+        "spline": CubicSpline(keys, flat[keys])(np.arange(count)),
+    }
+
+    def error(places: np.ndarray) -> float:
+        away = np.linalg.norm(places.reshape(film.px.shape) - film.px, axis=-1)
+        return 100.0 * float(away[is_filled].mean()) / film.height_px
+
+    found = {"tracked": error(px), **{name: error(one) for name, one in others.items()}}
+    return found | {"filled": is_filled.sum() / is_between.sum(), "frames_per_s": count / seconds}
+
+
+def crossings(data: Path, take: str, seed: int) -> tuple[int, int, int]:
+    """Return how often two people cross in the image, after how many of these they are who they were, and frames."""
+    rng = np.random.default_rng(seed)
+    seen = seen_by_detector(rng, salsa_couple(data, take), noise_px=6.0)
+    is_missed = rng.random(seen.confidence.shape) < 0.1
+    confidence = np.where(is_missed, 0.0, seen.confidence)
+    order = np.arange(len(seen.frame))
+    place = order % 2
+    rows = SequenceRows(seen.frame, place, seen.keypoints_px, confidence, order)
+    found = resolve_sequence(take, rows, KEYPOINT_LAYOUTS["op14"], rate_hz=seen.rate_hz, has_identities=False).rows
+    true = seen.true_id[found.source_row]
+    offset = np.full(int(seen.frame.max()) + 1, np.nan)
+    middle = np.nanmean(np.where(confidence[..., None] > 0, seen.keypoints_px, np.nan)[:, 2:12, 0], axis=1)
+    for frame in range(len(offset)):
+        both = {int(seen.true_id[row]): middle[row] for row in np.flatnonzero(seen.frame == frame)}
+        offset[frame] = both[1] - both[0]
+    clear = np.flatnonzero(np.abs(offset) > 0.1 * np.nanmax(np.abs(offset)))
+    changes = [(a, b) for a, b in pairwise(clear) if offset[a] * offset[b] < 0]
+    name_of = {
+        (int(frame), int(who)): int(name) for frame, who, name in zip(found.frame, true, found.person_id, strict=True)
+    }
+    kept = sum(
+        name_of.get((a, 0)) == name_of.get((b, 0)) and name_of.get((a, 1)) == name_of.get((b, 1)) for a, b in changes
+    )
+    return len(changes), kept, len(offset)
+
+
+def say(line: str) -> None:
+    """Print a line at once."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--part", choices=["tracking", "large", "crossings"], action="append")
+    options = parser.parse_args()
+    parts = options.part or ["tracking", "large", "crossings"]
+    cv2.setNumThreads(1)
+    for part, size, takes in (("tracking", (640, 480), SALSA_TAKES), ("large", (1920, 1080), ("03", "12"))):
+        found = []
+        for index, take in enumerate(takes if part in parts else ()):
+            bodies = salsa_bodies(options.data, take, slice(150, 226 if part == "tracking" else 196))
+            film = render(bodies, size=size, yaw_rad=2.4 * index, seed=index)
+            for hidden in (0.5, 0.0):
+                found.append((hidden, tracked(film, hidden)))
+                words = ", ".join(f"{name} {value:.3g}" for name, value in found[-1][1].items())
+                say(f"{size[0]} x {size[1]}, salsa {take}, hidden {'labelled' if hidden else 'left out'}: {words}")
+        for hidden in sorted({one for one, _ in found}):
+            mean = {name: np.mean([figures[name] for one, figures in found if one == hidden]) for name in found[0][1]}
+            say(f"mean, {hidden}: " + ", ".join(f"{name} {value:.3g}" for name, value in mean.items()))
+    if "crossings" in parts:
+        counts = [
+            crossings(options.data, take, 10 * index + view)
+            for index, take in enumerate(SALSA_TAKES)
+            for view in range(2)
+        ]
+        total, kept, frames = (sum(one[at] for one in counts) for at in range(3))
+        say(f"crossings: {kept} of {total} kept ({kept / max(total, 1):.2%}), {frames} frames")
+    say(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB with the rendered film")
+
+
+if __name__ == "__main__":
+    main()

@@ -40,7 +40,8 @@ def test_keys_that_studies_and_documents_set_in_commands_are_keys() -> None:
     pages = [*(ROOT / "flows/studies").glob("*.toml"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
     told = {key for page in pages for key in re.findall(r"--set '?([\w.]+)=", page.read_text(encoding="utf-8"))}
     paths = [re.compile(re.escape(key).replace("NAME", r"\w+").replace(r"\.N", r"\.\d+")) for key in KEYS]
-    paths += [re.compile(key.removeprefix("ingest.annotations.N.")) for key in KEYS]  # those of reconstruct --set
+    sources = r"ingest\.(annotations|videos)\.N\."  # whose keys `reconstruct` and `annotate` take as they are
+    paths += [re.compile(re.sub(sources, "", key)) for key in KEYS]
     assert len(told) > 10
     assert sorted(key for key in told if not any(path.fullmatch(key) for path in paths)) == []
 

@@ -274,7 +274,7 @@ class Build:
             self._take(work, [shard for shard in shards if run.store.find(stage.name, shard.key) is None])
 
     def _take(self, work: _StageWork, shards: Iterable[Shard]) -> None:
-        """Have shards computed that were not begun before, those with the longest chain behind them first."""
+        """Submit shards that were not submitted before, those with the longest chain of dependants first."""
         new = {one.key: one for one in shards if one.key not in self._begun}
         before = {key: [other for other in one.after if other in new] for key, one in new.items()}
         order = list(TopologicalSorter(before).static_order())

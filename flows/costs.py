@@ -1,4 +1,4 @@
-"""What a build would cost on any number of workers: shards take what they took, those with most behind them first."""
+"""Estimates a build on any number of workers: shards take as long as measured, the longest chains run first."""
 
 from __future__ import annotations
 

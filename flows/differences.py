@@ -1,4 +1,4 @@
-"""What two runs or versions of datasets differ by: parameters, environment, files from outside, artifacts, scores."""
+"""What two runs or versions of datasets differ by: parameters, environment, source files, artifacts, scores."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Recorded:
 
     @property
     def sources(self) -> dict[str, str]:
-        """Return the sha256 of every file from outside, by the stage and partition that read it and its name."""
+        """Return the sha256 of every source file, by the stage and partition that read it and its name."""
         files = ((*place[:2], *file) for place, manifest in self.artifacts.items() for file in manifest.files)
         return {f"{stage} {partition} {name}": sha256 for stage, partition, name, sha256 in sorted(files)}
 

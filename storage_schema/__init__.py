@@ -1,4 +1,4 @@
-"""What lies on disk: every table's columns, the artifact store, references, runs and datasets."""
+"""The storage format: every table's columns, the artifact store, references, runs and datasets."""
 
 from storage_schema.ancestry import lineage, source_files
 from storage_schema.credits import SourceCredit

@@ -1,4 +1,4 @@
-"""Where an artifact comes from: everything it was computed from, up to the files from outside."""
+"""Lineage of an artifact: everything it was computed from, up to the source files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from storage_schema.store_reader import StoreReader
 
 @dataclass(frozen=True)
 class LineageStep:
-    """An artifact on the way, its least distance from the one asked about, and its manifest, None when it is gone."""
+    """An ancestor, its least distance from the artifact asked about, and its manifest; None when it is gone."""
 
     ref: ArtifactRef
     depth: int
@@ -21,7 +21,7 @@ class LineageStep:
 
 @dataclass(frozen=True, order=True)
 class SourceFileUse:
-    """A file from outside that something was computed from: its name, its sha256 and the stage that read it."""
+    """A source file that something was computed from: its name, its sha256 and the stage that read it."""
 
     name: str
     sha256: str
@@ -53,7 +53,7 @@ def walk(
 def walk_stored(
     store: StoreReader, refs: Iterable[ArtifactRef], known: Container[tuple[str, str]] = ()
 ) -> Iterator[LineageStep]:
-    """Walk through what lies in a store; what is not there, or has other content, has no manifest."""
+    """Traverse the artifacts of a store; those that are missing or have other content have no manifest."""
     return walk(refs, lambda level: [find_manifest(store, ref) for ref in level], known)
 
 
@@ -85,7 +85,7 @@ def has_lineage(store: StoreReader, refs: Iterable[ArtifactRef], known: set[tupl
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:
-    """Return every outside file that was read in these steps, sorted by name."""
+    """Return every source file that was read in these steps, sorted by name."""
     return sorted(
         {
             SourceFileUse(name, sha256, step.ref.stage)

@@ -28,7 +28,7 @@ class MissingArtifact(StorageError):
 
 
 class CorruptArtifact(StorageError):
-    """What lies in the store is not what its manifest says."""
+    """The contents of the store do not match its manifests."""
 
 
 class NamedByDataset(StorageError):
@@ -54,7 +54,7 @@ class NotAStore(_InputError):
 
 
 class FullDisk(StorageError):
-    """There is no room left where the store lies; nothing half-written stays behind."""
+    """The disk of the store is full; no partial file is left."""
 
 
 class UnknownReference(_InputError):

@@ -1,4 +1,4 @@
-"""Who builds in a store that lies in a bucket: one at a time, named by a file that its holder renews.
+"""The lease of a store in a bucket: one build at a time, named by a file that its holder renews.
 
 A lease is renewed as long as its holder lives.  Nobody's clock is compared with another's: who finds it unchanged for
 `LEASE_S` of watching, or its holder dead on this machine, takes it, on the condition that it still is what was read.

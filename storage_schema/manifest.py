@@ -40,7 +40,7 @@ class ArtifactRef:
 
     @property
     def identity(self) -> Identity:
-        """What tells it from every other artifact, also from those of the same content: stage, key and content."""
+        """Identity of the artifact, also among those of the same content: stage, key and content."""
         return self.stage, self.key, self.content_digest
 
     @property

@@ -110,7 +110,7 @@ class Mirror:
             there.replace(path)
 
     def drop_changed(self, path: Path, entry: FileEntry) -> bool:
-        """Remove what is here of a part where it is not what its name says, so that it comes anew; tells whether so."""
+        """Remove a cached part whose bytes do not match its digest, to be fetched again; returns whether it did."""
         is_changed = path.is_file() and file_sha256(path) != entry.sha256
         if is_changed:
             path.unlink(missing_ok=True)

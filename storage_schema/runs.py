@@ -114,7 +114,7 @@ class RunFolder:
 
 
 def new_run(store: Store, study: str) -> RunFolder:
-    """Make the folder of a new run; its name tells the time in UTC to the microsecond: a study's names sort by age."""
+    """Create the folder of a new run; its name holds the UTC time to the microsecond, so a study's runs sort by age."""
     now = datetime.now(UTC)
     run_id = f"{now:%Y%m%dT%H%M%S}-{_checked(study)}-{now.microsecond:05x}{secrets.token_hex(1)}"
     store.prepare()

@@ -30,7 +30,7 @@ _S3 = re.compile(r"s3:/*(.*)")
 
 
 class StoreReader:
-    """Finds and reads the artifacts under `root`, a folder or `s3://BUCKET/PREFIX`; as text it is where that lies."""
+    """Finds and reads the artifacts under `root`, a folder or `s3://BUCKET/PREFIX`; as text it is that path or URL."""
 
     def __init__(self, root: str | Path) -> None:
         self.mirror: Mirror | None = None

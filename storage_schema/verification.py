@@ -1,4 +1,4 @@
-"""Checks what lies in a store against the manifests: every byte is digested again."""
+"""Verifies the contents of a store against its manifests: every file is digested again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The version of what lies on disk, in one place."""
+"""The version of the storage format, in one place."""
 
 from __future__ import annotations
 

@@ -220,7 +220,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
 
 
 def write_variant(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:
-    """Write the rows of one variant, whoever made it."""
+    """Write the rows of one variant, of the solver or of a model."""
     frames, people = take.source.num_frames, take.source.num_people
     name = variant.variation.variant_id
     rotations = variant_rotations(take.rest_m, variant.bone_scale, variant.positions_m, take.world_unitquat)

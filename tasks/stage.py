@@ -50,7 +50,7 @@ def with_fields(fields: Mapping[str, Any]) -> Callable[[type[P]], type[P]]:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file from outside the store: its bytes enter the key, its path never does."""
+    """A source file: its bytes enter the key, its path never does."""
 
     path: str
     sha256: str

@@ -138,7 +138,7 @@ def rerun(
 
 
 def _refuse_changed_files(old: Recorded, plan: Plan) -> None:
-    """Refuse files from outside that are not what they were; `plan` is of the old study in the store that has it."""
+    """Refuse source files that have changed; `plan` is of the old study in the store that has it."""
     for shard in (item.shard for stage in plan.stages for item in stage.shards):
         before = old.artifacts.get((shard.stage, shard.partition, shard.name))
         for file in shard.files:

@@ -131,7 +131,7 @@ class Augmenter:
     def assess(
         self, variation: Variation, positions_m: Array, *, squared_residual: Array | None = None, **solved: Any
     ) -> Variant:
-        """Measure and judge a motion, whoever made it.
+        """Measure and judge a motion, of the solver or of a model.
 
         Args:
             variation: What it was made for.

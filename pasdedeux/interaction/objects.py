@@ -1,4 +1,4 @@
-"""Objects that people handle: capsules that move as they were captured, whoever handles them in a variant."""
+"""Objects that people handle: capsules that move as they were captured in every variant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of a source of 2D poses, a camera at a time, and the video that lies beside them."""
+"""The files of a source of 2D poses by camera, and the video beside them."""
 
 from __future__ import annotations
 

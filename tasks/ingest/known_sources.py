@@ -20,7 +20,7 @@ DUET_CREDIT = SourceCredit(
 )
 
 FETCHED_FILE = "CMU.sha256"
-"""Lies beside files that `pasdedeux fetch` brought from CMU, and has their digests."""
+"""File beside those that `pasdedeux fetch` downloaded from CMU; holds their digests."""
 _CMU_NAME = re.compile(r"^(\d{1,3})_(\d{1,3})\.(amc|bvh)$", re.IGNORECASE)
 _USUAL_RATE_HZ = 120.0
 _SALSA_RATE_HZ = 60.0

@@ -283,7 +283,7 @@ class VirtualVideoOptions(VirtualCameras):
 
 
 class AnnotationCommon(PeopleSettings, Parameters):
-    """What a source of 2D poses is, apart from where it lies."""
+    """Description of a source of 2D poses, apart from its path."""
 
     id: str = Field(
         pattern=_ID, max_length=100, description="Name of the source, and of its sequence if it has one only"

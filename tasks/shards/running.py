@@ -105,7 +105,7 @@ def _drop_damaged(shard: Shard, store: Store) -> str:
 
 
 class Pool:
-    """Gives shards to a client, Dask's or one like it, and tells how they end.
+    """Submits shards to a client, Dask's or one like it, and reports how they end.
 
     Args:
         client: Computes what has the highest priority first.
@@ -151,7 +151,7 @@ class Pool:
         return ended
 
     def work(self) -> bool:
-        """Do what has to be done now and then; tells whether a shard was computed here."""
+        """Do periodic work; returns whether a shard was computed here."""
         return False
 
     def give_up(self) -> None:
@@ -202,7 +202,7 @@ class HereClient:
         return call.future
 
     def work(self) -> bool:
-        """Make the call of the highest priority; tells whether there was one."""
+        """Make the call of the highest priority; returns whether there was one."""
         if self.waiting.empty():
             return False
         call = self.waiting.get()
@@ -250,7 +250,7 @@ class ClusterPool(Pool):
         return False
 
     def give_up(self) -> None:
-        """Cancel what is on its way, as far as there is a scheduler."""
+        """Cancel submitted shards, as far as there is a scheduler."""
         with suppress(ClusterError), _scheduler_is_there():
             super().give_up()
 

@@ -21,7 +21,7 @@ _LIMBS = by_side("left", *ARM, *LEG)
 FEET4 = by_side("left", "heel", "toe")
 """What `feet4` gives of feet: the back of the heel and body22's toe, the ball of the foot."""
 _BALL_OF_FOOT = 0.73
-"""Where the ball lies from the heel to the tip of the big toe: a usual proportion, not measured here."""
+"""Position of the ball between the heel and the tip of the big toe: a usual proportion, not measured here."""
 
 
 @dataclass(frozen=True)

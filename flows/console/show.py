@@ -136,6 +136,7 @@ def export(
     \b
       pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
+      pasdedeux export contacts:duets --format csv --out contacts   # who touches whom where, frame by frame
       pasdedeux export draws:duets --select 500 --out selected      # the most different of all draws and grown pairs
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}

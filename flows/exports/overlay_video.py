@@ -20,10 +20,12 @@ _GREY, _BACKGROUND = (150, 150, 150), 30
 _COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))
 """Blue, green, red; person A first."""
 _MARGIN_PX, _LARGEST_PX = 40, 4096
-_SAID = (
+_STILLS_HZ = 2.0
+"""Rate at which frames are shown that do not follow each other in time."""
+_SAID = [
     "MP4 files show the annotation in grey and the result in colours, person A in red and B in blue, laid on the "
     "annotation by scale and shift: they show poses and who is where, not how far off a person is placed."
-)
+]
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
@@ -51,9 +53,9 @@ def _draw(export: Export, cast: Cast, seen: Seen, path: Path) -> None:
 
     given_px, is_given, size = _annotation(export.store, cast, seen)
     with _footage(export.footage, size) as frames:
-        first = frames(seen.frames[0])
+        first, rate_hz = frames(seen.frames[0]), _STILLS_HZ if cast.labels else cast.rate_hz
         height, width = (length - length % 2 for length in first.shape[:2])
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), cast.rate_hz, (width, height))
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (width, height))
         if not video.isOpened():
             raise InputError(f"{path.name}: no video of {width} x {height} can be written here")
         thick = max(2, height // 240)

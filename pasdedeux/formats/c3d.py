@@ -7,6 +7,7 @@ The format is that of c3d.org's user guide; only files of Intel processors with 
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -159,8 +160,10 @@ def _read_points(data: bytes) -> Points:
         raise FormatError(
             f"this is a damaged C3D file: it ends in frame {max(len(body), 0) // max(row, 1)} of {frames}"
         )
-    values = np.frombuffer(body, wide).reshape(frames, -1)[:, : 4 * count].reshape(frames, count, 4).astype(np.float64)
-    positions = values[..., :3] * (1.0 if is_float else scale)
+    values = np.frombuffer(body, wide).reshape(frames, -1)[:, : 4 * count].reshape(frames, count, 4)
+    with np.errstate(all="ignore"):  # what is not finite is refused where it is used
+        values = values.astype(np.float64)
+        positions = values[..., :3] * (1.0 if is_float else scale)
     positions[values[..., 3] < 0] = np.nan  # a residual below zero: the point was not seen
     unit = "".join(parameters.get("POINT:UNITS", [""])).strip().lower()
     return Points(tuple(labels[:count]), positions, rate_hz, unit)
@@ -185,13 +188,16 @@ def _read_parameters(section: bytes) -> dict[str, Array | list[str]]:
             kind, num_axes = struct.unpack_from("<bB", section, at + 2)
             shape = list(section[at + 4 : at + 4 + num_axes])
             content = section[at + 4 + num_axes :]
+            width, count = abs(kind), math.prod(shape)
+            if width * count > len(content):
+                raise FormatError(f"this is a damaged C3D file: its parameter '{name}' is longer than the file")
             if kind == -1:
-                width, rows = (shape or [1])[0], int(np.prod(shape[1:], dtype=int))
+                size = (shape or [1])[0]
                 raw[number, name] = [
-                    content[i * width : (i + 1) * width].decode("latin-1").strip() for i in range(rows)
+                    content[i : i + size].decode("latin-1").strip() for i in range(0, count, size or 1)
                 ]
             else:
-                raw[number, name] = np.frombuffer(content, _DTYPES[kind], int(np.prod(shape, dtype=int)))
+                raw[number, name] = np.frombuffer(content, _DTYPES[kind], count)
         if step == 0:
             break
         at += step

@@ -9,7 +9,7 @@ and no pickle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -73,17 +73,18 @@ _SHAPES = {400: 300, 20: 10}
 _MODEL = ("J_regressor", "v_template", "shapedirs", "kintree_table")
 _ALIASES = {
     "poses": ("poses",),
-    "root": ("root_orient", "global_orient"),
-    "body": ("pose_body", "body_pose"),
-    "hands": ("pose_hand",),
-    "left": ("pose_lhand", "left_hand_pose"),
-    "right": ("pose_rhand", "right_hand_pose"),
+    "root_orient": ("root_orient", "global_orient"),
+    "pose_body": ("pose_body", "body_pose"),
+    "pose_hand": ("pose_hand",),
+    "pose_lhand": ("pose_lhand", "left_hand_pose"),
+    "pose_rhand": ("pose_rhand", "right_hand_pose"),
     "trans": ("trans", "transl"),
     "betas": ("betas",),
-    "rate": ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps", "rate_hz"),
+    "mocap_framerate": ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps", "rate_hz"),
 }
 """What data sets call the same thing; jaw and eyes, which move no joint of the body, are not read apart."""
-_NAMES = frozenset(name for names in _ALIASES.values() for name in names)
+_CALLED = {alias: name for name, aliases in _ALIASES.items() for alias in aliases}
+_RATE = "mocap_framerate"
 _HOLD = 1e-4
 """Weight of betas of 1, beside 1 for a metre of bone, in their fit: bones decide wherever they can."""
 
@@ -113,6 +114,10 @@ class BodyModel:
         if np.any(betas[count:]):
             raise InputError(f"the parameters have {len(betas)} betas, the body model has {count}: it is another one")
         return np.asarray(self.joints_m + self.shape_m[..., : len(betas)] @ betas[:count])
+
+    def offsets_m(self, rest_m: Array) -> Array:
+        """Return the offset (J, 3) of each joint from its parent, zero for the root."""
+        return rest_m - rest_m[[max(parent, 0) for parent in self.skeleton.parents]]
 
     def fit_betas(self, lengths_m: Mapping[str, float]) -> tuple[Array, dict[str, float]]:
         """Return the betas (B,) whose bones have these lengths best, and by how much each bone is longer, metres.
@@ -171,26 +176,24 @@ def read_smpl(data: bytes, companion: bytes = b"", *, person: int = 0) -> Source
     model = read_body_model(companion)
     arrays = _arrays_of(read_npz(data, "archive of body parameters", _is_parameter), person)
     rotvecs = _rotvecs(arrays, model)
+    check_range(len(rotvecs), "the number of frames of array 'poses' or 'root_orient'", 1, np.inf)
     trans = get_array(arrays, "trans", "f", (len(rotvecs), 3)).astype(np.float64)
-    for frame in np.flatnonzero(
-        ~(np.abs(np.c_[rotvecs.reshape(len(rotvecs), -1), trans]) <= MAX_MAGNITUDE).all(axis=-1)
-    ):
+    numbers = np.abs(np.concatenate([rotvecs, trans[:, None]], axis=1))
+    for frame in np.flatnonzero(~(numbers <= MAX_MAGNITUDE).all(axis=(1, 2))):
         raise FormatError(f"frame {frame}: a parameter is not finite or absurdly large")
-    rest = model.rest_m(_betas(arrays, len(rotvecs)))
-    parents = [max(parent, 0) for parent in model.skeleton.parents]
-    offsets = rest - rest[parents]
-    rate_hz = None
-    if "rate" in arrays:
-        rate_hz = check_range(float(get_array(arrays, "rate", "fiu", ())), "the frame rate", *RATE_HZ)
-    source = SourceMotion(
-        skeleton=model.skeleton,
-        rest_offsets=offsets,
-        root_translation=trans + rest[0],
-        local_unitquat=unitquat_from_rotvec(rotvecs),
-        rate_hz=rate_hz,
-        metres_per_unit=1.0,
+    rest, rate_hz = model.rest_m(_betas(arrays, len(rotvecs))), None
+    if _RATE in arrays:
+        rate_hz = check_range(float(get_array(arrays, _RATE, "fiu", ())), "the frame rate", *RATE_HZ)
+    return _standing_in_file(
+        SourceMotion(
+            skeleton=model.skeleton,
+            rest_offsets=model.offsets_m(rest),
+            root_translation=trans + rest[0],
+            local_unitquat=unitquat_from_rotvec(rotvecs),
+            rate_hz=rate_hz,
+            metres_per_unit=1.0,
+        )
     )
-    return _standing_in_file(source)
 
 
 def _standing_in_file(source: SourceMotion) -> SourceMotion:
@@ -218,7 +221,7 @@ def _base(name: str) -> tuple[int, str]:
 
 
 def _is_parameter(name: str) -> bool:
-    return _base(name)[1] in _NAMES
+    return _base(name)[1] in _CALLED
 
 
 def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
@@ -226,9 +229,8 @@ def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, values in arrays.items():
         who, bare = _base(name)
-        key = next(key for key, names in _ALIASES.items() if bare in names)
-        if who == person or key == "rate":
-            found[key] = values
+        if who == person or _CALLED[bare] == _RATE:
+            found[_CALLED[bare]] = values
     if "trans" not in found and person:
         raise FormatError(f"person {person}: it holds 1 person; the take names it more often")
     return found
@@ -246,19 +248,19 @@ def _rotvecs(arrays: Mapping[str, Any], model: BodyModel) -> Array:
                 f"array 'poses' has {poses.shape[1]} numbers a frame, parameters {what}; the body model is "
                 f"{model.kind}, which has {3 * count}"
             )
-        return _frames(poses, "poses").reshape(-1, count, 3)
-    root = _frames(get_array(arrays, "root", "f", (None, 3)), "root_orient")
-    body = _flat(arrays, "body", len(root))
-    if body.shape[1] not in (3 * (len(BODY) - 1), 3 * (len(JOINTS["SMPL"]) - 1)):
-        raise FormatError(f"array 'pose_body' has {body.shape[1]} numbers a frame; allowed: 63, and 69 of SMPL")
-    if body.shape[1] > 63 and model.kind != "SMPL":
+        return poses.reshape(-1, count, 3)
+    root = get_array(arrays, "root_orient", "f", (None, 3)).astype(np.float64)
+    body = _flat(arrays, "pose_body", len(root))
+    allowed = {3 * (len(BODY) - 1)} | ({3 * (count - 1)} if model.kind == "SMPL" else set())
+    if body.shape[1] not in allowed:
         raise FormatError(
-            f"array 'pose_body' has {body.shape[1]} numbers a frame, as SMPL; the body model is {model.kind}"
+            f"array 'pose_body' has {body.shape[1]} numbers a frame; with a body model of {model.kind} allowed: "
+            f"{', '.join(map(str, sorted(allowed)))}"
         )
     rotvecs = np.zeros((len(root), count, 3))
     rotvecs[:, 0] = root
     rotvecs[:, 1 : 1 + body.shape[1] // 3] = body.reshape(len(root), -1, 3)
-    hands = [_flat(arrays, key, len(root)) for key in ("hands", "left", "right") if key in arrays]
+    hands = [_flat(arrays, key, len(root)) for key in ("pose_hand", "pose_lhand", "pose_rhand") if key in arrays]
     if hands:
         turned = np.concatenate(hands, axis=1)
         if model.kind == "SMPL" or turned.shape[1] != 3 * len(_FINGERS):
@@ -277,11 +279,6 @@ def _flat(arrays: Mapping[str, Any], key: str, num_frames: int) -> Array:
     return get_array(arrays, key, "f", shape).astype(np.float64).reshape(num_frames, -1)
 
 
-def _frames(values: Array, name: str) -> Array:
-    check_range(len(values), f"the number of frames of array '{name}'", 1, np.inf)
-    return np.asarray(values, dtype=np.float64)
-
-
 def _betas(arrays: Mapping[str, Any], num_frames: int) -> Array:
     """Return betas (n,), also where they stand once a frame: then their median."""
     given = arrays.get("betas")
@@ -298,11 +295,6 @@ def _is_smpl(start: FileStart) -> bool:
     return bool(names & {"trans", "transl"}) and bool(names & {"poses", "root_orient", "global_orient"})
 
 
-def model_names(name: str) -> Sequence[str]:
-    """Return where the body model of a file of this name may lie."""
-    return ("body_model.npz", "../body_model.npz", "../../body_model.npz")
-
-
 SMPL = MotionFormat(
     name="smpl",
     recognised_by="npz archive with 'trans' and 'poses' or 'root_orient', as AMASS and Inter-X",
@@ -310,7 +302,7 @@ SMPL = MotionFormat(
     recognises=_is_smpl,
     read=read_smpl,
     companion="body model",
-    companion_names=model_names,
+    companion_names=lambda name: ("body_model.npz", "../body_model.npz", "../../body_model.npz"),
     is_companion=lambda start: set(_MODEL) <= start.array_names,
     others=(partial(read_smpl, person=1),),
 )
@@ -380,10 +372,8 @@ def _parameters(
     model: BodyModel, betas: Array, misfit: dict[str, float], local: Array, body22_m: Array, up_axis: str
 ) -> SmplMotion:
     """Return the parameters of local rotations (frame, J, 4), Y up, with the pelvis where it should be."""
-    rest = model.rest_m(betas)
-    offsets = rest - rest[[max(parent, 0) for parent in model.skeleton.parents]]
-    pelvis = body22_m[:, BODY22.root]
-    found, _ = forward_kinematics(model.skeleton, offsets, pelvis, local)
+    rest, pelvis = model.rest_m(betas), body22_m[:, BODY22.root]
+    found, _ = forward_kinematics(model.skeleton, model.offsets_m(rest), pelvis, local)
     away_m = np.linalg.norm(found[:, model.skeleton.indices(BODY22.joint_names)] - body22_m, axis=-1)
     down = np.broadcast_to(conjugate(upright_from_file(up_axis)), (len(local), 4))
     local[:, 0] = multiply(down, local[:, 0])

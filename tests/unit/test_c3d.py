@@ -106,6 +106,15 @@ def test_no_damage_does_more_than_a_format_error():
             read_c3d(bytes(damaged))
 
 
+def test_a_parameter_that_states_endless_texts_is_refused_at_once():
+    data = bytearray(c3d_points())
+    at = data.index(b"LABELS") + 8
+    assert data[at : at + 2] == b"\xff\x02"  # texts of two axes
+    data[at + 1] = 200
+    with pytest.raises(FormatError, match="its parameter 'LABELS' is longer than the file"):
+        read_c3d(bytes(data))
+
+
 def test_more_frames_than_can_be_counted_are_refused():
     with pytest.raises(FormatError, match="65535 frames at most, here are 65536"):
         write_c3d(np.zeros((65536, 1, 3)), ["a"], rate_hz=30.0, facts={})

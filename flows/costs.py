@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,22 +22,11 @@ OVERHEAD_S = 0.004
 """Of a worker for a shard, beside what the shard takes: receiving it, and waiting for the next.  Assumed."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """A shard that has to be computed, or the end of a stage, which takes nothing.
-
-    Args:
-        seconds: On a worker.
-        after: Numbers of the jobs that come before it.
-        processor_s: On one core.
-        num_bytes: What it writes.
-        is_shard: It is no end of a stage.
-    """
+class Job(NamedTuple):
+    """A shard with its seconds on a worker, or the end of a stage, which takes none; `after` are numbers of jobs."""
 
     seconds: float = 0.0
     after: tuple[int, ...] = ()
-    processor_s: float = 0.0
-    num_bytes: float = 0.0
     is_shard: bool = True
 
 
@@ -48,34 +37,33 @@ class Work:
     Args:
         jobs: Each after those that it waits for.
         worker_bytes: The most memory that a process of the last run held; None where that is not on record.
+        num_shards: Shards among them.
+        processor_s: What these take on one core, seconds.
+        num_bytes: What they write.
         num_measured: Shards that were measured themselves; others take the mean of their stage.
         unknown: Stages of which nothing is known.
     """
 
     jobs: list[Job] = field(default_factory=list)
     worker_bytes: int | None = None
+    num_shards: int = 0
+    processor_s: float = 0.0
+    num_bytes: float = 0.0
     num_measured: int = 0
     unknown: list[str] = field(default_factory=list)
 
-    @property
-    def num_shards(self) -> int:
-        """Number of shards."""
-        return sum(job.is_shard for job in self.jobs)
-
-    @property
-    def processor_s(self) -> float:
-        """What they take on one core, seconds."""
-        return sum(job.processor_s for job in self.jobs)
-
-    @property
-    def num_bytes(self) -> float:
-        """What they write."""
-        return sum(job.num_bytes for job in self.jobs)
+    def add(self, job: Job, processor_s: float = 0.0, num_bytes: float = 0.0, *, is_measured: bool = False) -> int:
+        """Add a job; gives its number."""
+        self.jobs.append(job)
+        self.num_shards += job.is_shard
+        self.processor_s += processor_s
+        self.num_bytes += num_bytes
+        self.num_measured += is_measured
+        return len(self.jobs) - 1
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values, without the shards one by one."""
-        names = ("num_shards", "processor_s", "num_bytes", "worker_bytes", "num_measured", "unknown")
-        return {name: getattr(self, name) for name in names}
+        """Return it as JSON values, without the jobs one by one."""
+        return {name: value for name, value in vars(self).items() if name != "jobs"}
 
 
 @dataclass(frozen=True)
@@ -114,8 +102,7 @@ def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None 
         waits = () if stage.stage.early else tuple(ends[other] for other in graph.upstream[name] if other in ends)
         first = len(work.jobs)
         _add_stage(work, stage, had, numbers, waits)
-        ends[name] = len(work.jobs)
-        work.jobs.append(Job(after=tuple(range(first, len(work.jobs))), is_shard=False))
+        ends[name] = work.add(Job(after=tuple(range(first, len(work.jobs))), is_shard=False))
     if not work.jobs:
         raise PlanError(
             f"what {', '.join(work.unknown) or 'this'} takes was not measured: build it once, also with fewer takes or "
@@ -143,11 +130,9 @@ def _add_stage(
             reads = [(name, *places[key]) for key in planned[place].after if key in places]
         else:
             reads = [(ref.stage, one.partition, one.name) for ref in before[place].inputs if (one := had.get(ref))]
-        seconds, processor_s, num_bytes = took.get(place, means)
-        numbers[name, *place] = len(work.jobs)
-        after = (*waits, *(numbers[at] for at in reads if at in numbers))
-        work.jobs.append(Job(seconds, after, processor_s, num_bytes))
-        work.num_measured += place in took
+        seconds, *spent = took.get(place, means)
+        job = Job(seconds, (*waits, *(numbers[at] for at in reads if at in numbers)))
+        numbers[name, *place] = work.add(job, *spent, is_measured=place in took)
 
 
 def estimate_cost(work: Work, num_workers: int) -> Cost:

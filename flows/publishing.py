@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from flows.curation import SECTION, recorded_choices
 from flows.outcomes import Outcome, Run
 from flows.recorded import read_environment
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE
@@ -84,10 +85,12 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
     if failures:
         words = f"{name} is not published: {len(failures)} of {len(required)} required verdicts fail"
         return Published(name, words, failures=failures)
+    choices = run.study.resolved().get(SECTION, {}).get("choices", {})
     while True:
         version = next_version(store, name)  # first: what another run publishes after that takes it, and is seen
         before = newest_version(store, name)
         is_same = before is not None and _content(before.refs) == _content(refs) and before.sources == sources
+        is_same = is_same and before is not None and recorded_choices(before.path) == choices
         if before is not None and is_same and has_lineage(store, before.refs, {ref.place for ref in refs}):
             return Published(name, f"{before.label} stays: nothing has changed since", before)
         note = f"run {outcome.run_id}"

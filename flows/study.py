@@ -11,7 +11,9 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
 from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_tree, unknown
+from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
+from tasks.curation import CurationSettings, as_settings, read_choices
 from tasks.graph import Graph
 from tasks.stage import Parameters
 from tasks.sweep import SweptParameters
@@ -146,6 +148,8 @@ def study_from_tree(
     problems += [unknown(name, known) for name in tree.values if name not in known]
     head = _validate(StudyHead, tree.values.get(HEAD, {}), HEAD, problems)
     shared = {name: _validate(model, tree.values.get(name, {}), name, problems) for name, model in graph.shared.items()}
+    if (curation := shared.get("curation")) is not None:
+        shared["curation"] = _with_choices(curation, tree, problems)
     parameters: dict[str, Parameters] = {}
     for stage in graph.stages:
         values = tree.values.get(stage.name, {})
@@ -179,7 +183,9 @@ def study_from_tree(
         Study(
             head=head,
             parameters={name: parameters[name] for name in wanted.names},
-            shared={name: said for name in wanted.shared if (said := shared[name]) is not None},
+            shared={
+                name: said for name, said in shared.items() if said is not None and name in {*wanted.shared, *sections}
+            },
             asked=asked,
             publish=publish,
         ),
@@ -200,9 +206,26 @@ def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph:
     """
     head = {**sections[HEAD], "stages": list(stages)}
     values = {name: section for name, section in {**sections, HEAD: head}.items() if name != PUBLISH}
+    if "curation" in values:  # what the file said then
+        values["curation"] = {**values["curation"], "file": None}
     tree = StudyTree(f"{head['name']} (as it is on record)", values, {(): Path.cwd()})
     study, wanted = study_from_tree(tree, graph, here=Path.cwd(), environment={})
     return study.model_copy(update={"asked": frozenset()}), wanted
+
+
+def _with_choices(curation: Settings, tree: StudyTree, problems: list[str]) -> Settings:
+    """Return a section of choices with what its file says now."""
+    assert isinstance(curation, CurationSettings)
+    if curation.file is None:
+        return curation
+    path = tree.folder_of(("curation", "file")) / curation.file.expanduser()
+    try:
+        if not path.is_file():
+            raise InputError(f"there is no file {path}")
+        return curation.model_copy(update={"file": path, "choices": as_settings(read_choices(path))})
+    except InputError as error:
+        problems.append(f"curation.file: {error}")
+        return curation
 
 
 def shared_keys(parameters: type[BaseModel], shared: Iterable[type[BaseModel]]) -> set[str]:

@@ -39,14 +39,14 @@ def package_versions() -> dict[str, str]:
 
 @cache
 def source_digest() -> str:
-    """Return the sha256 over the Python files of the science, the storage and the tasks: their paths and bytes.
+    """Return the sha256 over the Python and TOML files of science, storage and tasks: their paths and bytes.
 
     The flows are excluded: they decide when things run, not what comes out.
     """
     digest = hashlib.sha256()
     for package in _OUR_PACKAGES:
         for folder in package_folders(package):
-            for path in sorted(folder.rglob("*.py")):
+            for path in sorted([*folder.rglob("*.py"), *folder.rglob("*.toml")]):
                 digest.update(f"{package}/{path.relative_to(folder).as_posix()}\0".encode())
                 digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()

@@ -139,9 +139,17 @@ def read_people(
 
 
 def read_seen_pairs(
-    store: Store, annotations: ArtifactRef, views: ArtifactRef, *, num_hypotheses: int
+    store: Store,
+    annotations: ArtifactRef,
+    views: ArtifactRef,
+    *,
+    num_hypotheses: int,
+    instead: Mapping[tuple[str, int], np.ndarray] | None = None,
 ) -> tuple[dict[Place, SeenPair], int]:
-    """Return the annotated pairs with enough joints and a view, in order, and how many had not."""
+    """Return the annotated pairs with enough joints and a view, in order, and how many had not.
+
+    `instead` are joints (2, 17, 2), pixels, by sequence and frame, that take the place of those annotated there.
+    """
     people = read_people(store, [annotations], with_held_out=True)
     learned = read_people(store, [annotations])
     names = ["hypothesis", "direction", "weight", "metres_per_pixel"]
@@ -155,7 +163,8 @@ def read_seen_pairs(
         rows = likeliest.get(place, [])[:num_hypotheses]
         if len(people[place]) < 2 or not rows:
             continue
-        image = pair_in_metres(pair_of(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
+        pair_px = (instead or {}).get(place[:2], pair_of(people[place]))
+        image = pair_in_metres(pair_px, np.asarray(scale[rows[0]], dtype=np.float64))
         directions = np.asarray(direction, dtype=np.float64)[rows]
         one = SeenPair(place, image, directions, hypothesis[rows], place not in learned)
         if one.is_seen.sum() >= MIN_SEEN:

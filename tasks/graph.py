@@ -10,6 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 
 import tasks
 from pasdedeux.settings import Settings
+from tasks.curation import CurationSettings
 from tasks.stage import Parameters, Stage
 
 _NOT_STAGES = frozenset({"stage", "graph", "shards"})
@@ -80,7 +81,7 @@ class Graph:
         """
         from pasdedeux.sampling.prior import PriorSettings  # here: compiled kernels that --help need not wait for
 
-        sections: dict[str, type[Settings]] = {"physical_prior": PriorSettings}
+        sections: dict[str, type[Settings]] = {"physical_prior": PriorSettings, "curation": CurationSettings}
         return {
             name: model
             for name, model in sections.items()

@@ -232,6 +232,43 @@ def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int]) -
     return rows, fitted
 
 
+def lift_again(
+    store: Store,
+    annotations: ArtifactRef,
+    views: ArtifactRef,
+    at_hand: Sequence[ArtifactRef],
+    moment: tuple[str, int],
+    points_px: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pair (2, 17, 3) that the annotation of a sequence and frame is lifted to, and that of other points.
+
+    Args:
+        store: Store.
+        annotations: Artifact of the annotation.
+        views: Its views, which stay as they are.
+        at_hand: Artifacts; those with draws or grown pairs are used.
+        moment: Sequence and frame.
+        points_px: Points (2, 17, 2), pixels, in place of those annotated.
+
+    Raises:
+        InputError: There are no draws, or the annotation shows too little or has no view.
+    """
+    inputs = [store.manifest(ref) for ref in at_hand]
+    tables = {table: [one for one in inputs if table in one.tables] for table in ("draws", "seeds")}
+    draws_of = [one for one in draw_manifests(StageInputs(tables, seed=0)) if density_of(one) != PRIOR_ONLY]
+    if not draws_of:
+        raise InputError("lifting needs draws of a density beside prior_only, or grown pairs; there are none")
+    draws, index = _indexed_draws(store, tuple(one.ref for one in draws_of))
+    found = []
+    for instead in (None, {moment: points_px}):
+        every, _ = read_seen_pairs(store, annotations, views, num_hypotheses=_NUM_HYPOTHESES, instead=instead)
+        seen = next((one for place, one in every.items() if place[:2] == moment), None)
+        if seen is None:
+            raise InputError(f"{moment[0]} frame {moment[1]} has no view, or shows too little to be lifted")
+        found.append(_lift(seen, draws, index, ())[1])
+    return found[0], found[1]
+
+
 def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> dict[tuple[str, int, int], list[int]]:
     """Return which draws were lifted from which annotation, by sequence, frame and person A.
 

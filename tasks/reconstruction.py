@@ -44,6 +44,8 @@ from tasks.stage import (
 
 RECONSTRUCTION = StageName("reconstruction", 18)
 
+LEVEL = "level"
+"""Name of what is made as if the camera were level."""
 MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 
@@ -61,6 +63,9 @@ class SequenceSettings(Parameters):
         True,
         description="Pairs of the database that look like two partners say how far apart they are, beside the floor, "
         "people's sizes and what touches",
+    )
+    has_level_camera: bool = Field(
+        False, description="The last method again as if the camera were level, first of all: the baseline `level`"
     )
 
 
@@ -132,7 +137,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "methods": [method.value for method in parameters.methods],
         "skipped": [],
     }
-    people = _read_tracks(store, annotations, parameters, facts)
+    people = read_tracks(store, annotations, parameters, facts)
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
     judged: dict[str, Verdict] = {}
@@ -155,7 +160,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     )
 
 
-def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[Track]:
+def read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[Track]:
     """Return the tracks of the sequence, by person; the facts say why there are none."""
     sequence_id = parameters.sequence_id
     columns = ["sequence_id", "frame", "person_id", "partner_id", "time_s", "op14_px", "op14_confidence"]
@@ -210,15 +215,17 @@ def _reconstruct(
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
     chosen = Searcher.of(suited, *(read_clusters(store, ref) for ref in clusters))
     is_paired = parameters.has_pairs and len(people) > 1
-    found = reconstruct_people(
-        chosen,
-        people,
-        parameters.methods,
-        options,
-        pairs_m=read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None,
-        pitch=pitch,
-    )
+    pairs_m = read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None
+    found = reconstruct_people(chosen, people, parameters.methods, options, pairs_m=pairs_m, pitch=pitch)
     pitch = found.pitch
+    level_camera = replace(level.camera, pitch_rad=0.0)
+    made_level = (
+        reconstruct_people(
+            Searcher.of(replace(level, camera=level_camera)), people, parameters.methods[-1:], options, pairs_m=pairs_m
+        ).methods[-1:]
+        if parameters.has_level_camera
+        else ()
+    )
     if found.scene is not None:
         facts["camera_height_m"] = found.scene.camera_height_m
         facts["lens_factor"] = found.scene.lens_factor
@@ -229,8 +236,11 @@ def _reconstruct(
     facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
     upright = np.asarray(replace(suited.camera, pitch_rad=pitch.pitch_rad).camera_from_upright_rotmat)
     rows = [
-        _rows_of(sequence_id, made.name, one, made.origin_m, body.turned(upright), take_ids, frames)
-        for made in found.methods
+        _rows_of(sequence_id, name, one, made.origin_m, body.turned(turn), take_ids, frames)
+        for name, made, turn in (
+            *((LEVEL, made, np.asarray(level_camera.camera_from_upright_rotmat)) for made in made_level),
+            *((made.name, made, upright) for made in found.methods),
+        )
         for one, body in zip(made.people, made.bodies, strict=True)
     ]
     rng = stream(seed, "reconstruction", "left_out", sequence_id)

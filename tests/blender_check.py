@@ -1,4 +1,4 @@
-"""Loads BVH files that were written with an npz each - by `reconstruct`, `export`, `retarget` - into Blender itself.
+"""Loads BVH files that were written with an npz each, and GLB files - by `export`, `retarget` - into Blender itself.
 
 Run by hand, `make blender FILES=out`, never by pytest.
 
@@ -9,6 +9,8 @@ Blender's module is large and under the GPL, so it is no dependency: `pip instal
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import os
 import sys
 import tempfile
@@ -83,6 +85,60 @@ def check(path: Path) -> None:
     )
 
 
+def check_glb(path: Path) -> None:
+    """Check that every joint of every frame of a GLB is where its nodes say, and that each person has a skin."""
+    data = path.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+
+    def values(accessor: int) -> np.ndarray:
+        one = tree["accessors"][accessor]
+        view = tree["bufferViews"][one["bufferView"]]
+        return np.frombuffer(binary, "<f4", view["byteLength"] // 4, view["byteOffset"]).reshape(one["count"], -1)
+
+    (moving,) = tree["animations"]
+    tracks = {
+        (one["target"]["node"], one["target"]["path"]): values(moving["samplers"][one["sampler"]]["output"])
+        for one in moving["channels"]
+    }
+    times = values(moving["samplers"][0]["input"])[:, 0]
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    rate = 1 if len(times) < 2 else round(1 / float(times[1] - times[0]))
+    bpy.context.scene.render.fps = rate
+    with contextlib.redirect_stdout(io.StringIO()):
+        bpy.ops.import_scene.gltf(filepath=str(path))
+    rigs = sorted((one for one in bpy.data.objects if one.type == "ARMATURE"), key=lambda one: one.name)
+    assert len(rigs) == len(tree["skins"]), [rig.name for rig in rigs]
+    bodies = [one for one in bpy.data.objects if one.type == "MESH" and one.find_armature() in rigs]
+    assert len(bodies) == len(rigs), "a body without a skin"
+    worst = 0.0
+    for frame, time in enumerate(times):
+        bpy.context.scene.frame_set(int(np.floor(time * rate + 1e-3)), subframe=0.0)
+        for rig, skin in zip(rigs, tree["skins"], strict=True):
+            for joint, at in nodes_at(tree, tracks, frame, skin["skeleton"]).items():
+                bone = rig.pose.bones[tree["nodes"][joint]["name"]]
+                place = _FROM_BLENDER @ np.array((rig.matrix_world @ bone.matrix).translation)
+                worst = max(worst, float(np.linalg.norm(place - at)))
+    assert worst < _TOLERANCE_M, f"a joint is {1e3 * worst:.2f} mm from where the file has it"
+    print(f"{path}: {len(rigs)} people, {len(times)} frames, joints within {1e3 * worst:.4f} mm")
+
+
+def nodes_at(tree: dict, tracks: dict, frame: int, root: int) -> dict[int, np.ndarray]:
+    """Return the places of the nodes below a root, at a frame."""
+    places: dict[int, np.ndarray] = {}
+    stack = [(root, np.eye(3), np.zeros(3))]
+    while stack:
+        node, turn, start = stack.pop()
+        one = tree["nodes"][node]
+        move = tracks[node, "translation"][frame] if (node, "translation") in tracks else np.array(one["translation"])
+        x, y, z, w = tracks[node, "rotation"][frame]
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        places[node] = start + turn @ move
+        turn = turn @ (np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+        stack += [(child, turn, places[node]) for child in one.get("children", ())]
+    return places
+
+
 def check_t_pose(rest: dict[str, np.ndarray]) -> None:
     """Check that somebody stands upright, faces +Z and has the arms out along X."""
     assert rest["head" if "head" in rest else "neck"][1] > rest["spine2"][1] > rest["left_knee"][1]
@@ -97,4 +153,11 @@ def check_t_pose(rest: dict[str, np.ndarray]) -> None:
 
 if __name__ == "__main__":
     for file in sorted(Path(sys.argv[1]).glob("*.bvh")):
-        check(file)
+        if file.with_suffix(".npz").exists():
+            check(file)
+        else:
+            rig, told = load(file, 0.01)
+            assert "zero length" not in told, told
+            print(f"{file}: {len(rig.data.bones)} bones, no npz to compare with")
+    for file in sorted(Path(sys.argv[1]).glob("*.glb")):
+        check_glb(file)

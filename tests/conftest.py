@@ -11,6 +11,7 @@ import pytest
 from hypothesis import Phase, settings
 
 if TYPE_CHECKING:
+    from storage_schema import Store
     from tests.builders.real_study import BuiltStudy
 
 # One thread for linear algebra, as workers have it; its libraries read this when numpy is first imported, by the tests.
@@ -45,6 +46,32 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if "data_dir" in fixtures:
             item.add_marker(pytest.mark.data)
         item.add_marker(pytest.mark.xdist_group("small" if "small" in fixtures else item.nodeid.partition("::")[0]))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """Return a store that is not there yet."""
+    from storage_schema import Store  # late, as all that imports numpy
+
+    return Store(tmp_path / "store")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """Digests of a run of the toy study that nothing happened to, one shard after the other in this process."""
+    from tests.builders.toy_runs import digests, run_toys, write_study
+
+    folder = tmp_path_factory.mktemp("undisturbed")
+    run_toys(write_study(folder), folder / "store")
+    return digests(folder / "store")
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Build without Prefect and Dask."""
+    from tests.builders.toy_runs import build_here
+
+    build_here(monkeypatch)
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,9 @@ import typer.core
 from typer import Option
 
 from flows.console import (  # noqa: F401 - a module adds its commands when it is imported
+    annotate,
     compare,
+    curate,
     datasets,
     deploy,
     draws,
@@ -26,6 +28,7 @@ from flows.console import (  # noqa: F401 - a module adds its commands when it i
     stores,
     studies,
     this_machine,
+    view,
 )
 from flows.console.context import Context, app
 from flows.planning import PlanError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -40,6 +41,7 @@ def restart(
     draw: Annotated[str, Argument(metavar="DRAW", help="One draw: draws@key#row or draws:study/partition#row.")],
     settings: SettingOption = None,
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the seed's file.")] = Path("restarts"),
+    edited: Annotated[Path | None, Option(metavar="FILE", help="The draw's JSON file after changes: the seed.")] = None,
     store: StoreOption = Path("store"),
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,
@@ -55,11 +57,12 @@ def restart(
       pasdedeux restart draws:duets/ic-seed0#17
       pasdedeux restart draws@3fa9c1#17 --set chains.num_draws=5000 --set chains.proposal=velocity
 
-    The draw is written to a JSON file, which you can edit, and becomes the only seed of a new study with the settings
-    of the original.  The study runs up to its chains; everything else is in the store already.  The new draws keep the
-    lineage: their seed names the draw, with its takes and credits.
+    The draw is written to a JSON file, which you can edit and name with --edited, and becomes the only seed of a new
+    study with the settings of the original.  The study runs up to its chains; everything else is in the store already.
+    The new draws keep the lineage: their seed names the draw, with its takes and credits.
     """
-    from pasdedeux.formats.pair_file import write_pair_json
+    from pasdedeux.errors import named
+    from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
     from tasks.seeds.files import pair_of_draw
     from tasks.sweep import merged
 
@@ -67,8 +70,13 @@ def restart(
     opened = open_store(store)
     chosen = pair_of_draw(opened, draw)
     origin, sections = _study_of(opened, chosen)
-    path = out / f"draw-{chosen.ref.key[:12]}-{chosen.row}.json"
+    path = edited or out / f"draw-{chosen.ref.key[:12]}-{chosen.row}.json"
     name = f"{origin}-restart-{chosen.ref.key[:12]}-{chosen.row}"
+    if edited is not None:
+        data = edited.read_bytes()
+        with named(edited.name):
+            read_pair_json(data)
+        name += f"-{hashlib.sha256(data).hexdigest()[:6]}"
     title = f"Restart from draws@{chosen.ref.key[:12]}#{chosen.row}"
     tree = {section: dict(values) for section, values in sections.items() if section != PUBLISH}
     tree[HEAD] = {key: value for key, value in tree[HEAD].items() if value is not None} | {"name": name, "title": title}
@@ -82,8 +90,9 @@ def restart(
     study, graph = study_from_tree(
         StudyTree(name, tree, {(): Path.cwd()}), graph_of(context), here=Path.cwd(), settings=settings or ()
     )
-    out.mkdir(parents=True, exist_ok=True)
-    path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
+    if edited is None:
+        out.mkdir(parents=True, exist_ok=True)
+        path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
     if not as_json:
         typer.echo(f"the draw is the seed in {path}; its study is {name}")
     build_and_report(Run(study, graph, opened, Selection(until="chains")), cluster, as_json=as_json)

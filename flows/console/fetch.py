@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Option
 
-from flows.console.context import app
+from flows.console.context import StoreOption, WorkersOption, app, graph_of, open_store
+from flows.console.display import counted
+from flows.console.run import build_and_report
 from flows.exports.credits import CREDITS_NAME, add_notice
+from flows.machine import WORKER_MEMORY_GB, cluster_settings
+from flows.outcomes import Run
+from flows.study import load_study
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
 
@@ -26,6 +32,14 @@ _MAX_FILE_BYTES = 200 << 20
 _NUM_ATTEMPTS = 4
 _NO_ANSWER_S = 30.0
 _FIRST_WAIT_S = 0.5
+_MB_PER_TAKE = 1.0
+"""Of an AMC file of CMU: 1.3 in the mean over nine of them, less where people walk a few steps."""
+_MB_PER_S = 1.0
+"""Assumed of a network."""
+_FEW_POSES = 2000
+"""40 s of two people; the built-in duets are 1,440 poses, the database of Yiannakides et al. (2019) 7,200."""
+_BUILD_S_PER_MB, _BUILT_MB_PER_MB = 1.0, 0.6
+"""Seconds on one core, and size in the store: 0.3 and 0.56 for people alone, more for partners."""
 
 _group = typer.Typer(help="Download freely available motion capture.", no_args_is_help=True)
 app.add_typer(_group, name="fetch")
@@ -44,11 +58,6 @@ class Fetched:
     was_there: bool
 
 
-@_group.callback()
-def _has_subcommands() -> None:
-    """Make of one command a group: `fetch cmu`."""
-
-
 @_group.command("cmu")
 def cmu(
     out: Annotated[Path, Option(help="Folder for the files.")],
@@ -65,13 +74,51 @@ def cmu(
         if subjects is None
         else dict.fromkeys(_numbers(subjects, "subjects"), _numbers(takes, "takes") if takes else None)
     )
-    count = 0
-    for item in fetch_cmu(wanted, out, base_url=base_url):
-        count += 1
+    items = list(_told(fetch_cmu(wanted, out, base_url=base_url)))
+    typer.echo(f"{counted(len(items), 'file')} in {out}\n{_credit().strip()}")
+
+
+@_group.command("database")
+def database(
+    context: typer.Context,
+    out: Annotated[Path, Option(help="Folder for the files.")] = Path("cmu"),
+    study: Annotated[str, Option(help="Study of CMU's takes that is built.")] = "everyday",
+    store: StoreOption = Path("store"),
+    workers: WorkersOption = None,
+    is_agreed: Annotated[bool, Option("--yes", help="Begin; without it only size, time and licence are said.")] = False,
+    base_url: Annotated[str, Option(help="Address of the site.")] = CMU_BASE_URL,
+) -> None:
+    """Download the takes of a study and build its projection database, for `reconstruct`.
+
+    What is there already is neither downloaded nor built again, so the same command goes on after an interruption.
+    """
+    wanted = takes_of_study(study)
+    folders = [f"ingest.pairs.{name}.folder={json.dumps(str(out.resolve()))}" for name in _families(study)]
+    chosen, graph = load_study(study, graph_of(context), settings=folders)
+    names = [f"{subject}_{take}.amc" for subject, takes in wanted.items() for take in takes]
+    to_come_mb, all_mb = (_MB_PER_TAKE * number for number in (sum(not (out / n).exists() for n in names), len(names)))
+    typer.echo(
+        f"study {chosen.name}: {counted(len(names), 'take')} of CMU; about {to_come_mb:.0f} MB come into {out}, in "
+        f"{to_come_mb / _MB_PER_S / 60:.0f} minutes at {_MB_PER_S:g} MB a second; the database is built of them in "
+        f"some {all_mb * _BUILD_S_PER_MB / 60:.0f} minutes of one core and has {all_mb * _BUILT_MB_PER_MB:.0f} MB in "
+        f"{store}\n{_credit().strip()}"
+    )
+    if not is_agreed:
+        typer.echo("nothing was done yet; the same command with --yes begins")
+        return
+    items = list(_told(fetch_cmu(wanted, out, base_url=base_url)))
+    typer.echo(f"{counted(len(items), 'file')} in {out}")
+    where = cluster_settings(workers, WORKER_MEMORY_GB, None)
+    build_and_report(Run(chosen, graph, open_store(store)), where, as_json=False)
+    typer.echo(f"now: pasdedeux reconstruct DIR --database projections:{chosen.name} --store {store} --out out")
+
+
+def _told(items: Iterable[Fetched]) -> Iterator[Fetched]:
+    """Give files on, and a line about each as it comes."""
+    for item in items:
         state = "was there" if item.was_there else "fetched"
         typer.echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
-    typer.echo(f"{count} files in {out}")
-    typer.echo(_credit().strip())
+        yield item
 
 
 def fetch_cmu(
@@ -113,13 +160,32 @@ def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
         InputError: It names no takes of subjects with numbers.
     """
     wanted: dict[str, list[str]] = {}
-    for family in read_study_tree(name_or_path, Path.cwd()).values.get("ingest", {}).get("pairs", {}).values():
-        for subject in family.get("subjects", ()) if family.get("takes") else ():
-            if str(subject).isdigit():
-                wanted.setdefault(str(subject), []).extend(family["takes"])
+    for family in _families(name_or_path).values():
+        for subject in family["subjects"]:
+            wanted.setdefault(str(subject), []).extend(family["takes"])
     if not wanted:
         raise InputError(f"study {name_or_path} names no takes of CMU's subjects in [ingest.pairs]; name --subjects")
     return wanted
+
+
+def _families(study: str) -> dict[str, dict[str, Any]]:
+    """Return the families of `ingest.pairs` of which a study names subjects with numbers, and takes."""
+    families = read_study_tree(study, Path.cwd()).values.get("ingest", {}).get("pairs", {})
+    return {
+        name: one
+        for name, one in families.items()
+        if one.get("takes") and all(str(subject).isdigit() for subject in one.get("subjects", ()))
+    }
+
+
+def small_database_words(num_poses: int, num_takes: int) -> str:
+    """Say that a database of so few poses serves little else than its own motion; nothing of a larger one."""
+    if num_poses >= _FEW_POSES:
+        return ""
+    return (
+        f"the database has {num_poses} poses of {counted(num_takes, 'take')}: enough for motion like its own, not for "
+        "other; `pasdedeux fetch database` brings 182 takes of CMU, then --database projections:everyday"
+    )
 
 
 def _credit() -> str:

@@ -7,13 +7,17 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
+from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
 from flows.console.context import StoreOption, app
 from pasdedeux.errors import InputError
 
 
 @app.command()
 def reconstruct(
-    path: Annotated[Path, Argument(metavar="FILE_OR_DIR", help="2D poses: a file, or a folder of them.")],
+    path: Annotated[Path, Argument(metavar="FILE_OR_DIR", help="2D poses: a file, or a folder of them; or film.")],
+    keys: KeysOption = None,
+    detections: DetectionsOption = None,
+    detect: DetectOption = None,
     database: Annotated[str | None, Option(metavar="REF", help="Projections; default: the store's only ones.")] = None,
     store: StoreOption = Path("store"),
     out: Annotated[
@@ -40,6 +44,7 @@ def reconstruct(
     \b
       pasdedeux reconstruct walk/ --out out/                              a BVH and an npz file for each person, a page
       pasdedeux reconstruct walk/ --database projections:duets --follow   a JSON line per person and frame, live
+      pasdedeux reconstruct dance.mp4 --detect rtmo-m.onnx --out out/     film; also --keys or --detections
 
     Image size, rate and focal length come from the files if stated there, else from --set with the keys of a study
     (image_size_px, rate_hz, focal_px or fov_deg).  --set people_file=FILE overrides identities with an edited copy of
@@ -51,11 +56,20 @@ def reconstruct(
     file; pending poses and a summary of the delays are then written.
     """
     # Here, because numba and the search take a second that the other commands need not wait for.
+    from flows.console.annotating import film_source
     from flows.console.reconstructing import annotation_source, follow_video, reconstruct_video
     from pasdedeux.reconstruction.live.person import LiveOptions
+    from tasks.ingest.parameters import FilmOptions
 
-    video = annotation_source(path, settings or ())
+    is_film = bool(keys or detections or detect)
+    video = (
+        film_source(path, keys, detections, detect or (), settings or ())
+        if is_film
+        else annotation_source(path, settings or ())
+    )
     if follow:
+        if isinstance(video, FilmOptions):
+            raise InputError("--follow reads OpenPose files, not film")
         whole_only = {"--height": height, "--stature": stature, "--person": person}
         given = [name for name, value in whole_only.items() if value] + ["--units"] * (units != "cm")
         given += sorted(f"--set {key}" for key in video.model_fields_set - {"id", "path", "rate_hz", "image_size_px"})

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store, say
 from flows.console.display import Steps, format_table, make_listener
+from flows.console.fetch import small_database_words
 from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
 from flows.machine import remembered_ctrl_c
@@ -38,15 +39,15 @@ from pasdedeux.settings import first_problem
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.data import player_page
 from tasks.evaluation.reconstruction import reconstruction_player
-from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations
-from tasks.ingest.parameters import AnnotationOptions
+from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations, find_videos
+from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.projections import read_cameras, read_database, read_pairs
 from tasks.reconstruction import MAX_PAIRS
 
 _LIVE_PITCH_DEG = 10.0
 _HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")
 _HOW_TO_GET_ONE = (
-    "`pasdedeux fetch cmu --out cmu` and `pasdedeux run everyday` make one of people together and everyday motion, "
+    "`pasdedeux fetch database` makes one of people together and everyday motion, "
     "`pasdedeux run duets --until projections` a small one of built-in motion in two minutes, a study of takes like "
     "yours the best; then --database projections:STUDY"
 )
@@ -103,7 +104,7 @@ def annotation_source(path: Path, settings: Sequence[str]) -> AnnotationOptions:
 
 
 def reconstruct_video(
-    video: AnnotationOptions,
+    video: AnnotationOptions | FilmOptions,
     database: str | None,
     store: Path,
     out: Path,
@@ -121,7 +122,7 @@ def reconstruct_video(
         InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
             or nobody who can be reconstructed.
     """
-    videos = find_annotations(video)
+    videos = find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
     source, refs = _projections(database, store)
     searchers, take_ids = _searchers(source, refs, pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
@@ -312,4 +313,6 @@ def _searchers(
     if pitch_deg is not None:
         cameras = (DatabaseCamera(math.radians(pitch_deg)),)
     level, take_ids, _ = read_database(store, refs)
+    if words := small_database_words(level.num_rows, len(set(take_ids))):
+        typer.echo(words, err=True)
     return [Searcher.of(replace(level, camera=camera)) for camera in cameras], take_ids

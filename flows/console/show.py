@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from string import ascii_uppercase
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, exp
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.skeletons import WORKING_SKELETONS
+from pasdedeux.verdict import Level
 from storage_schema import (
     TABLES,
     Store,
@@ -104,27 +105,51 @@ def export(
     select: Annotated[
         int | None, Option(min=1, metavar="N", help="Of draws:study, with its grown pairs: the N that differ most.")
     ] = None,
+    verdict: Annotated[
+        Literal["pass", "warn"] | None,
+        Option(help="Of files of poses: the worst verdict here; the rest lies in the folder `not_good` inside."),
+    ] = None,
+    footage: Annotated[
+        Path | None, Option(metavar="FILE", help="Of mp4: the video to draw on; blank frames without.")
+    ] = None,
+    body_model: Annotated[
+        Path | None, Option(metavar="FILE", help="Of smpl: the body model that parameters are for.")
+    ] = None,
+    curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:
-    """Export what a reference names to files, with licence and credits.
+    """Export what a reference names to files, with units, licence and credits.
 
     \b
       npz   numpy arrays, one file: every table
       csv   one line per row, arrays as columns: every table
-      bvh   motion files: poses and variants (the source's own skeleton, an npz beside), motions (a humanoid), seeds,
-            one draw
+      bvh   a file per person: poses and variants (the source's own skeleton, an npz beside), motions (a humanoid),
+            draws, seeds, lifted_pairs, in_betweens (a frame each)
+      glb   everybody in one scene, skinned and animated, for Blender and viewers: the same tables
+      c3d   joints as labelled points, everybody in one file: the same tables; trc: the same for OpenSim
+      smpl  parameters of SMPL, SMPL-H or SMPL-X for your own body model: poses, variants, motions
+      mp4   the result drawn on its footage: motions, lifted_pairs, in_betweens
+      coco  2D keypoints: annotations
       json  both people with named joints, for editing: seeds, one draw
+      safetensors  trained models with a card
+    FBX and USD are not written: import the glb or bvh into Blender and export there (docs/formats-and-units.md).
     \b
-      pasdedeux export variants:duets/waltz --format bvh --out waltz_variants
+      pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
       pasdedeux export draws:duets --select 500 --out selected      # the most different of all draws and grown pairs
     """
+    options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
+    options |= {} if footage is None else {"footage": footage}
+    options |= {} if body_model is None else {"body_model": body_model}
     if select is not None:
-        paths, words = export_selection(open_store(store), reference, file_format, out, count=select)
+        paths, words = export_selection(open_store(store), reference, file_format, out, count=select, **options)
         say([*map(str, paths), words])
         return
     opened = open_store(store)
-    say(map(str, export_reference(opened, reference, file_format, out, rest_pose=rest_pose, units=units)))
+    written = export_reference(
+        opened, reference, file_format, out, rest_pose=rest_pose, units=units, curation=curation, **options
+    )
+    say(map(str, written))
     from tasks.data import LOOK, Data, player_page  # here: half of the science, which `show` need not wait for
 
     if pictures := Data(opened).pictures(reference):

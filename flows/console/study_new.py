@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,19 +26,14 @@ from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file,
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
 
-SURE, LIKELY = 0.9, 0.6
+_SURE, _LIKELY = 0.9, 0.6
 ONE_TAKE = 0.98
 """Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""
 
 
+_DOUBTS = "A GUESS", "ARE THEY"
+"""What a line of the study has in it that somebody has to look at."""
 _quoted = partial(json.dumps, ensure_ascii=False)
-
-
-class _Line(NamedTuple):
-    """A line of the study, and what is doubted of it, empty where nothing is."""
-
-    text: str
-    doubt: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,15 +74,8 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     people = [source for source in sources if isinstance(source, _Person)]
     videos = [source for source in sources if isinstance(source, _Video)]
     lines = _take_lines(people) if people else []
-    take = (
-        {
-            "id": _identifier(people[0].path.stem),
-            "files": [_quoted(_shown(person.path, path.parent)) for person in people],
-            "lines": [line.text for line in lines],
-        }
-        if people
-        else None
-    )
+    shown = [_quoted(_shown(person.path, path.parent)) for person in people]
+    take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
     text = render(
         "new_study.toml",
         name=_identifier(path.stem),
@@ -105,10 +92,12 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
-    found = [f"found {_said(person)}" for person in people] + [
-        f"found 2D poses {one.path}: {one.note}" for one in videos
+    doubted = (line.removeprefix("# ").partition("#") for line in lines if any(mark in line for mark in _DOUBTS))
+    return [
+        *(f"found {_said(person)}" for person in people),
+        *(f"found 2D poses {one.path}: {one.note}" for one in videos),
+        *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
-    return found + [f"in doubt: {line.doubt}" for line in lines if line.doubt]
 
 
 def _inspect(path: Path, base: Path) -> _Person | _Video:
@@ -154,13 +143,22 @@ def _read_video(path: Path, base: Path) -> _Video:
     )
 
 
-def _take_lines(people: Sequence[_Person]) -> list[_Line]:
+def _take_lines(people: Sequence[_Person]) -> list[str]:
     """Return the lines of a take below its files."""
     by_digest = {person.sha256: person.path for person in reversed(people)}
     for person in people:
         if (other := by_digest[person.sha256]) is not person.path:
             raise InputError(f"{other} and {person.path} are the same, byte for byte; a person has a file of their own")
-    return [*_length(people), _layout(people[0]), _up_axis(people), _rate(people[0]), *_units(people)]
+    layout, up = people[0].guess.layout, common_up_axis([person.guess.up for person in people])
+    return [
+        *_length(people),
+        "# layout: its joints fit no known layout; write one under [ingest.mappings]"
+        if layout is None
+        else f'layout = "{layout}"    # by the names of the joints: sure',
+        f'up_axis = "{up.axis}"         # bodies stand along it: {_words(up.confidence)}',
+        _rate(people[0]),
+        *(line for person in people for line in ("[[ingest.takes.persons]]", _unit(person))),
+    ]
 
 
 def _said(person: _Person) -> str:
@@ -171,77 +169,51 @@ def _said(person: _Person) -> str:
     return f"{person.path.name}: {person.num_frames} frames{lasts}, about {height_m:.2f} m tall"
 
 
-def _length(people: Sequence[_Person]) -> list[_Line]:
+def _length(people: Sequence[_Person]) -> list[str]:
     """Say whether the files are of one take, by their lengths."""
     lengths = [person.num_frames for person in people]
     if len(set(lengths)) == 1:
         return []
-    words = f"files have {' and '.join(map(str, lengths))} frames"
     is_near = min(lengths) >= ONE_TAKE * max(lengths)
-    near, far = f'on_unequal = "trim"      # the {words}', "ARE THEY OF ONE TAKE? Then switch this on"
-    return [_Line(near if is_near else f"# {near}: {far}", f"the {words}: are they of one take?")]
+    asked = f"files have {' and '.join(map(str, lengths))} frames: ARE THEY OF ONE TAKE?"
+    near = f'on_unequal = "trim"      # the {asked}'
+    return [near if is_near else f"# {near} Then switch this on"]
 
 
-def _layout(person: _Person) -> _Line:
-    if person.guess.layout is None:
-        return _Line("# layout: its joints fit no known layout; write one under [ingest.mappings]")
-    return _Line(f'layout = "{person.guess.layout}"    # by the names of the joints: sure')
-
-
-def _rate(person: _Person) -> _Line:
+def _rate(person: _Person) -> str:
     stated_hz, known_hz = person.guess.rate_hz, person.known.rate_hz
     if known_hz is not None:
         is_other = stated_hz is not None and abs(stated_hz - known_hz) > 0.01
         header = f"; the header says {stated_hz:g}" if is_other else ""
-        return _Line(f"rate_hz = {known_hz:g}         # known of CMU's files{header}")
+        return f"rate_hz = {known_hz:g}         # known of CMU's files{header}"
     if stated_hz is not None:
         lasts = f"then it lasts {person.num_frames / stated_hz:.1f} s"
         lie = "files lie about this: compare with the video or a clock"
-        return _Line(f"rate_hz = {stated_hz:g}         # stated by the file; {lasts} - {lie}")
+        return f"rate_hz = {stated_hz:g}         # stated by the file; {lasts} - {lie}"
     usual_hz = usual_rate_hz(person.path.name)
     if usual_hz is None:
-        return _Line(
-            "# rate_hz = 120       # the files state none: A GUESS - SET IT, it is needed",
-            "no file states its frame rate; set rate_hz",
-        )
-    return _Line(
-        f"rate_hz = {usual_hz:g}         # the file states none, CMU's of this name has it: A GUESS - CHECK IT",
-        f"no file states its frame rate; {usual_hz:g} Hz is a guess from its name; check rate_hz",
+        return "# rate_hz = 120       # no file states its frame rate: A GUESS - SET IT, it is needed"
+    return f"rate_hz = {usual_hz:g}         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
+
+
+def _unit(person: _Person) -> str:
+    """Return the length unit of a person."""
+    unit, name, known_m = person.guess.unit, person.path.name, person.known.metres_per_unit
+    if known_m is not None:
+        return f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
+    if unit.confidence >= MIN_UNIT_CONFIDENCE:
+        why = f"{unit.reason}, stature {unit.height_m:.2f} m: {_words(unit.confidence)}"
+        return f"metres_per_unit = {unit.metres_per_unit:.10g}   # {name}: {why}"
+    why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
+    return (
+        f"# metres_per_unit = {unit.metres_per_unit * USUAL_HEIGHT_M / (unit.height_m or 1.0):.10g}   # {name}: {why}"
     )
-
-
-def _up_axis(people: Sequence[_Person]) -> _Line:
-    up = common_up_axis([person.guess.up for person in people])
-    return _Line(
-        f'up_axis = "{up.axis}"         # bodies stand along it: {_words(up.confidence)}',
-        "" if up.confidence >= LIKELY else f"the up axis {up.axis} is a guess; check up_axis",
-    )
-
-
-def _units(people: Sequence[_Person]) -> list[_Line]:
-    """Return the length unit of each person, under a heading of their own."""
-    lines = []
-    for person in people:
-        unit, name, known_m = person.guess.unit, person.path.name, person.known.metres_per_unit
-        doubt, word = f"{name}: {unit.reason}; %s metres_per_unit", "check"
-        if known_m is not None:
-            text = f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
-        elif unit.confidence >= MIN_UNIT_CONFIDENCE:
-            why = f"{unit.reason}, stature {unit.height_m:.2f} m: {_words(unit.confidence)}"
-            text = f"metres_per_unit = {unit.metres_per_unit:.10g}   # {name}: {why}"
-        else:
-            value, word = unit.metres_per_unit * USUAL_HEIGHT_M / (unit.height_m or 1.0), "set"
-            why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
-            text = f"# metres_per_unit = {value:.10g}   # {name}: {why}"
-        is_doubted = known_m is None and unit.confidence < LIKELY
-        lines += [_Line("[[ingest.takes.persons]]"), _Line(text, doubt % word if is_doubted else "")]
-    return lines
 
 
 def _words(confidence: float) -> str:
-    if confidence >= SURE:
+    if confidence >= _SURE:
         return "sure"
-    return "likely" if confidence >= LIKELY else "A GUESS - CHECK IT"
+    return "likely" if confidence >= _LIKELY else "A GUESS - CHECK IT"
 
 
 def _shown(path: Path, base: Path) -> str:

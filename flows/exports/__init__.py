@@ -5,16 +5,21 @@ A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+from flows.curation import choices_for
+from flows.exports.contact_rows import CONTACTS, contact_rows, touching
 from flows.exports.credits import write_credits
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
 from storage_schema.encoding import encode
+from tasks.curation import IDENTITY, as_settings, content_of, read_choices, rejections
 from tasks.selection import READS, select_pairs
 
 __all__ = [
@@ -33,6 +38,12 @@ EXPORT_FORMATS = {
     "npz": "flows.exports.npz_table",
     "csv": "flows.exports.csv_table",
     "bvh": "flows.exports.bvh_motions",
+    "glb": "flows.exports.glb_figures",
+    "c3d": "flows.exports.c3d_markers",
+    "trc": "flows.exports.trc_markers",
+    "smpl": "flows.exports.smpl_parameters",
+    "coco": "flows.exports.coco_keypoints",
+    "mp4": "flows.exports.overlay_video",
     "json": "flows.exports.json_pairs",
     "safetensors": "flows.exports.model_weights",
 }
@@ -52,28 +63,48 @@ def export_format(name: str) -> ExportFormat:
 
 
 def export_reference(
-    store: Store, text: str, file_format: str, out: Path, *, rest_pose: RestPose = "source", units: Units = "cm"
+    store: Store,
+    text: str,
+    file_format: str,
+    out: Path,
+    *,
+    rest_pose: RestPose = "source",
+    units: Units = "cm",
+    curation: Path | None = None,
+    **options: Any,
 ) -> list[Path]:
     """Write what a reference names into a folder, and return the files, the credits last.
+
+    What somebody rejected is left out: as this file of choices says, else as the study or dataset does.  `options` are
+    those that some formats heed, by their names in `Export`: verdict, footage, body_model.
 
     Raises:
         InputError: The format is not known, cannot hold what is named, or has no rest pose or unit to choose.
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
-    export = Export(store, text, reference, tuple(resolve(reference, store)), rest_pose, units)
-    kind = export_format(file_format)
+    kind = _format_for(file_format, options)
+    choices = choices_for(store, reference) if curation is None else as_settings(read_choices(curation))
+    if reference.table == CONTACTS:
+        refs, options = touching(store, reference), options | {"make_rows": contact_rows}
+    else:
+        refs = tuple(resolve(reference, store))
+    export = Export(store, text, reference, refs, rest_pose, units, choices=choices, **options)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
-    if (rest_pose, units) != ("source", "cm") and not (kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES):
+    is_own = kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES
+    if (rest_pose != "source" and not is_own) or (units != "cm" and not (is_own and file_format == "bvh")):
         tables = " and ".join(_OWN_SKELETON_TABLES)
         raise InputError(
-            f"rest pose and units can be chosen for BVH files of {tables}, not for '{text}' as {file_format.upper()}"
+            f"rest pose and units can be chosen for BVH files of {tables}, the rest pose for GLB files, too, not for "
+            f"'{text}' as {file_format.upper()}"
         )
     return _written(export, kind, out)
 
 
-def export_selection(store: Store, text: str, file_format: str, out: Path, *, count: int) -> tuple[list[Path], str]:
+def export_selection(
+    store: Store, text: str, file_format: str, out: Path, *, count: int, **options: Any
+) -> tuple[list[Path], str]:
     """Write the pairs that differ most of all draws and grown pairs of a study; return files and what was selected.
 
     Raises:
@@ -90,7 +121,7 @@ def export_selection(store: Store, text: str, file_format: str, out: Path, *, co
         raise InputError(
             f"'{text}': pairs are selected among all of a study, draws:study, or of a dataset, draws:name@1"
         )
-    kind = export_format(file_format)
+    kind = _format_for(file_format, options)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
     refs = resolve(reference, store)
@@ -102,12 +133,32 @@ def export_selection(store: Store, text: str, file_format: str, out: Path, *, co
         raise InputError(f"'{text}': no draw and no grown pair of it is plausible")
     made = TABLES["selected_pairs"]
     rows = TableData(made, encode(made, found.columns))
-    export = Export(store, text, replace(reference, table=made.name), found.refs, selected=rows)
+    choices = choices_for(store, reference)
+    kept = [at for at in range(rows.num_rows) if not _is_rejected(rows.row(at), choices)]
+    rows = TableData(made, rows.rows.take(kept))
+    export = Export(store, text, replace(reference, table=made.name), found.refs, selected=rows, **options)
     return _written(export, kind, out), found.in_words()
+
+
+def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:
+    """Tell whether somebody rejected a selected pair where it lies, as a draw or as a seed."""
+    table = "draws" if row["origin"] == "draw" else "seeds"
+    name = "/".join(str(row[column]) for column in IDENTITY[table])
+    return rejections(choices, table).get(name) == content_of(row["pair17_m"])
+
+
+def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
+    """Return a format that heeds these options."""
+    kind = export_format(name)
+    for option in options:
+        if option not in kind.options:
+            known = ", ".join(one for one in EXPORT_FORMATS if option in export_format(one).options)
+            raise InputError(f"--{option.replace('_', '-')} is for {known}, not for {name}")
+    return kind
 
 
 def _written(export: Export, kind: ExportFormat, out: Path) -> list[Path]:
     sources = referenced_credits(export.store, export.reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)
     credits_path = write_credits(sources, export.refs, export.text, out)  # first: no file lies there without them
-    return [*kind.write(export, out), credits_path]
+    return [*kind.write(replace(export, sources=tuple(sources)), out), credits_path]

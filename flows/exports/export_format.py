@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, Reference, Store, TableData, iter_rows
+from pasdedeux.verdict import Level
+from storage_schema import ArtifactRef, Reference, SourceCredit, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
+from tasks.curation import rejected_names, rejections, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
+VERDICT = frozenset({"verdict"})
+NOT_GOOD = "not_good"
+"""Folder of what has a worse verdict than is asked for."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +36,12 @@ class Export:
         rest_pose: Rest pose of the skeletons of takes and variants: the source's, or a standing T-pose.
         units: Lengths of their BVH files: centimetres, metres, or the units of each source's file.
         selected: Rows that were made of what is named, and are given out in its place.
+        verdict: The worst level of what lies in the folder itself; what is worse lies in a folder of its own.
+        footage: Video that results are drawn on; None for blank frames.
+        body_model: Body model that parameters are written for.
+        sources: Licences and credits of what is named.
+        choices: What somebody accepted or rejected, as a study has it, see `tasks.curation`.
+        make_rows: Makes the rows of a table that is in no store, where such a one is named.
     """
 
     store: Store
@@ -38,10 +51,34 @@ class Export:
     rest_pose: RestPose = "source"
     units: Units = "cm"
     selected: TableData | None = None
+    verdict: Level = Level.FAIL
+    footage: Path | None = None
+    body_model: Path | None = None
+    sources: tuple[SourceCredit, ...] = ()
+    choices: Mapping[str, str] = field(default_factory=dict)
+    make_rows: Callable[[Export], Iterator[TableData]] | None = None
+
+    @property
+    def credit(self) -> str:
+        """Licence and credit of every source in one line."""
+        return "; ".join(f"{one.name}, licence: {one.licence}, credit: {one.credit}" for one in self.sources)
 
     def batches(self) -> Iterator[TableData]:
         """Return the rows to be given out, some 10,000 at a time."""
-        return iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
+        if self.make_rows is not None:
+            return self.make_rows(self)
+        rows = iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
+        return (without(one, self.left_out) for one in rows)
+
+    @cached_property
+    def left_out(self) -> Collection[str]:
+        """The names of what is left out."""
+        table = self.reference.table
+        return rejected_names(
+            rejections(self.choices, table),
+            table,
+            lambda columns: iter_rows(replace(self.reference, row=None), self.store, columns=columns),
+        )
 
 
 @dataclass(frozen=True)
@@ -54,12 +91,14 @@ class ExportFormat:
         can_write: Tells whether it can hold what a reference names.
         writes: What it can write, in words, after "allowed are".
         has_rest_pose: Whether it writes skeletons, so that their rest pose and units can be chosen.
+        options: Further options of an export that it heeds: verdict, footage, body_model.
     """
 
     write: Callable[[Export, Path], Iterable[Path]]
     can_write: Callable[[Reference], bool] = lambda _: True
     writes: str = "all tables"
     has_rest_pose: bool = False
+    options: frozenset[str] = frozenset()
 
 
 class FileNames:
@@ -73,8 +112,10 @@ class FileNames:
         self._folder = folder
         self._times = Counter[str]()
 
-    def path(self, *parts: str | int, suffix: str) -> Path:
+    def path(self, *parts: str | int, suffix: str, is_apart: bool = False) -> Path:
         """Return a path, with a number where it was given before: take a_b, variant c and take a, variant b_c.
+
+        What is not as good as was asked for lies apart.
 
         Raises:
             InputError: A part, which may come from rows that somebody else wrote, is no plain name.
@@ -88,12 +129,33 @@ class FileNames:
         name = "_".join(map(str, parts))
         self._times[name] += 1
         number = f".{self._times[name]}" if self._times[name] > 1 else ""
-        return self._folder / f"{name}{number}{suffix}"
+        folder = self._folder / NOT_GOOD if is_apart else self._folder
+        folder.mkdir(exist_ok=True)
+        return folder / f"{name}{number}{suffix}"
 
 
 def names_pairs(reference: Reference) -> bool:
     """Return whether a reference names pairs of one moment: seeds, or one draw."""
     return reference.table == "seeds" or (reference.table == "draws" and reference.row is not None)
+
+
+_LINE = re.compile(r"(?P<name>[A-Za-z0-9_./-]+): \S.*")
+
+
+def write_units(out: Path, said: Iterable[str], lines: Mapping[str, str]) -> Path:
+    """Write what someone who finds the files has to know, beside what an earlier export has left in the folder.
+
+    Args:
+        out: The folder.
+        said: Sentences on all files of a kind.
+        lines: What is special about a file, by its name.
+    """
+    path = out / "UNITS.txt"
+    before = path.read_text("utf-8", errors="replace").partition("\n\n") if path.is_file() else ("", "", "")
+    sentences = dict.fromkeys([*before[0].splitlines(), *said])
+    known = {found["name"]: line for line in before[2].splitlines() if (found := _LINE.match(line))}
+    each = known | {name: f"{name}: {line}" for name, line in lines.items()}
+    return write_text(path, "\n".join([*sentences, "", *(each[name] for name in sorted(each))]) + "\n")
 
 
 def write_text(path: Path, text: str) -> Path:

@@ -23,7 +23,8 @@ def named_pairs(export: Export) -> Iterator[tuple[str, PairFile]]:
     """Return pairs of seeds, or the one of a draw, by the name of their file."""
     if export.reference.table == "seeds":
         for index, pair in pairs_of_seeds(export.store, export.text):
-            yield f"seed{index}", pair
+            if str(index) not in export.left_out:
+                yield f"seed{index}", pair
     else:
         draw = pair_of_draw(export.store, export.text)
         yield f"draw-{draw.ref.key[:12]}-{draw.row}", draw.pair

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from string import ascii_uppercase
 
 import numpy as np
 
-from flows.exports.export_format import FileNames, RestPose, Units, write_text
+from flows.exports.export_format import FileNames, RestPose, Units, write_text, write_units
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, standing, with_end_sites
@@ -20,8 +19,12 @@ from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Store
 
 _POSED = {"source": "that of the source's file", "standing": "a standing T-pose"}
-_LINE = re.compile(r"(?P<name>[A-Za-z0-9_.-]+): \d+ frames at ")
 _AXES = "right-handed, Y up"
+_SAID = (
+    "BVH files are in the unit said below and degrees, npz files in metres and unit quaternions (x, y, z, w).",
+    f"Axes: {_AXES}; in a standing T-pose people face +Z, the left side on +X, arms out along X.",
+    "Joints have the names of the source; `_end` are End Sites, added where the source has none.",
+)
 _EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
 
 
@@ -35,6 +38,7 @@ class Person:
         own: The motion on the source's own skeleton.
         metres_per_unit: Length of one unit of the source's file.
         layout: Name of the layout of its joints.
+        up_axis: Axis that points up in the source's file.
     """
 
     take_id: str
@@ -42,6 +46,7 @@ class Person:
     own: OwnSkeleton
     metres_per_unit: float
     layout: str
+    up_axis: str = "y"
 
 
 def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
@@ -74,8 +79,15 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
         )
         letter = ascii_uppercase[int(take["person"])]
         own = OwnSkeleton(motion, body)
-        people.append(Person(str(take["take_id"]), letter, own, float(take["metres_per_unit"]), str(take["layout"])))
+        unit, layout, up_axis = float(take["metres_per_unit"]), str(take["layout"]), str(take["up_axis"])
+        people.append(Person(str(take["take_id"]), letter, own, unit, layout, up_axis))
     return people
+
+
+def rig_of(own: OwnSkeleton, rest_pose: RestPose) -> OwnSkeleton:
+    """Return what programs can draw: every joint has a length, and the rest pose is the one that was asked for."""
+    ended = with_end_sites(own)
+    return standing(ended) if rest_pose == "standing" else ended
 
 
 class RigFiles:
@@ -93,7 +105,15 @@ class RigFiles:
         self._lines: dict[str, str] = {}
         self._paths: list[Path] = []
 
-    def write(self, parts: Sequence[str], person: Person, own: OwnSkeleton, wanted_m: np.ndarray | None = None) -> None:
+    def write(
+        self,
+        parts: Sequence[str | int],
+        person: Person,
+        own: OwnSkeleton,
+        wanted_m: np.ndarray | None = None,
+        *,
+        is_apart: bool = False,
+    ) -> None:
         """Write a person's motion as BVH and npz.
 
         Args:
@@ -101,13 +121,13 @@ class RigFiles:
             person: Who it is.
             own: The motion.
             wanted_m: body22 of the variant that it plays (frame, 22, 3), metres; none where it is the source.
+            is_apart: Whether it lies apart from what is good.
         """
-        path = self._names.path(*parts, suffix=".bvh")
+        path = self._names.path(*parts, suffix=".bvh", is_apart=is_apart)
         name = path.name.removesuffix(".bvh")
-        ended = with_end_sites(own)
-        motion = (standing(ended) if self._rest_pose == "standing" else ended).motion
+        motion = rig_of(own, self._rest_pose).motion
         metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
-        line = f"{name}: {motion.num_frames} frames at {motion.rate_hz:.6g} Hz, one unit of the BVH is {metres:.9g} m"
+        line = f"{motion.num_frames} frames at {motion.rate_hz:.6g} Hz, one unit of the BVH is {metres:.9g} m"
         facts = {
             "rest_pose": self._rest_pose,
             "bvh_metres_per_unit": metres,
@@ -120,7 +140,9 @@ class RigFiles:
                 f"at worst {1e3 * away_m.max():.1f} mm, "
                 f"hands and feet within {1e3 * away_m[:, _EXTREMITIES].max():.1f} mm"
             )
-        self._lines[name] = f"{line}; the rest pose is {_POSED[self._rest_pose]}"
+        self._lines[str(path.with_suffix("").relative_to(self._out))] = (
+            f"{line}; the rest pose is {_POSED[self._rest_pose]}"
+        )
         text = write_bvh(motion, units_per_metre=1.0 / metres, decimals=8)
         self._paths += [write_text(path, text), path.with_name(f"{name}.npz")]
         axes = f"{_AXES}; the rest pose is {_POSED[self._rest_pose]}"
@@ -136,17 +158,4 @@ class RigFiles:
 
     def close(self) -> Sequence[Path]:
         """Write what someone who finds the files has to know, and return all files."""
-        said = [
-            "BVH files are in the unit said below and degrees, npz files in metres and unit quaternions (x, y, z, w).",
-            f"Axes: {_AXES}; in a standing T-pose people face +Z, the left side on +X, arms out along X.",
-            "Joints have the names of the source; `_end` are End Sites, added where the source has none.",
-            "",
-            *sorted((self._said_before() | self._lines).values()),
-        ]
-        return [*self._paths, write_text(self._out / "UNITS.txt", "\n".join(said) + "\n")]
-
-    def _said_before(self) -> dict[str, str]:
-        """Return the lines of files that an earlier export has left in the folder."""
-        path = self._out / "UNITS.txt"
-        lines = path.read_text("utf-8", errors="replace").splitlines() if path.is_file() else ()
-        return {found["name"]: line for line in lines if (found := _LINE.match(line))}
+        return [*self._paths, write_units(self._out, _SAID, self._lines)] if self._paths else []

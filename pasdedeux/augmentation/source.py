@@ -18,7 +18,7 @@ from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
-from pasdedeux.plausibility.capsules import body_height_m, capsule_model
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model, radius_per_height
 from pasdedeux.skeletons import BODY22, Skeleton
 
 _LONGEST_JOINT_DISTANCE_M = 1e4
@@ -135,14 +135,16 @@ class Source:
     @cached_property
     def radii_m(self) -> Array:
         """Radius of each person's bones (P, 22), named by their child joints, metres; a root is as thick as a waist."""
-        radii = capsule_model(BODY22).radii_m(body_height_m(BODY22, self.lengths_m))
-        radii[:, BODY22.root] = radii[:, _WAIST]
-        return radii
+        skeleton = self.skeleton
+        radii = body_height_m(skeleton, self.lengths_m)[:, None] * radius_per_height(skeleton)
+        if skeleton == BODY22:
+            radii[:, skeleton.root] = radii[:, _WAIST]
+        return np.asarray(radii)
 
     def contacts(self, stated: Sequence[UserContact] = ()) -> Contacts:
         """Find where people touch; see `find_contacts`."""
         return find_contacts(
-            *(self.positions_m, self.radii_m, BODY22),
+            *(self.positions_m, self.radii_m, self.skeleton),
             rate_hz=self.rate_hz,
             stated=stated,
             own=_own_touch() if self.num_people == 1 else None,

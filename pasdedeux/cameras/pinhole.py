@@ -59,6 +59,12 @@ class PinholeCamera:
         if min(self.image_size_px) < 1:
             raise InputError(f"camera: the image is {self.image_size_px} px, both sides must be at least 1")
 
+    @property
+    def pitch_rad(self) -> float:
+        """How far the camera looks down, in a world whose y is up."""
+        up = self.camera_from_world_rotmat[:, 1]
+        return float(np.arctan2(up[2], up[1]))
+
     def camera_from_world(self, points: Array) -> Array:
         """Return world points (*batch, 3) in camera axes, metres; z is negative in front of the camera."""
         return np.asarray((points - self.position_m) @ self.camera_from_world_rotmat.T)

@@ -175,7 +175,7 @@ class ModelMeter:
     Args:
         request: Any request for the take: its source, how it is solved, its known contacts.
 
-    On another skeleton than `body22` there are neither contacts nor surfaces: figures are E_r, E_b and PWD alone.
+    On another skeleton than `body22` contacts are found, and the solver's surfaces and energy are not measured.
     """
 
     def __init__(self, request: VariantRequest) -> None:
@@ -196,15 +196,16 @@ class ModelMeter:
         return source.contacts()
 
     @cached_property
-    def keys(self) -> Contacts | None:
-        """Key contacts of the take, those that last longest; None on another skeleton."""
-        return key_contacts(self.contacts) if self._is_body22 else None
+    def keys(self) -> Contacts:
+        """Key contacts of the take, those that last longest."""
+        return key_contacts(self.contacts)
 
     def key_names(self) -> str:
         """Return the key pairs of bones in words; empty where nothing is ever in contact."""
+        joints = self._request.source.skeleton.joint_names
         names = [
-            " and ".join(f"{'AB'[bone // 22]}'s {BODY22.joint_names[bone % 22].replace('_', ' ')}" for bone in pair)
-            for pair in (self.keys.bones()[0].tolist() if self.keys else ())
+            " and ".join(f"{'AB'[at // len(joints)]}'s {joints[at % len(joints)].replace('_', ' ')}" for at in pair)
+            for pair in self.keys.bones()[0].tolist()
         ]
         return ", ".join(names)
 
@@ -224,7 +225,8 @@ class ModelMeter:
         source = self._request.source
         if not self._is_body22:
             return {
-                name: {} if name == SOLVER else model_errors(motion, true_m, skeleton=source.skeleton)
+                name: self._contact_errors(motion)
+                | ({} if name == SOLVER else model_errors(motion, true_m, self.keys, source.skeleton))
                 for name, motion in {**predicted_m, SOLVER: true_m}.items()
             }
         scales = complete_scales(source, bone_scale[None])
@@ -238,7 +240,6 @@ class ModelMeter:
             points = points_of(asked.with_exact_bones(motion_m))
             return sum(total_energy(one, points[window]) for window, one in zip(windows, terms, strict=True))
 
-        before = self._distances(points_of(source.positions_m))
         least = energy(true_m)
         found: dict[str, dict[str, float]] = {}
         for name, motion in {**predicted_m, SOLVER: true_m}.items():
@@ -251,10 +252,8 @@ class ModelMeter:
                 squared_residual=np.zeros(len(points)),
             )
             errors = {} if name == SOLVER else model_errors(motion, true_m, self.keys)
-            drift = np.abs(self._distances(points) - before)
             found[name] = errors | {
-                "contact_error": _MM * float(drift.mean()) if len(drift) else np.nan,
-                "contact_error_p95": _MM * float(np.percentile(drift, 95.0)) if len(drift) else np.nan,
+                **self._contact_errors(motion),
                 "energy_gap": 100.0 * (energy(motion) / max(least, 1e-12) - 1.0),
                 **{one.metric: (_MM if one.unit else 1.0) * getattr(quality, one.name) for one in OF_QUALITY},
             }
@@ -271,8 +270,19 @@ class ModelMeter:
             found[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         return found
 
-    def _distances(self, points: Array) -> Array:
-        return np.asarray(np.linalg.norm(self.contacts.vectors(points)[self.contacts.is_held], axis=-1))
+    def _contact_errors(self, motion_m: Array) -> dict[str, float]:
+        """Return how far a motion's contacts are from their distance in the source; NaN where nothing is in contact."""
+        drift = np.abs(self._distances(motion_m) - self._own_distances)
+        figures = (drift.mean(), np.percentile(drift, 95.0)) if len(drift) else (np.nan, np.nan)
+        return dict(zip(("contact_error", "contact_error_p95"), _MM * np.array(figures), strict=True))
+
+    @cached_property
+    def _own_distances(self) -> Array:
+        return self._distances(self._request.source.positions_m)
+
+    def _distances(self, motion_m: Array) -> Array:
+        vectors = self.contacts.vectors(points_of(motion_m))
+        return np.asarray(np.linalg.norm(vectors[self.contacts.is_held], axis=-1))
 
     @cached_property
     def _problems(self) -> tuple[list[slice], list[Problem]]:

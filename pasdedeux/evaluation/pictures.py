@@ -336,11 +336,13 @@ def _packed(scene: Mapping[str, Any]) -> bytes:
 
 
 def _described(skeleton: Skeleton) -> dict[str, object]:
-    names = skeleton.joint_names
-    shades = [
-        next((shade for side, shade in _SHADES.items() if name.startswith(side)), _SHADE_BETWEEN) for name in names
-    ]
+    shades = list(map(shade_of, skeleton.joint_names))
     return {
         "bones": [[parent, child, shades[child]] for parent, child in skeleton.bones],
         "head": skeleton.index("head"),
     }
+
+
+def shade_of(joint_name: str) -> float:
+    """Return the brightness of the bone that ends in a joint: left limbs are darker than right ones."""
+    return next((shade for side, shade in _SHADES.items() if joint_name.startswith(side)), _SHADE_BETWEEN)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import FormatError, InputError
+from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
 # Greatest length of a segment as a share of the diagonal of everything seen of a person.  Wide enough for crouching,
@@ -62,6 +65,16 @@ _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 """Sequences name files and partitions later on."""
 
 
+class KeypointStatus(IntEnum):
+    """Where a keypoint comes from; what comes from a person or a detector is `DETECTED` or more."""
+
+    MISSING = 0
+    INTERPOLATED = 1
+    TRACKED = 2
+    DETECTED = 3
+    ANNOTATED = 4
+
+
 @dataclass(frozen=True)
 class AnnotatedFrames:
     """2D keypoints, a row per sequence, frame and person, sorted so.
@@ -79,6 +92,7 @@ class AnnotatedFrames:
         skipped: Names of files that could not be read.
         has_identities: Whether a person has the same number in every frame; a detector that does not follow people
             numbers them anew in each.
+        status: (row, K) of `KeypointStatus`, where keypoints come from; None where the source does not say.
     """
 
     layout: str
@@ -92,6 +106,25 @@ class AnnotatedFrames:
     focal_px: Mapping[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
     has_identities: bool = True
+    status: Integers | None = None
+
+    @classmethod
+    def of(
+        cls,
+        layout: KeypointLayout,
+        *,
+        keypoints_px: Array,
+        confidence: Array,
+        status: Integers | None = None,
+        **others: Any,
+    ) -> AnnotatedFrames:
+        """Return keypoints of a known layout; those of a layout of somebody's own become pair17."""
+        if KEYPOINT_LAYOUTS.get(layout.name) is not layout:
+            own = layout.derive(PAIR17.name, keypoints_px, confidence)
+            if status is not None:
+                status = layout.derive_status(PAIR17.name, status)
+            layout, keypoints_px, confidence = KEYPOINT_LAYOUTS[PAIR17.name], own.positions, own.confidence
+        return cls(layout=layout.name, keypoints_px=keypoints_px, confidence=confidence, status=status, **others)
 
     def __post_init__(self) -> None:
         """Sort the rows, make what is missing NaN with confidence 0, and check."""
@@ -114,6 +147,7 @@ class AnnotatedFrames:
             "person_id": np.asarray(self.person_id)[order],
             "keypoints_px": np.where(is_seen[..., None], self.keypoints_px, np.nan)[order],
             "confidence": np.where(is_seen, self.confidence, 0.0)[order],
+            "status": None if self.status is None else np.where(is_seen, self.status, 0)[order],
         }
         for name, value in fields.items():
             object.__setattr__(self, name, value)
@@ -127,7 +161,15 @@ class AnnotatedFrames:
             person_id=self.person_id[chosen],
             keypoints_px=self.keypoints_px[chosen],
             confidence=self.confidence[chosen],
+            status=None if self.status is None else self.status[chosen],
         )
+
+    def given(self) -> AnnotatedFrames:
+        """Return what a person or a detector gave, without what was tracked or interpolated between."""
+        if self.status is None:
+            return self
+        is_given = self.status >= KeypointStatus.DETECTED
+        return replace(self, confidence=np.where(is_given, self.confidence, 0.0)).rows(np.asarray(is_given.any(axis=1)))
 
     def start_of_each(self, num_frames: int) -> AnnotatedFrames:
         """Return the rows of the first frames of each sequence, so many frames from its first one on."""
@@ -142,11 +184,43 @@ class AnnotatedFrames:
         return len(self.frame)
 
 
-def get_keypoint_layout(name: str) -> KeypointLayout:
-    """Return the keypoint layout of this name, or an InputError that lists the known ones."""
+def join_frames(parts: Sequence[AnnotatedFrames]) -> AnnotatedFrames:
+    """Return the rows of several sequences of one source, with one layout and one rate."""
+    statuses = [one.status for one in parts if one.status is not None]
+    return replace(
+        parts[0],
+        sequence_id=tuple(name for one in parts for name in one.sequence_id),
+        frame=np.concatenate([one.frame for one in parts]),
+        person_id=np.concatenate([one.person_id for one in parts]),
+        keypoints_px=np.concatenate([one.keypoints_px for one in parts]),
+        confidence=np.concatenate([one.confidence for one in parts]),
+        status=np.concatenate(statuses) if len(statuses) == len(parts) else None,
+        image_size_px={name: size for one in parts for name, size in one.image_size_px.items()},
+        focal_px={name: focal for one in parts for name, focal in one.focal_px.items()},
+    )
+
+
+def get_keypoint_layout(name: str | KeypointLayout) -> KeypointLayout:
+    """Return the keypoint layout of this name, or one itself; an InputError lists the known ones."""
+    if isinstance(name, KeypointLayout):
+        return name
     if name not in KEYPOINT_LAYOUTS:
         raise InputError(f"keypoint layout '{name}' is not known; known layouts: {', '.join(KEYPOINT_LAYOUTS)}")
     return KEYPOINT_LAYOUTS[name]
+
+
+def layout_of_names(joint_names: set[str]) -> str:
+    """Return the layout whose keypoints these are, or the only one that has all of them; else a FormatError."""
+    exact = [name for name, layout in KEYPOINT_LAYOUTS.items() if set(layout.keypoint_names) == joint_names]
+    fitting = exact or [
+        name for name, layout in KEYPOINT_LAYOUTS.items() if joint_names.issubset(layout.keypoint_names)
+    ]
+    if len(fitting) != 1:
+        why = f"fit {', '.join(fitting)}" if fitting else f"fit none of {', '.join(KEYPOINT_LAYOUTS)}"
+        raise FormatError(
+            f"the layout is unclear: the joints {why}; state it (layout; in our CSV a line '# layout: NAME')"
+        )
+    return fitting[0]
 
 
 def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> AnnotatedFrames:

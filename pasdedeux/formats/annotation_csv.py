@@ -10,7 +10,8 @@ A header line and a row per keypoint, columns in any order::
     clip1,0,0,left_knee,812.5,640.0,0.93
 
 The lines that start with `#` are optional: the layout then follows from the joints' names.  `confidence` is optional
-(1).  Empty or NaN x and y, or confidence 0, mean missing; keypoints that are not listed are missing.
+(1).  Empty or NaN x and y, or confidence 0, mean missing; keypoints that are not listed are missing.  The optional
+column `status` says where a keypoint comes from: annotated, detected, tracked, interpolated or missing.
 """
 
 from __future__ import annotations
@@ -20,17 +21,27 @@ import math
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import FOCAL_PX, MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.annotated_frames import (
+    FOCAL_PX,
+    MAX_IMAGE_PX,
+    RATE_HZ,
+    AnnotatedFrames,
+    KeypointStatus,
+    get_keypoint_layout,
+    layout_of_names,
+)
 from pasdedeux.formats.detections import MAX_CONFIDENCE
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.text import Lines, parse_integer, parse_number, shorten
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.skeletons.layouts import KeypointLayout
 
-COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence")
+COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence", "status")
 _NEEDED = ("frame", "person", "joint", "x", "y")
 
 
-def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout: str = "auto") -> AnnotatedFrames:
+def read_annotation_csv(
+    data: bytes | str, sequence_id: str = "sequence", layout: str | KeypointLayout = "auto"
+) -> AnnotatedFrames:
     """Read our CSV of 2D annotations.
 
     Args:
@@ -39,7 +50,7 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
         layout: Layout of the keypoints; "auto" takes the one the file states or the only one that has all its joints.
     """
     size = rate_hz = focal_px = None
-    people: dict[tuple[str, int, int], dict[str, tuple[float, float, float]]] = {}
+    people: dict[tuple[str, int, int], dict[str, tuple[float, float, float, float]]] = {}
     with Lines(data, "annotation table") as lines:
         for key, value in lines.notes():
             match key:
@@ -61,22 +72,22 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
                 raise FormatError(f"'{shorten(row['joint'])}' twice for person {person} in frame {frame}")
             x, y = (math.nan if row[axis].lower() in ("", "nan") else parse_number(row[axis], axis) for axis in "xy")
             confidence = parse_number(row.get("confidence", "1") or "0", "confidence", 0, MAX_CONFIDENCE)
-            joints[row["joint"]] = (x, y, confidence)
+            joints[row["joint"]] = (x, y, confidence, _status_of(row["status"]) if "status" in row else math.nan)
     if not people:
         raise FormatError("this annotation table has no rows")
     joint_names = {name for joints in people.values() for name in joints}
-    known = get_keypoint_layout(_layout_of(joint_names) if layout == "auto" else layout)
+    known = get_keypoint_layout(layout_of_names(joint_names) if layout == "auto" else layout)
     unknown = sorted(joint_names - set(known.keypoint_names))
     if unknown:
         names = ", ".join(known.keypoint_names)
         raise FormatError(f"joint '{shorten(unknown[0])}' is not in the layout '{known.name}'; known: {names}")
-    table = np.tile([math.nan, math.nan, 0.0], (len(people), known.num_keypoints, 1))
+    table = np.tile([math.nan, math.nan, 0.0, 0.0], (len(people), known.num_keypoints, 1))
     for points, joints in zip(table, people.values(), strict=True):
         for name, point in joints.items():
             points[known.keypoint_names.index(name)] = point
     sequences, frames, persons = zip(*people, strict=True)
-    return AnnotatedFrames(
-        layout=known.name,
+    return AnnotatedFrames.of(
+        known,
         sequence_id=sequences,
         frame=np.array(frames, dtype=np.int64),
         person_id=np.array(persons, dtype=np.int64),
@@ -85,7 +96,25 @@ def read_annotation_csv(data: bytes | str, sequence_id: str = "sequence", layout
         image_size_px=dict.fromkeys(sequences, size) if size else {},
         rate_hz=rate_hz,
         focal_px=dict.fromkeys(sequences, focal_px) if focal_px else {},
+        status=None if np.isnan(table[..., 3]).any() else table[..., 3].astype(np.int64),
     )
+
+
+def write_annotation_csv(frames: AnnotatedFrames) -> str:
+    """Return annotations as this CSV, keypoints that are missing left out."""
+    sizes, focals = set(frames.image_size_px.values()), set(frames.focal_px.values())
+    notes = [f"# layout: {frames.layout}"]
+    notes += [f"# image_size: {width}x{height}" for width, height in sizes] if len(sizes) == 1 else []
+    notes += [f"# rate_hz: {frames.rate_hz:.10g}"] if frames.rate_hz else []
+    notes += [f"# focal_px: {focal:.10g}" for focal in focals] if len(focals) == 1 else []
+    names = get_keypoint_layout(frames.layout).keypoint_names
+    lines = [*notes, ",".join(COLUMNS if frames.status is not None else COLUMNS[:-1])]
+    for row, keypoint in np.argwhere(frames.confidence > 0).tolist():
+        x, y = frames.keypoints_px[row, keypoint]
+        head = f"{frames.sequence_id[row]},{frames.frame[row]},{frames.person_id[row]},{names[keypoint]}"
+        end = "" if frames.status is None else f",{KeypointStatus(frames.status[row, keypoint]).name.lower()}"
+        lines.append(f"{head},{x:.2f},{y:.2f},{frames.confidence[row, keypoint]:.3g}{end}")
+    return "".join(f"{line}\n" for line in lines)
 
 
 ANNOTATION_CSV = AnnotationFormat(
@@ -98,12 +127,9 @@ ANNOTATION_CSV = AnnotationFormat(
 """Our CSV: it may state layout, image size and rate."""
 
 
-def _layout_of(joint_names: set[str]) -> str:
-    exact = [name for name, layout in KEYPOINT_LAYOUTS.items() if set(layout.keypoint_names) == joint_names]
-    fitting = exact or [
-        name for name, layout in KEYPOINT_LAYOUTS.items() if joint_names.issubset(layout.keypoint_names)
-    ]
-    if len(fitting) != 1:
-        why = f"fit {', '.join(fitting)}" if fitting else f"fit none of {', '.join(KEYPOINT_LAYOUTS)}"
-        raise FormatError(f"the layout is unclear: the joints {why}; state it in a line '# layout: NAME'")
-    return fitting[0]
+def _status_of(word: str) -> int:
+    try:
+        return KeypointStatus[word.upper()]
+    except KeyError:
+        allowed = ", ".join(one.name.lower() for one in KeypointStatus)
+        raise FormatError(f"status '{shorten(word)}' is none of {allowed}") from None

@@ -14,15 +14,19 @@ from pasdedeux.formats.detections import MAX_CONFIDENCE
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.npz import get_array, read_npz
 from pasdedeux.formats.text import MAX_COUNT, MAX_MAGNITUDE, check_range
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 
-def read_annotation_npz(data: bytes, sequence_id: str = "sequence", layout: str = "auto") -> AnnotatedFrames:
+def read_annotation_npz(
+    data: bytes, sequence_id: str = "sequence", layout: str | KeypointLayout = "auto"
+) -> AnnotatedFrames:
     """Read our npz of 2D annotations."""
     arrays = read_npz(data, "annotation archive")
     if layout == "auto":
         layout = str(get_array(arrays, "layout", "U", ()).item())
     frame = get_array(arrays, "frame", "iu", (None,))
-    rows, num_keypoints = len(frame), get_keypoint_layout(layout).num_keypoints
+    known = get_keypoint_layout(layout)
+    rows, num_keypoints = len(frame), known.num_keypoints
     person = get_array(arrays, "person", "iu", (rows,))
     keypoints = get_array(arrays, "keypoints_px", "fiu", (rows, num_keypoints, 2)).astype(np.float64)
     confidence = get_array(arrays, "confidence", "fiu", (rows, num_keypoints)).astype(np.float64)
@@ -49,8 +53,8 @@ def read_annotation_npz(data: bytes, sequence_id: str = "sequence", layout: str 
         rate_hz = check_range(float(get_array(arrays, "rate_hz", "fiu", ())), "'rate_hz'", *RATE_HZ)
     if "focal_px" in arrays:
         focal_px = check_range(float(get_array(arrays, "focal_px", "fiu", ())), "'focal_px'", *FOCAL_PX)
-    return AnnotatedFrames(
-        layout=layout,
+    return AnnotatedFrames.of(
+        known,
         sequence_id=sequence,
         frame=frame.astype(np.int64),
         person_id=person.astype(np.int64),

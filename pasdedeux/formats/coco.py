@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,8 +12,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
 from pasdedeux.formats.detections import (
+    MAX_CONFIDENCE,
     Detection,
     Place,
     image_size,
@@ -22,6 +24,7 @@ from pasdedeux.formats.detections import (
 )
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 """COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible."""
@@ -41,7 +44,7 @@ class _Item:
     where: str
 
 
-def read_coco(data: bytes | str, sequence_id: str, layout: str = "auto") -> AnnotatedFrames:
+def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
     """Read COCO keypoints: annotations, or results as mmpose, ViTPose, Detectron2, Ultralytics, AlphaPose write them.
 
     With a list `images`, the third number of a keypoint is COCO's visibility (0 means missing), and an image is of its
@@ -68,11 +71,14 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str = "auto") -> Anno
         if not isinstance(item.image, int | str) or item.image not in places:
             raise FormatError(f"{item.where}: its 'image_id' is not among the images")
         table = _keypoint_table(item.content, item.where)
-        if is_annotations:
+        status = _own_status(item.content, item.where) if is_annotations else None
+        if status is not None:
+            table[:, 2] = item.content["keypoint_scores"]
+        elif is_annotations:
             if not np.isin(table[:, 2], [0, 1, 2]).all():
                 raise FormatError(f"{item.where}: a visibility is none of 0, 1, 2")
             table[:, 2] = _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)]
-        detections.append(Detection(places[item.image], _person_number(item.content), table, item.where))
+        detections.append(Detection(places[item.image], _person_number(item.content), table, item.where, status))
     return join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, rate_hz=footage.rate_hz)
 
 
@@ -94,6 +100,58 @@ def read_image_results(data: bytes) -> list[Detection]:
         if person.get("keypoints"):
             found.append(Detection(("", 0), _person_number(person), _keypoint_table(person, where), where))
     return found
+
+
+def write_coco(frames: AnnotatedFrames) -> str:
+    """Return annotations of one film as COCO keypoints, images named by their frames.
+
+    Beside COCO's visibility are `keypoint_scores` and `keypoint_status` (`KeypointStatus`), which other tools pass
+    over; without them, a keypoint of a low confidence comes back as labelled but hidden.
+    """
+    names = get_keypoint_layout(frames.layout).keypoint_names
+    size = next(iter(frames.image_size_px.values()), None)
+    sides = {"width": size[0], "height": size[1]} if size else {}
+    numbers = np.unique(frames.frame).tolist()
+    images = [{"id": at, "file_name": f"frame_{at:06d}.jpg", "frame_id": at, **sides} for at in numbers]
+    people = []
+    for row in range(frames.num_rows):
+        sure, points = frames.confidence[row], np.nan_to_num(np.round(frames.keypoints_px[row], 2))
+        visibility = np.where(sure > _CONFIDENCE_OF_VISIBILITY[1], 2, np.where(sure > 0, 1, 0))
+        seen = points[sure > 0]
+        low, sides_px = seen.min(axis=0), np.ptp(seen, axis=0)
+        triples = [[x, y, int(v)] for (x, y), v in zip(points.tolist(), visibility, strict=True)]
+        extra = {} if frames.status is None else {"keypoint_status": frames.status[row].tolist()}
+        people.append(
+            {
+                "id": row + 1,
+                "image_id": int(frames.frame[row]),
+                "category_id": 1,
+                "track_id": int(frames.person_id[row]),
+                "keypoints": [number for triple in triples for number in triple],
+                "num_keypoints": int((sure > 0).sum()),
+                "bbox": np.round([*low, *sides_px], 2).tolist(),
+                "area": round(float(np.prod(sides_px)), 2),
+                "iscrowd": 0,
+                "keypoint_scores": np.round(sure, 4).tolist(),
+                **extra,
+            }
+        )
+    category = {"id": 1, "name": "person", "keypoints": list(names), "skeleton": []}
+    rate = {"info": {"fps": frames.rate_hz}} if frames.rate_hz else {}
+    return json.dumps({**rate, "images": images, "annotations": people, "categories": [category]})
+
+
+def _own_status(content: dict[str, Any], where: str) -> tuple[int, ...] | None:
+    """Return the statuses that `write_coco` wrote, None where another tool did."""
+    status, scores = content.get("keypoint_status"), content.get("keypoint_scores")
+    if not isinstance(status, list) or not isinstance(scores, list):
+        return None
+    is_whole = len(status) == len(scores) == len(content["keypoints"]) // 3
+    if not is_whole or not all(one in list(KeypointStatus) for one in status):
+        raise FormatError(f"{where}: 'keypoint_status' needs a whole number from 0 to 4 for each keypoint")
+    if not all(isinstance(one, int | float) and 0 <= one <= MAX_CONFIDENCE for one in scores):
+        raise FormatError(f"{where}: 'keypoint_scores' lie outside 0..{MAX_CONFIDENCE:g}")
+    return tuple(status)
 
 
 def _is_coco(start: FileStart) -> bool:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
 from pasdedeux.formats.text import MAX_COUNT
-from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
+from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT, KeypointLayout
 
 MAX_CONFIDENCE = 10.0
 """Confidences are heights of a heat map: about 1 at most, but not exactly."""
@@ -40,12 +40,14 @@ class Detection:
         person_id: Number that the file gives the person, None where it gives none.
         table: (K, 3) x, y and confidence; a row with NaN or confidence 0 is not detected.
         where: The place in the file, for messages.
+        status: Where its keypoints come from (K,), `KeypointStatus`; None where the file does not say.
     """
 
     place: Place
     person_id: int | None
     table: npt.NDArray[np.float64]
     where: str
+    status: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def join_detections(
     detections: Sequence[Detection],
     *,
     sequence_id: str,
-    layout: str = "auto",
+    layout: str | KeypointLayout = "auto",
     sizes_px: Mapping[str, tuple[int, int]] | None = None,
     rate_hz: float | None = None,
     skipped: Sequence[str] = (),
@@ -96,7 +98,7 @@ def join_detections(
         raise FormatError(f"{detections[0].where} has {count} keypoints; known numbers of keypoints: {names}")
     if known is not None and known is not asked and asked.num_keypoints != count:
         raise InputError(
-            f"sequence '{sequence_id}': the layout '{layout}' is asked for, but the files have {count} keypoints: "
+            f"sequence '{sequence_id}': the layout '{asked.name}' is asked for, but the files have {count} keypoints: "
             f"'{known.name}'"
         )
     table = np.stack([one.table[: asked.num_keypoints] for one in detections])
@@ -107,8 +109,8 @@ def join_detections(
     people, has_identities = _people(detections)
     names_of = _sequence_names(sequence_id, {one.place[0] for one in detections})
     is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)
-    return AnnotatedFrames(
-        layout=asked.name,
+    return AnnotatedFrames.of(
+        asked,
         sequence_id=tuple(names_of[one.place[0]] for one in detections),
         frame=np.array([one.place[1] for one in detections], dtype=np.int64),
         person_id=np.array(people, dtype=np.int64),
@@ -118,7 +120,14 @@ def join_detections(
         rate_hz=rate_hz,
         has_identities=has_identities,
         skipped=tuple(skipped),
+        status=_statuses(detections, asked.num_keypoints),
     )
+
+
+def _statuses(detections: Sequence[Detection], num_keypoints: int) -> npt.NDArray[np.int64] | None:
+    """Return where keypoints come from (row, K), None where a detection does not say."""
+    stated = [one.status for one in detections if one.status is not None and len(one.status) >= num_keypoints]
+    return None if len(stated) < len(detections) else np.array([one[:num_keypoints] for one in stated], dtype=np.int64)
 
 
 def _people(detections: Sequence[Detection]) -> tuple[list[int], bool]:

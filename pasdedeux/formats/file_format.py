@@ -16,6 +16,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import Detection, join_detections, places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 _LOOKED_AT_BYTES = 200_000
 
@@ -25,6 +26,11 @@ class FileStart:
 
     def __init__(self, data: bytes) -> None:
         self._data = data
+
+    @property
+    def head(self) -> bytes:
+        """The first bytes."""
+        return self._data[:16]
 
     @cached_property
     def array_names(self) -> frozenset[str]:
@@ -150,7 +156,7 @@ class AnnotationFormat(FileFormat):
         read_people: Returns the people of the file of one image, without those who have no keypoint.
     """
 
-    read_file: Callable[[bytes, str, str], AnnotatedFrames] | None = None
+    read_file: Callable[[bytes, str, str | KeypointLayout], AnnotatedFrames] | None = None
     read_people: Callable[[bytes], list[Detection]] | None = None
 
     @property
@@ -164,7 +170,12 @@ class AnnotationFormat(FileFormat):
         return [places[name][1] for name in names if name in places]
 
     def read(
-        self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
+        self,
+        files: Mapping[str, bytes],
+        *,
+        sequence_id: str,
+        layout: str | KeypointLayout = "auto",
+        skip_unreadable: bool = False,
     ) -> AnnotatedFrames:
         """Read a source from its files by name: one, or those of all frames.
 

@@ -21,7 +21,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import UNKNOWN, Detection, join_detections, known_footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import MAX_COUNT, Lines, decode, parse_json, parse_number, parse_triples, shorten
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
 _LIST_KEYS = ("frames", "poses", "results", "data", "landmarks", "pose_landmarks")
@@ -38,7 +38,7 @@ _MIN_COLUMNS = 12
 """Landmarks that a table with a row for each frame has at least."""
 
 
-def read_mediapipe(data: bytes | str, sequence_id: str, layout: str = "auto") -> AnnotatedFrames:
+def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
     """Read landmarks, whose coordinates may be shares of the image; what is missing or at (0, 0) is not detected.
 
     Without a number of its own, a frame is where it stands.  Points in order may be another detector's.

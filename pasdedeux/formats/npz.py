@@ -9,7 +9,7 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -38,16 +38,20 @@ def array_names(data: bytes) -> frozenset[str]:
         return frozenset(member.filename.removesuffix(".npy") for member in archive.infolist())
 
 
-def read_npz(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
-    """Return the arrays of an npz archive by name.
+def read_npz(
+    data: bytes, what: str, is_wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of an npz archive by name, of which others than the wanted ones are not opened.
 
     Raises:
         FormatError: The archive is damaged, holds Python objects, or states more data than it has or may have.
     """
     with _opened(data, what) as archive:
+        named = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         return {
-            member.filename.removesuffix(".npy"): _read_array(archive.read(member), member.filename[:40])
-            for member in archive.infolist()
+            name: _read_array(archive.read(member), member.filename[:40])
+            for name, member in named.items()
+            if is_wanted(name)
         }
 
 

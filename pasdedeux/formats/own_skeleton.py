@@ -319,12 +319,19 @@ def standing(own: OwnSkeleton) -> OwnSkeleton:
 
 
 def with_end_sites(own: OwnSkeleton) -> OwnSkeleton:
-    """Return the same with an End Site, `<joint>_end`, for every joint that would have no length without one.
+    """Return the same with End Sites, see `ended`."""
+    motion = ended(own.motion)
+    padding = ((0, 0), (0, motion.skeleton.num_joints - own.motion.skeleton.num_joints))
+    return OwnSkeleton(motion, BodyMap(np.pad(own.body.weight, padding), np.pad(own.body.offset_m, (*padding, (0, 0)))))
+
+
+def ended(motion: Motion) -> Motion:
+    """Return the motion with an End Site, `<joint>_end`, for every joint that would have no length without one.
 
     Programs draw a joint from where it lies to where those below it lie.  A joint without any goes on as the bone
     before it does; one whose children lie on it points to where their bones end.  A source's own End Sites are kept.
     """
-    motion, skeleton, offsets = own.motion, own.motion.skeleton, own.motion.rest_offsets_m
+    skeleton, offsets = motion.skeleton, motion.rest_offsets_m
     names: list[str] = []
     parents: list[int] = []
     ends: list[Array] = []
@@ -342,9 +349,7 @@ def with_end_sites(own: OwnSkeleton) -> OwnSkeleton:
         names.append(f"{name}_end")
         parents.append(joint)
         ends.append(_END_SHARE * (offsets[below].mean(axis=0) if below else offsets[before]))
-    padding = ((0, 0), (0, len(names)))
-    body = BodyMap(np.pad(own.body.weight, padding), np.pad(own.body.offset_m, (*padding, (0, 0))))
-    return OwnSkeleton(motion.with_joints(names, parents, ends), body)
+    return motion.with_joints(names, parents, ends)
 
 
 def _turn_onto(start: Array, end: Array) -> Array:

@@ -16,8 +16,6 @@ from pydantic import Field, ValidationError
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, named
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range, parse_json
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
@@ -127,12 +125,6 @@ def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
                     raise FormatError(f"joint '{joint}' is missing")
     _check_bones(pair)
     return PairFile(pair, tree.made_from, tree.takes, tree.sources)
-
-
-def write_pair_bvh(pair_m: Array) -> tuple[str, str]:
-    """Return a pair (2, 17, 3), metres, as the BVH texts of person A and person B, centimetres, one frame each."""
-    poses = [motion_from_positions(PAIR17, person[None], _POSE_RATE_HZ) for person in pair_m]
-    return write_bvh(poses[0], decimals=8), write_bvh(poses[1], decimals=8)
 
 
 def pair_from_bvh(

@@ -13,21 +13,25 @@ from pasdedeux.formats.annotation_csv import ANNOTATION_CSV
 from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
 from pasdedeux.formats.asf_amc import ASF_AMC
 from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
+from pasdedeux.formats.c3d import C3D
 from pasdedeux.formats.coco import COCO, IMAGE_RESULTS
+from pasdedeux.formats.cvat import CVAT
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.expi import EXPI
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
 from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
+from pasdedeux.formats.smpl import SMPL
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
 MOTION_FORMATS: Mapping[str, MotionFormat] = {
-    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI)
+    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, SMPL)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
-    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, ANNOTATION_CSV, ANNOTATION_NPZ)
+    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, CVAT, ANNOTATION_CSV, ANNOTATION_NPZ)
 }
 
 
@@ -43,6 +47,16 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     for one in MOTION_FORMATS.values():
         if one.is_companion(start):
             raise FormatError(f"this is the {one.companion} of files of the format '{one.name}', not a motion itself")
+    if start.head[:1] == b"\x80" and start.head[1:2] <= b"\x05":
+        raise FormatError(
+            "this is a pickle, which may run any program when it is opened and is never opened here; "
+            "docs/body-models.md has the lines that turn one into npz"
+        )
+    if start.head.startswith(b"glTF") or (start.has_key("asset") and start.has_key("meshes", "nodes")):
+        raise FormatError(
+            "this is a glTF scene, which is written here and not read: import it into Blender and export its armature "
+            "as BVH, a file for each person"
+        )
     raise FormatError(
         "this file is none of the known formats: " + "; ".join(f"{one.name} ({one.recognised_by})" for one in known)
     )
@@ -64,7 +78,7 @@ def read_annotations(
     files: Mapping[str, bytes],
     *,
     source_id: str,
-    layout: str = "auto",
+    layout: str | KeypointLayout = "auto",
     stated: Footage = UNKNOWN,
     video: Footage = UNKNOWN,
     min_confidence: float | None = 0.0,
@@ -87,10 +101,9 @@ def read_annotations(
             in an image of unknown size.
     """
     frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
-    if layout not in {"auto", frames.layout}:
+    if isinstance(layout, str) and layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
-    frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)
-    check_anatomy(frames)
+    frames = clean_annotations(frames, stated=stated, video=video, min_confidence=min_confidence)
     own = f"{source_id}."
     names = {
         name: name if name == source_id or name.startswith(own) else own + name for name in set(frames.sequence_id)
@@ -101,6 +114,19 @@ def read_annotations(
         image_size_px={names[name]: size for name, size in frames.image_size_px.items() if name in names},
         focal_px={names[name]: focal for name, focal in frames.focal_px.items() if name in names},
     )
+
+
+def clean_annotations(
+    frames: AnnotatedFrames, *, stated: Footage = UNKNOWN, video: Footage = UNKNOWN, min_confidence: float | None = 0.0
+) -> AnnotatedFrames:
+    """Return 2D poses in pixels, with all that is known of the footage and without doubtful keypoints.
+
+    Raises:
+        InputError: They are not people, or lie in an image of unknown size.
+    """
+    frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)
+    check_anatomy(frames)
+    return frames
 
 
 def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> AnnotatedFrames:

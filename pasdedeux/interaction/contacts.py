@@ -86,13 +86,9 @@ class Contacts:
         return np.asarray(stencil_vectors(self.points, self.shares, points_m) - self.places_m)
 
     def ends(self, points_m: Array) -> Array:
-        """Return both points of every contact (T, M, 2, 3), on their bones, of joints (T, P J, 3), metres."""
-        num_frames = len(self.points)
-        ends, shares = (one.reshape(num_frames, -1, 2, 2) for one in (self.points, np.abs(self.shares)))
-        frames = np.arange(num_frames)[:, None, None, None]
-        found = (shares[..., None] * points_m[frames, ends]).sum(axis=3)
-        found[:, :, 1] += self.places_m
-        return np.asarray(found)
+        """Return the first and the second point (T, M, 2, 3) of joints (T, P J, 3), metres."""
+        first = np.asarray(stencil_vectors(self.points[..., :2], self.shares[..., :2], points_m))
+        return np.stack([first, first - self.vectors(points_m)], axis=-2)
 
     def spread(self, pulls: Array, num_points: int) -> Array:
         """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, P J, 3)."""

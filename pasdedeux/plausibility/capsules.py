@@ -108,6 +108,11 @@ def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
     return np.asarray(bone_lengths_m[..., legs].sum(axis=-1) / (2.0 * LEG_PER_HEIGHT))
 
 
+def radius_per_height(skeleton: Skeleton) -> Array:
+    """Return the radius of each joint's bone as a share of the stature (J,); 0 of a bone that none is known of."""
+    return np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
+
+
 @compiled(error_model="numpy")
 def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> float:
     """Return the distance between segments a and b, all ends (3,); a segment may be a point."""
@@ -187,7 +192,7 @@ def _penetrations(people: Array, radii: Array, parents: Integers, within: Intege
 def capsule_model(skeleton: Skeleton) -> CapsuleModel:
     """Return the default capsules of pair17, op14 or body22."""
     bones = [child for _, child in skeleton.bones]
-    radii = np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
+    radii = radius_per_height(skeleton)
     stand = _standing(skeleton)
     steps, within = _bones_on_paths(skeleton), []
     for (start, one), (other_start, other) in combinations(skeleton.bones, 2):

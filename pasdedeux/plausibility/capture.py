@@ -21,13 +21,13 @@ from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from pasdedeux.interaction.floor import StandingSettings, find_standing
 from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
 _STEP_S, _SAMPLE_S = 1 / 30, 1 / 10
 """Time over which speed and jerk are taken; time between the frames in which partners and floor are looked at."""
-_JERK_PERCENT, _FLOOR_PERCENT = 95.0, 5.0
+_JERK_PERCENT, _FLOOR_PERCENT, _DEPTH_PERCENT = 95.0, 5.0, 95.0
 _LOW_M, _AIR_M, _HELD_M = 0.05, 0.15, 0.2
 """A foot joint carries that is no more than the first above the least height of that person's feet; who has no joint
 below the second is in the air (joints of feet lie 2-10 cm above the soles), held by a partner nearer than the third."""
@@ -40,7 +40,7 @@ _NECK = BODY22.index("neck")
 _TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
 _STANDING = StandingSettings(away_share=1.0)
 
-_OF_TAKE = ("floor_spread_m", "upright_share", "distance_m", "trunk_m", "twin_m")
+_OF_TAKE = ("floor_spread_m", "upright_share", "distance_m", "trunk_m", "penetration_m", "twin_m", "body_difference_m")
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,20 @@ class PersonCapture:
         (0.12, 0.08),  # close dance has 0.15, a hug 0.25
         complaint="the partners' spines come to {trunk_m:.2f} m, through each other, as in two takes put together",
     )
+    penetration_m: float = figure(
+        "Depth of the deepest bones of one in a partner, as capsules, 95th percentile; NaN without a partner",
+        (0.12, 0.16),  # who pushes on a back has 0.11; one chest in another 0.18
+        complaint="people are {penetration_m:.2f} m inside each other",
+    )
     twin_m: float = figure(
         "Difference of the partners' poses at one size, 95th percentile; NaN without a partner",
         (0.03, 0.015),  # duets have 0.05
         complaint="the partners do the same, {twin_m:.3f} m apart: one motion twice",
+    )
+    body_difference_m: float = figure(
+        "Greatest difference of the lengths of the partners' bones; NaN without a partner",
+        (0.0005, 0.0),  # people have 0.02 and more, twice the same betas nothing
+        complaint="the partners have one body: all bones have the same lengths, as of betas given twice",
     )
 
     @property
@@ -205,26 +215,30 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
     rise = body22_m[:, :, _NECK] - body22_m[:, :, _ANKLES].mean(axis=2)
     ankles = body22_m[:, :, _ANKLES]
     standing = ankles[..., _UP][find_standing(ankles, rate_hz=rate_hz, settings=_STANDING)]
-    of_take = dict.fromkeys(("distance_m", "trunk_m", "twin_m"), np.nan) | {
+    of_take = dict.fromkeys(_OF_TAKE, np.nan) | {
         "floor_spread_m": float(np.ptp(np.percentile(standing, [5.0, 95.0]))) if len(standing) else 0.0,
         "upright_share": float((rise[..., _UP] > _UPRIGHT * _norm(rise)).any(axis=1).mean()),
     }
-    statures = body_height_m(BODY22, np.median(bone_lengths(BODY22, body22_m), axis=0))
+    lengths = np.median(bone_lengths(BODY22, body22_m), axis=0)
+    statures, radii = body_height_m(BODY22, lengths), capsule_model(BODY22).radii_of(body22_m)
     some = body22_m[:: max(1, round(rate_hz * _SAMPLE_S))]
     is_high = some[..., _UP].min(axis=-1) > floor + _AIR_M
     couples = [list(both) for both in combinations(range(body22_m.shape[1]), 2)]
     if couples:
         nearest = np.full(some.shape[:2], np.inf)  # of anybody else (frame, person)
-        trunk_m, twin_m = [], []
+        trunk_m, twin_m, depth_m, body_m = [], [], [], []
         for both in couples:
             pair = some[:, both]
             nearest[:, both] = np.minimum(nearest[:, both], closest_joint_distance(pair)[:, None])
             axes = surface_gaps(pair, np.zeros((2, BODY22.num_joints)), BODY22)
             is_trunk = np.isin(axes.bones, _TRUNK)
             trunk_m.append(float(axes.gap_m[:, is_trunk][:, :, is_trunk].min()))
+            depth_m.append(float(np.percentile(-surface_gaps(pair, radii[both], BODY22).closest_m, _DEPTH_PERCENT)))
+            body_m.append(float(np.abs(np.subtract(*lengths[both]))[1:].max()))
             twin_m.append(_difference(*(pair * (USUAL_HEIGHT_M / statures[both, None, None])).swapaxes(0, 1)))
         is_high &= nearest >= _HELD_M
         of_take |= {"distance_m": float(nearest.min(axis=0).max()), "trunk_m": min(trunk_m), "twin_m": min(twin_m)}
+        of_take |= {"penetration_m": max(0.0, *depth_m), "body_difference_m": min(body_m)}
     step = max(1, round(rate_hz * _STEP_S))
     found = []
     for person in range(body22_m.shape[1]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
@@ -32,12 +32,32 @@ _MAX_FLOOR_M = 0.1
 _LENS_FACTORS = (0.8, 1.0, 1.25, 1.56)
 """Focal lengths over the assumed one under which the floor may be flat: phones to short telephoto lenses."""
 
-_NUM_OF_PARABOLA = 3
-_NUM_PARTS = 8
-"""Parts of a video that are excluded in turn."""
-_OWN_DEVIATION_RAD = float(np.deg2rad(2.0))
-"""What is left over where all parts agree: people of the database hold themselves otherwise than those of the video (16
-views of four takes of salsa, 5 px of noise, a camera 10 degrees below the level among them: 2.5 degrees in all)."""
+_LEVEL_RAD, _STEEP_RAD = 0.0, float(np.deg2rad(30.0))
+_LOOKS_UP_RAD, _LOOKS_DOWN_RAD = float(np.deg2rad(5.0)), float(np.deg2rad(10.0))
+"""Cameras stand level to this steep, and deviate from that by so much: what they see has to say more."""
+_GRID_RAD, _BEYOND_RAD = float(np.deg2rad(0.5)), float(np.deg2rad(5.0))
+"""Pitches are compared so finely, from so far below the first camera tried to so far above the last."""
+
+_LINES = tuple(OP14.indices([f"left_{name}", f"right_{name}"]) for name in ("hip", "shoulder"))
+_LINE_DEVIATION_M = np.array([0.02, 0.05])
+"""How far one end of the line between the hips, and of that between the shoulders, is above the other."""
+_SLOPE_DEVIATION = np.deg2rad([2.0, 4.0])
+"""What their slope errs by however long it is seen."""
+_ALIKE_S = 0.5
+"""Frames nearer in time than this err alike."""
+_MISFITS_PER_S, _MAX_MISFITS = 6.0, 25.0
+"""Independent misfits in a second, and at most: what a database lacks does not pass with time."""
+_COMMON_MISFIT_M = 0.02
+"""Misfits that any pose has; smaller ones say no more."""
+
+_UPRIGHT = float(np.cos(np.deg2rad(30.0)))
+"""Backs of people who stand are as near to the image's vertical."""
+_LEG_RANGE = (1.1, 2.6)
+"""Height of mid-hip over the lower ankle in the image, as a multiple of the back's length: of who stands."""
+_MIN_BACK = 0.7
+"""The back's length over the width of the shoulders: of who does not lie towards the camera."""
+_MIN_STANDING = 3
+"""Frames in which somebody has to stand to have a say."""
 
 _MAX_PROJECTIONS = 1_000_000
 """Projections that a camera is judged by."""
@@ -59,11 +79,13 @@ class PitchEstimate:
         index: Which of the cameras that were tried suits best.
         pitch_rad: The pitch, between those of the cameras.
         deviation_rad: Standard deviation of it; 0 where it was given.
+        is_guess: Nobody was seen standing, so that it is only what cameras mostly have.
     """
 
     index: int
     pitch_rad: float
     deviation_rad: float = 0.0
+    is_guess: bool = False
 
     @property
     def is_given(self) -> bool:
@@ -93,15 +115,21 @@ def choose_pitch(
 ) -> PitchEstimate:
     """Return the pitch at which searchers (one per camera pitch) suit the tracks of a sequence best.
 
-    A camera does not change its pitch within a sequence, so every fifth frame of all tracks decides together: by
-    the sum over tracks of the mean distance of the matches and `_FLOOR_WEIGHT` times how far the lower ankle leaves its
-    median height, up to a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch, and
-    under a wrong focal length, of which the best counts where it is not known; who stays at one depth does neither, and
-    the matches alone decide.  An ankle that is not seen has no say, nor has the other where it is the higher one.
+    A camera does not change its pitch within a sequence, so every fifth frame of all tracks decides together, of those
+    in which somebody stands: back upright in the image, legs stretched, feet below.  Who lies, crouches or is carried
+    has no say; if nobody stands, the prior alone is returned.  Summed over people are the log likelihoods of
 
-    The pitch is where a parabola through the squares of the best of the searchers and of its neighbours has its least;
-    its deviation is what excluding each eighth of the video in turn does to it (jackknife), and what poses of a
-    database differ by.  Ties go to the first.
+    - the mean distance of the matches and `_FLOOR_WEIGHT` times how far the lower ankle leaves its median height, up to
+      a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch, and under a wrong focal
+      length, of which the best counts where it is not known.  An ankle that is not seen has no say, nor has the other
+      where it is the higher one;
+    - the lines between the hips and between the shoulders, which are level however somebody leans: before a camera
+      that looks down the nearer end is lower in the image, by the sine of the pitch.  How much nearer it is the matched
+      pose says, by how short the line is seen and by which way the body faces.
+
+    Both are functions of the pitch between and a little beyond the searchers, and the prior is how cameras stand: level
+    to 30 degrees down, else with a penalty.  Returned are mean and standard deviation of the posterior; what leaving
+    out each person or half of the video in turn moves it by enters the latter.
     """
     options = options or ReconstructionOptions()
     thinned = [
@@ -117,29 +145,50 @@ def choose_pitch(
     for searcher in databases:
         pitches.append(searcher.database.camera.pitch_rad)
         judged.append([one for track in thinned if (one := _judge(searcher, track, options)) is not None])
-    costs = np.array([sum(one.cost() for one in own) for own in judged])
-    parts = [np.array([sum(one.without(part).cost() for one in own) for own in judged]) for part in range(_NUM_PARTS)]
-    pitch, *others = (_least(np.array(pitches), cost) for cost in (costs, *parts))
-    spread = np.sqrt((_NUM_PARTS - 1) * np.var(others))
-    between = 0.5 * (pitches[-1] - pitches[0]) if len(pitches) < _NUM_OF_PARABOLA else 0.0
-    deviation = np.sqrt(_OWN_DEVIATION_RAD**2 + spread**2 + between**2)
-    return PitchEstimate(int(np.argmin(costs)), pitch, float(deviation))
+    tried = np.array(pitches)
+    if len(tried) < 2:
+        return PitchEstimate(0, pitches[0])
+    grid = np.arange(tried.min() - _BEYOND_RAD, tried.max() + _BEYOND_RAD + 1e-9, _GRID_RAD)
+    everybody = [own for own in zip(*judged, strict=False) if own[0].num_standing >= _MIN_STANDING]
+    halves = [[tuple(one.half(part) for one in own) for own in everybody] for part in (0, 1)]
+    others = [everybody[:number] + everybody[number + 1 :] for number in range(len(everybody))]
+    pitch, deviation = _posterior(tried, grid, everybody)
+    left = [_posterior(tried, grid, own)[0] for own in (*halves, *(others if len(others) > 1 else ()))]
+    spread = np.std(left) if everybody else 0.0
+    index = int(np.argmin(np.abs(tried - pitch)))
+    return PitchEstimate(index, pitch, float(np.hypot(deviation, spread)), not everybody)
 
 
-def _least(pitches: Array, cost: Array) -> float:
-    """Return the pitch of least cost, by a parabola through three squares, between the ends.
+def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -> tuple[float, float]:
+    """Return mean and deviation of the pitch by what people show under each of the pitches tried (rising)."""
+    from scipy.interpolate import CubicSpline  # here: 0.2 s that planning does not need
 
-    Away from the right pitch distances grow in proportion, and so their squares as a parabola.
-    """
-    best = int(np.argmin(cost))
-    if len(pitches) < _NUM_OF_PARABOLA:
-        return float(pitches[best])
-    middle = min(max(best, 1), len(pitches) - 2)
-    near = slice(middle - 1, middle + 2)
-    curve, slope, _ = np.polyfit(pitches[near], cost[near] ** 2, 2)
-    if curve <= 0:
-        return float(pitches[best])
-    return float(np.clip(-0.5 * slope / curve, pitches[max(best - 1, 0)], pitches[min(best + 1, len(pitches) - 1)]))
+    looks_up, looks_down = np.minimum(grid - _LEVEL_RAD, 0.0), np.maximum(grid - _STEEP_RAD, 0.0)
+    score = -0.5 * ((looks_up / _LOOKS_UP_RAD) ** 2 + (looks_down / _LOOKS_DOWN_RAD) ** 2)
+    order = np.argsort(tried)
+    for own in people:
+        # Away from the right pitch distances grow in proportion, and so their squares as a parabola.
+        square = np.array([one.cost() ** 2 for one in own])[order]
+        between = np.maximum(CubicSpline(tried[order], square)(grid), 0.8 * square.min())
+        score -= 0.5 * own[0].num_misfits * np.log(between + _COMMON_MISFIT_M**2)
+        for lines in np.moveaxis(np.array([one.slopes() for one in own])[order], -1, 0):
+            slope, variance = (np.interp(grid, tried[order], values) for values in lines.T)
+            score -= 0.5 * (np.sin(grid) - slope) ** 2 / variance
+    share = np.exp(score - score.max())
+    share /= share.sum()
+    mean = float(share @ grid)
+    return mean, float(np.sqrt(share @ (grid - mean) ** 2))
+
+
+def _stands(keypoints_px: Array) -> Flags:
+    """Tell in which frames somebody of keypoints (frame, 14, 2), y down, stands: back upright, legs under it."""
+    hips, neck = mid_hip(keypoints_px), keypoints_px[:, OP14.root]
+    back = np.linalg.norm(hips - neck, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        legs = np.fmax(*(keypoints_px[:, _ANKLES, 1] - hips[:, None, 1]).T) / back
+        shoulders = np.linalg.norm(np.diff(keypoints_px[:, _LINES[1]], axis=1)[:, 0], axis=-1)
+        is_upright = (hips - neck)[:, 1] > _UPRIGHT * back
+        return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1]) & ~(back < _MIN_BACK * shoulders)
 
 
 def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera) -> Array:
@@ -178,18 +227,43 @@ class _Judged:
     """A track under one pitch.
 
     Args:
-        distance_m: Of the match (frame,), NaN where bridged.
+        rate_hz: Frames per second.
+        distance_m: Of the match (frame,), NaN where bridged or not standing.
         height_m: Of the lower ankle by each lens (lens, frame), NaN where that is not seen.
+        nearer_m: How much nearer the left end of each line is by the match (frame, line), upright axes; NaN where it is
+            not seen or nobody stands.
+        higher_m: How much higher it is in the image, and what perspective adds taken off.
     """
 
+    rate_hz: float
     distance_m: Array
     height_m: Array
+    nearer_m: Array
+    higher_m: Array
+
+    @property
+    def num_standing(self) -> int:
+        """Number of frames that have a say."""
+        return int(np.isfinite(self.distance_m).sum())
+
+    @property
+    def num_misfits(self) -> float:
+        """Number of distances that err independently."""
+        return min(_MAX_MISFITS, _MISFITS_PER_S * self.num_standing / self.rate_hz)
 
     def cost(self) -> float:
+        """Return distance and what the feet leave the floor by, metres."""
         is_known = np.isfinite(self.distance_m)
         if not is_known.any():
             return 0.0
         return float(self.distance_m[is_known].mean()) + _FLOOR_WEIGHT * min(self._off_m(), _MAX_FLOOR_M)
+
+    def slopes(self) -> tuple[Array, Array]:
+        """Return by how much the nearer end of each line is lower, and the variance of it (line,)."""
+        alike = max(1.0, _ALIKE_S * self.rate_hz)
+        length = np.nansum(self.nearer_m**2, axis=0)
+        slope = -np.nansum(self.nearer_m * self.higher_m, axis=0) / np.maximum(length, 1e-9)
+        return slope, _LINE_DEVIATION_M**2 * alike / np.maximum(length, 1e-9) + _SLOPE_DEVIATION**2
 
     def _off_m(self) -> float:
         """Return how far the ankle leaves its median height under the lens that suits best; 0 where none is seen."""
@@ -197,11 +271,17 @@ class _Judged:
         own = [height[seen] for height, seen in zip(self.height_m, is_seen, strict=True) if seen.any()]
         return min((float(np.median(np.abs(height - np.median(height)))) for height in own), default=0.0)
 
-    def without(self, part: int) -> _Judged:
-        """Return the rest without one of the parts of the video."""
+    def half(self, part: int) -> _Judged:
+        """Return what the first or the second half of the video shows."""
         count = len(self.distance_m)
-        rest = np.arange(count) * _NUM_PARTS // count != part
-        return _Judged(self.distance_m[rest], self.height_m[:, rest])
+        own = np.arange(count) * 2 // count == part
+        return replace(
+            self,
+            distance_m=self.distance_m[own],
+            height_m=self.height_m[:, own],
+            nearer_m=self.nearer_m[own],
+            higher_m=self.higher_m[own],
+        )
 
 
 def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> _Judged | None:
@@ -221,4 +301,20 @@ def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> 
         lower = np.argmin(height, axis=1)[:, None]
         seen = np.take_along_axis(is_seen, lower, axis=1)
         heights.append(np.where(seen, np.take_along_axis(height, lower, axis=1), np.nan)[:, 0])
-    return _Judged(np.where(found.is_bridged, np.nan, matches.neighbours.distance_m[:, 0]), np.stack(heights))
+    stands = ~found.is_bridged & _stands(np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan))
+    pose = searcher.database.turned(np.maximum(found.row, 0), matches.yaw_steps[:, 0]) * matches.proportions[:, None]
+    away = matches.placement.metres_per_pixel * track.lens.focal_px
+    nearer, higher = [], []
+    ray = -np.arcsin(matches.towards_camera[:, 1])
+    ray -= ray[stands].mean() if stands.any() else 0.0
+    for left, right in _LINES:
+        nearer.append(np.where(stands, pose[:, left, 2] - pose[:, right, 2], np.nan))
+        ends = matches.query_m[:, [left, right], 1]
+        # A camera looks less down at shoulders than at hips, and at who is far than at who is near.
+        level = np.arctan(ends.mean(axis=1) / away) + ray
+        lower = np.sin(level) * np.cos(searcher.database.camera.pitch_rad)
+        higher.append(ends[:, 0] - ends[:, 1] - lower * nearer[-1])
+    shown = np.stack(nearer, axis=1), np.stack(higher, axis=1)
+    nearer_m, higher_m = (np.where(np.isfinite(shown[1]), one, np.nan) for one in shown)
+    distance = np.where(stands, matches.neighbours.distance_m[:, 0], np.nan)
+    return _Judged(track.rate_hz, distance, np.where(stands, np.stack(heights), np.nan), nearer_m, higher_m)

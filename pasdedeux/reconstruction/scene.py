@@ -26,6 +26,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.errors import check_positive
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import conjugate, rotate
@@ -344,7 +345,12 @@ def estimate_scene(
         pairs: What pairs of a database say of couples, by their numbers in `people`.
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.
+
+    Raises:
+        InputError: The height of the camera is not above 0.
     """
+    if camera_height_m is not None:
+        check_positive(camera_height_m, "the height of the camera")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
     x, variance = solve(problem, robust=_ROBUST, variance_of=_PITCH)
     return SceneEstimate(

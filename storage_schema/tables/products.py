@@ -9,6 +9,7 @@ from storage_schema.tables.common import (
     FRAME,
     MODEL_ID,
     PERSON,
+    SEQUENCE_ID,
     TAKE_ID,
     TIME_S,
     VARIANT_ID,
@@ -74,6 +75,39 @@ VARIANT_FRAMES = Table(
         FRAME,
         *figures("variant_frames"),
         VERDICT[0],
+    ),
+)
+
+CONTACTS = Table(
+    name="contacts",
+    meaning="One row per frame and two parts of bodies that touch, in takes, variants and reconstructed motions; "
+    "`export contacts:STUDY` makes it, it is in no store.",
+    sorted_by=("origin", "frame"),
+    columns=(
+        text("origin", "What it is found in: poses (a take), variants or motions (reconstructed)"),
+        TAKE_ID.with_meaning("Take; null for motions", is_nullable=True),
+        VARIANT_ID.with_meaning("Variant; null for takes and motions", is_nullable=True),
+        SEQUENCE_ID.with_meaning("Sequence; null for takes and variants", is_nullable=True),
+        text("method", "How a motion was found; null for takes and variants", is_nullable=True),
+        FRAME.with_meaning("Frame of the take, or of the video for motions"),
+        TIME_S.with_meaning("Time from frame 0"),
+        text("person", "Person of the first point: A, B, ..."),
+        text("bone", "Bone of body22 that the first point lies on, by its child joint"),
+        float64("share", "Where on that bone: 0 at its parent joint, 1 at its child"),
+        array(
+            "point_m",
+            "The first point, on the axis of the bone, in the axes of exported motions",
+            axes={"xyz": 3},
+            unit="m",
+        ),
+        text("partner", "Person of the second point, maybe the same; null for an object", is_nullable=True),
+        text("partner_bone", "Bone that the second point lies on; of an object its name"),
+        float64("partner_share", "Where on that bone; null for an object", is_nullable=True),
+        array("partner_point_m", "The second point, on the axis of its bone or object", axes={"xyz": 3}, unit="m"),
+        float64("distance_m", "Distance of the two points", unit="m"),
+        float64("gap_m", "Distance of the surfaces there, capsules; negative where they overlap", unit="m"),
+        float64("weight", "How much of a contact it is, from 0 to 1, or as the study states it"),
+        boolean("is_held", "It counts as a contact where there must be a yes or no: it has half the weight and more"),
     ),
 )
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.models import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
@@ -19,6 +20,7 @@ from pasdedeux.learning.model import TrainingItem
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.skeletons import BODY22, EXPI18
+from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store, TableData
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
@@ -38,7 +40,15 @@ _STILL_FALLS = 1.0
 """Percent by which validation falls in the last segment of a training that ended too early."""
 
 
-def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+class ModelsSettings(Parameters):
+    """How many variants models are scored on."""
+
+    num_test_variants: int = Field(
+        0, ge=0, description="Test variants of each split that models are scored on, evenly spread; 0: all"
+    )
+
+
+def _plan(inputs: StageInputs, settings: ModelsSettings) -> list[Shard]:
     """Plan one shard per split and skeleton, with every model trained there."""
     splits: dict[str, list[Manifest]] = {}
     for manifest in inputs.of("models"):
@@ -48,7 +58,8 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
         tested = set(ModelFacts.of(models[0]).test)
         takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in tested]
         variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id in tested]
-        found.append(TOPIC.shard(inputs, split, models=models, takes=takes, variants=variants))
+        own = settings.part(ModelsSettings)
+        found.append(TOPIC.shard(inputs, split, own, models=models, takes=takes, variants=variants))
     return found
 
 
@@ -68,7 +79,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     errors: dict[str, list[Errors]] = {name: [] for name in (*models, SOLVER)}
     tested: list[VariantKey] = []
     parts: list[Items] = []
-    for item in variants.items([(take_id, name) for take_id, names in facts.test.items() for name in names]):
+    test = [(take_id, name) for take_id, names in facts.test.items() for name in names]
+    count = shard.options(ModelsSettings).num_test_variants or len(test)
+    for item in variants.items([test[at] for at in evenly_spread(len(test), count)]):
         request = item.request
         take_id = request.take_id
         tested.append(VariantKey(take_id, item.variant_id, request.bone_scale))
@@ -135,7 +148,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
         *([f"Models and figures are of {skeleton}; surfaces are not measured."] * (skeleton != BODY22.name)),
-        f"Split {split_name}: {len(tested)} test variants of {len(meters)} "
+        f"Split {split_name}: {len(tested)} of {len(test)} test variants, of {len(meters)} "
         f"take{'s' * (len(meters) != 1)}, learned from {learned}. "
         + (
             "Intervals are over test variants, which of one take are much alike: they do not generalise to other takes."
@@ -327,6 +340,7 @@ TOPIC = Topic(
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,
+    settings=ModelsSettings,
     criteria=tuple(
         Criterion("E_r", "joint error E_r", "cm", "variants", name=split.replace("_", " ")) for split in SPLIT_NAMES
     ),

@@ -17,6 +17,7 @@ from pasdedeux.learning.clips import clips_of
 from pasdedeux.learning.registry import BASELINES
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from pasdedeux.skeletons import BODY22
+from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
@@ -82,8 +83,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     scores = []
     for split, manifests in splits.items():
         test = [(take_id, name) for take_id, names in ModelFacts.of(manifests[0]).test.items() for name in names]
-        step = max(len(test) / settings.num_realism_variants, 1.0)
-        chosen = [test[int(at)] for at in np.arange(0.0, len(test), step)]
+        chosen = [test[at] for at in evenly_spread(len(test), settings.num_realism_variants)]
         models = {ModelFacts.of(manifest).model: load_stored(store, manifest) for manifest in manifests}
         is_of_takes = not ModelFacts.of(manifests[0]).shares_takes
         predicted: dict[str, list[_Clips]] = {}

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.film_alignment import FilmAlignment, align_film
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.reconstruction_metrics import (
@@ -27,9 +30,10 @@ from storage_schema import ArtifactRef, Store, TableData
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
+from tasks.reconstruction import LEVEL, SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, StageInputs
 
-BASELINES = ("nearest", "standing_still", "truth", "equal_depth")
+BASELINES = ("nearest", LEVEL, "standing_still", "truth", "equal_depth")
 """Methods that others are compared with, bounds among them."""
 _MIN_DISTANCE_M = 0.5
 
@@ -64,7 +68,9 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
         if not motions.tables["motions"].rows:
             continue
         annotations = [
-            m for m in inputs.of("annotations") if m.ref in motions.inputs and SequenceFacts.of(m).is_virtual
+            m
+            for m in inputs.of("annotations")
+            if m.ref in motions.inputs and (SequenceFacts.of(m).is_virtual or SequenceFacts.of(m).takes)
         ]
         shown = MotionFacts.of(motions).sequence_takes
         takes = [m for m in inputs.of("poses") if TakeFacts.of(m).take_id in shown]
@@ -80,11 +86,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if not annotations:
         note = f"{shard.name}: a video without ground truth; no scores."
         return TopicResult(pictures=[motion_picture(store, motions)], notes=[note])
-    people, truth = read_reconstructed(store, motions, annotations, shard.refs("takes"))
+    try:
+        people, truth, film = read_reconstructed(store, motions, annotations, shard.refs("takes"))
+    except InputError as error:
+        return TopicResult(pictures=[motion_picture(store, motions)], notes=[f"{shard.name}: {error}; no scores."])
     split = "held_out" if any(one.is_held_out for one in SequenceFacts.read(store, annotations)) else "annotated"
     scores = [score for person in people for score in reconstruction_scores(person, split=split)]
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
+    scores += _camera_scores(facts, truth.cameras[shard.name], people, film, split=split, item=shard.name)
     caption = (
         f"{shard.name}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}), first as the "
         "camera sees it; turn it, as one camera does not see depth. Better: it lies on the grey ground truth. Beside "
@@ -95,16 +105,22 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     # The database has not seen the take, or this would have been refused: all of it is held out.
     items = {"": reconstruction_items(people)}
     pictures = [Picture(_picture_name(shard.name), caption, player)]
-    return TopicResult(scores, pictures, items=items, baselines=BASELINES)
+    return TopicResult(scores, pictures, [] if film is None else [film.in_words()], items, BASELINES)
 
 
 def read_reconstructed(
     store: Store, motions: ArtifactRef, annotations: Sequence[ArtifactRef], takes: Sequence[ArtifactRef]
-) -> tuple[list[Reconstructed], GroundTruth]:
-    """Return the people of a sequence of virtual video who are in its take, and the ground truth."""
+) -> tuple[list[Reconstructed], GroundTruth, FilmAlignment | None]:
+    """Return the people of a sequence who are in its take, the ground truth, and of film what aligned it with that.
+
+    Raises:
+        InputError: A film does not show what its take is said to be.
+    """
     truth = GroundTruth.read(store, takes, annotations, column="op14_m")
     table = _read_motions(store, motions)
     sequence_id = str(table["sequence_id"][0])
+    if sequence_id not in truth.cameras:
+        return _read_film(store, annotations, table, truth)
     people = []
     for person in np.unique(table["person_id"]):
         is_person = table["person_id"] == person
@@ -121,7 +137,65 @@ def read_reconstructed(
         times_s = [truth.time_s(*place) for place in seen]
         item, names = f"{sequence_id} person {person}", [take for take, _ in seen]
         people.append(Reconstructed(item, true, found, at, int(person), names, times_s))
-    return people, truth
+    return people, truth, None
+
+
+def _read_film(
+    store: Store, annotations: Sequence[ArtifactRef], table: TableData, truth: GroundTruth
+) -> tuple[list[Reconstructed], GroundTruth, FilmAlignment]:
+    """Return the people of a film at the moments that its take has, the truth with the film's camera, and the clocks.
+
+    Raises:
+        InputError: The film does not show the take, or there is no such take.
+    """
+    sequence_id = str(table["sequence_id"][0])
+    if not truth.takes:
+        raise InputError("the take that it shows (take_id) has no poses")
+    (take_id, motion_m), rate_hz = next(iter(truth.takes.items())), next(iter(truth.rates_hz.values()))
+    tracks = read_tracks(store, annotations[0], SequenceShard(sequence_id=sequence_id), {"skipped": []})
+    film = align_film(tracks, np.asarray(motion_m, dtype=np.float64), rate_hz)
+    people = []
+    for person, number in sorted(zip(film.person_ids, range(len(film.person_ids)), strict=True)):
+        is_person = table["person_id"] == person
+        rows = {method: is_person & (table["method"] == method) for method in dict.fromkeys(table["method"])}
+        first = next(iter(rows.values()))
+        times_s = np.asarray(table["time_s"], dtype=np.float64)[first]
+        true = film.truth_at(motion_m[:, number], rate_hz, times_s) @ film.camera.camera_from_world_rotmat.T
+        known = np.isfinite(true).all(axis=(1, 2))
+        if known.any():
+            found = {str(name): table["op14_m"][own].astype(np.float64)[known] for name, own in rows.items()}
+            item, names = f"{sequence_id} person {person}", [take_id] * int(known.sum())
+            at_s = (film.offset_s + film.rate * times_s[known]).tolist()
+            people.append(Reconstructed(item, true[known], found, table["frame"][first][known], person, names, at_s))
+    if not people:
+        raise InputError("nobody of its take was reconstructed")
+    return people, replace(truth, cameras={sequence_id: film.camera}), film
+
+
+def _camera_scores(
+    facts: MotionFacts,
+    camera: PinholeCamera,
+    people: Sequence[Reconstructed],
+    film: FilmAlignment | None,
+    *,
+    split: str,
+    item: str,
+) -> list[Score]:
+    """Score the camera's pitch, and say of a film how it was aligned with its take."""
+    pitch_deg = float(np.rad2deg(camera.pitch_rad))
+    pitches = {list(people[0].found_m)[-1]: facts.pitch_deg, LEVEL: 0.0}
+    scores = [
+        Score("camera_pitch_error", method, abs(pitch - pitch_deg), "deg", split=split, item=item)
+        for method, pitch in pitches.items()
+    ]
+    if film is not None:
+        figures = {
+            "clock_offset": (film.offset_s, "s"),
+            "clock_rate": (film.rate, ""),
+            "image_residual": (film.residual, ""),
+        }
+        scores += [Score(name, "truth", value, unit, split=split, item=item) for name, (value, unit) in figures.items()]
+    return scores
 
 
 def _read_motions(store: Store, motions: ArtifactRef) -> TableData:
@@ -324,9 +398,10 @@ TOPIC = Topic(
     name="reconstruction",
     heading="Reconstruction",
     introduction="3D motion reconstructed from 2D poses, against the ground truth where there is one. The baseline is, "
-    "frame by frame, the pose of the database whose image is nearest. Errors are mean distances of 14 joints about the "
-    "mid-hip; of two people also errors of their distance, depth and relative position. The table of names says what "
-    "each figure and method is.",
+    "frame by frame, the pose of the database whose image is nearest; of a film with a reference motion (take_id) also "
+    "the reconstruction before a level camera, where the study asks for it. Errors are mean distances of 14 joints "
+    "about the mid-hip; of two people also errors of their distance, depth and relative position. The table of names "
+    "says what each figure and method is.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,

@@ -14,6 +14,7 @@ from tasks.ingest.plan import INGEST, plan
 from tasks.ingest.shard_parameters import (
     AnnotationParameters,
     DuetParameters,
+    FilmParameters,
     SkippedParameters,
     TakeParameters,
     VideoParameters,
@@ -38,6 +39,7 @@ _RUNS: Mapping[type[Parameters], Callable[[Shard, Store, Any], ArtifactRef]] = {
     TakeParameters: run_take,
     VideoParameters: run_virtual_video,
     AnnotationParameters: run_annotations,
+    FilmParameters: run_annotations,
     SkippedParameters: _say_skipped,
 }
 
@@ -55,5 +57,5 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="Takes with poses, and 2D annotations, from files, built-in duets and virtual video",
-    needs="takes or annotations ([[ingest.takes]], [[ingest.annotations]])",
+    needs="takes, annotations or film ([[ingest.takes]], [[ingest.annotations]], [[ingest.videos]])",
 )

@@ -12,6 +12,7 @@ import numpy as np
 
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
@@ -22,14 +23,18 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.facts import Couple, SequenceFacts
 from tasks.ingest.cameras import CameraFiles, find_cameras, read_header, video_beside
-from tasks.ingest.parameters import AnnotationOptions
-from tasks.ingest.shard_parameters import AnnotationParameters
-from tasks.ingest.sources import load_file, read_again
+from tasks.ingest.films import digest_of
+from tasks.ingest.parameters import AnnotationOptions, FilmOptions
+from tasks.ingest.shard_parameters import AnnotationParameters, FilmParameters
+from tasks.ingest.shots import annotate, find_shots, read_shot
+from tasks.ingest.sources import load_file, own_layout_of, read_again
 from tasks.stage import Shard, SourceFile, commit
 
 DEFAULT_RATE_HZ = 30.0
 PEOPLE_NAME = "people.csv"
 """Who is who, as ingest decided it, beside the tables."""
+ANNOTATIONS_NAME = "annotations.csv"
+"""Annotations of a film beside the tables, with the status of each keypoint."""
 MAX_NAMED_FILES = 20
 """Skipped files that are named, of any number."""
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
@@ -145,6 +150,14 @@ def find_annotations(
     return found
 
 
+def find_videos(
+    options: FilmOptions, *, is_held_out: bool = False, take_seconds: float | None = None
+) -> list[FoundAnnotations]:
+    """Find the shots of films as sources of 2D poses, as `find_annotations` finds cameras."""
+    shots = find_shots(options, is_held_out=is_held_out, take_seconds=take_seconds)
+    return [FoundAnnotations(one.parameters, one.files, Path(one.files[-1].path)) for one in shots]
+
+
 def _find_camera(
     options: AnnotationOptions, camera: CameraFiles, *, is_held_out: bool, take_seconds: float | None
 ) -> FoundAnnotations:
@@ -152,7 +165,7 @@ def _find_camera(
     header = UNKNOWN if video is None else read_header(video)
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
     parameters = AnnotationParameters(
-        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched"}),
+        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched", "layout_file"}),
         id=f"{options.id}.{name}" if name else options.id,
         format=camera.format,
         is_held_out=is_held_out,
@@ -161,6 +174,7 @@ def _find_camera(
         video_size_px=header.image_size_px,
         people=(),
         take_seconds=take_seconds,
+        own_layout=own_layout_of(options.layout_file),
     )
     files = tuple(load_file(path).file for path in camera.paths)
     return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
@@ -169,11 +183,13 @@ def _find_camera(
 @lru_cache(maxsize=16)
 def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
     """Read a source; the last few are remembered, because a study is planned several times in a run."""
+    if isinstance(parameters, FilmParameters):
+        return read_shot(parameters, files)
     frames = read_annotations(
         ANNOTATION_FORMATS[parameters.format],
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
-        layout=parameters.layout,
+        layout=parameters.keypoint_layout(),
         stated=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
         video=Footage(parameters.video_size_px, parameters.video_rate_hz),
         min_confidence=parameters.min_confidence,
@@ -187,7 +203,8 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
 def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters) -> ArtifactRef:
     """Read a source of 2D poses, resolve who is who, and derive the working skeletons."""
     for file in shard.files:
-        read_again(file)
+        if digest_of(Path(file.path)) != file.sha256:
+            raise InputError(f"file {file.path} changed since the run was planned; run again")
     resolved = FoundAnnotations(parameters, shard.files, None).resolve()
     frames, op14 = resolved.frames, resolved.op14
     rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
@@ -248,10 +265,21 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
             num_repaired_joints=sum(one.num_repaired_joints for one in resolved.sequences),
             num_renamed_rows=sum(one.num_renamed_rows for one in resolved.sequences),
         ),
-        attachments={PEOPLE_NAME: write_decisions(row for one in resolved.sequences for row in one.decisions).encode()},
+        attachments=_attachments(parameters, shard.files, resolved),
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
         verdict=_verdict(pair17.confidence > 0, len(frames.skipped), len(shard.files)),
     )
+
+
+def _attachments(
+    parameters: AnnotationParameters, files: tuple[SourceFile, ...], resolved: ResolvedPeople
+) -> dict[str, bytes]:
+    """Return who is who, and of film every keypoint with its status, as key frames can be corrected in it."""
+    decisions = write_decisions(row for one in resolved.sequences for row in one.decisions)
+    found = {PEOPLE_NAME: decisions.encode()}
+    if isinstance(parameters, FilmParameters):
+        found[ANNOTATIONS_NAME] = write_annotation_csv(annotate(parameters, files).frames).encode()
+    return found
 
 
 def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:

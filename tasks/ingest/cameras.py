@@ -123,8 +123,8 @@ def refuse_film(paths: Sequence[Path], path: Path) -> None:
     if what:
         raise InputError(
             f"{path} is {'a video' if what == 'video' else 'a folder of images' if path.is_dir() else 'an image'}: the "
-            "people in it must be detected first, for example with RTMPose (Pose2Sim, rtmlib, mmpose) or OpenPose "
-            "(--write_json); then give the file or folder of keypoints that the detector writes"
+            "people in it must be annotated or detected: give key frames (--keys FILE), a detector's keypoints "
+            "(--detections FILE) or a detector (--detect FILE.onnx); in a study [[ingest.videos]]"
         )
 
 
@@ -145,7 +145,7 @@ def video_beside(path: Path, camera: CameraFiles) -> Path | None:
         names.append(camera.paths[0].stem if len(camera.paths) == 1 else camera.paths[0].parent.name)
     for folder in folders if path.is_dir() else folders[:1] + folders[3:4]:
         videos = _videos(folder)
-        fitting = [video for video in videos if any(_is_named_after(name, video.stem) for name in names)]
+        fitting = [video for video in videos if any(is_named_after(name, video.stem) for name in names)]
         if fitting:
             return max(fitting, key=lambda video: len(video.stem))
         if folder == path and len(videos) == 1 and not camera.name:
@@ -157,7 +157,8 @@ def _videos(folder: Path) -> list[Path]:
     return sorted(one for one in folder.iterdir() if one.suffix.lower() in VIDEO_SUFFIXES) if folder.is_dir() else []
 
 
-def _is_named_after(name: str, stem: str) -> bool:
+def is_named_after(name: str, stem: str) -> bool:
+    """Tell whether a name is that of a video, perhaps with something before or after it."""
     name, stem = name.lower(), stem.lower()
     return name == stem or any(name.startswith(stem + one) or name.endswith(one + stem) for one in _SEPARATORS)
 

@@ -331,8 +331,15 @@ class AnnotationCommon(PeopleSettings, Parameters):
     credit: str = Field("not stated", description="Credit line of the source")
 
 
+_LAYOUT_FILE = Field(
+    None, description="Keypoint layout of your own (TOML): names in the order of the file, and which of them are ours"
+)
+
+
 class AnnotationOptions(AnnotationCommon):
     """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
+
+    layout_file: Path | None = _LAYOUT_FILE
 
     people_file: Path | None = Field(
         None,
@@ -345,6 +352,41 @@ class AnnotationOptions(AnnotationCommon):
         description="Files will be added to the folder: each file or folder in it is a source `<id>.<its name>`, also "
         "if there is only one; one that cannot be read (yet) is skipped with a warning",
     )
+
+
+class FilmOptions(AnnotationCommon):
+    """Film of people, with key frames that a person annotated, a detector's keypoints, or a detector to be run."""
+
+    layout_file: Path | None = _LAYOUT_FILE
+    path: Path = Field(description="Film, folder of numbered images, or folder of films")
+    keys: Path | None = Field(
+        None,
+        description="Annotated key frames (COCO, CVAT, our CSV, ...): joints are tracked between them; of a folder of "
+        "films a folder with a file named like each",
+    )
+    detections: Path | None = Field(
+        None, description="A detector's keypoints of the film; gaps are tracked; of a folder of films as `keys`"
+    )
+    detect: tuple[str, ...] = Field(
+        (),
+        max_length=2,
+        description="ONNX files of a detector that is run: RTMO, or RTMPose with YOLOX for boxes; a path, or an "
+        "address that ends in #sha256=DIGEST",
+    )
+    detect_every: int = Field(
+        1, ge=1, le=1000, description="The detector sees every so many frames; others are tracked"
+    )
+    has_cuts: bool = Field(True, description="Cuts between shots are found, each shot is a sequence of its own")
+
+    @model_validator(mode="after")
+    def _check_source(self) -> Self:
+        given = [name for name in ("keys", "detections", "detect") if getattr(self, name)]
+        if len(given) != 1:
+            found = " and ".join(given) if given else "none"
+            raise ValueError(f"one of keys, detections and detect is needed for a film, found {found}")
+        if self.image_size_px is not None:
+            raise ValueError("image_size_px is that of the film; leave it out")
+        return self
 
 
 class IngestParameters(Parameters):
@@ -362,6 +404,7 @@ class IngestParameters(Parameters):
         "`run --preview`",
     )
     annotations: tuple[AnnotationOptions, ...] = Field((), description="2D poses of your own")
+    videos: tuple[FilmOptions, ...] = Field((), description="Film of your own, with key frames or a detector")
     mappings: Mappings = Field(
         {},
         description="Joint mappings by layout: changes to a known layout, or a layout of your own; each working joint "
@@ -393,14 +436,17 @@ class IngestParameters(Parameters):
             ValueError: Says which, and what is there.
         """
         ids = self.take_ids()
-        for kind, names in (("take", ids), ("annotation source", [source.id for source in self.annotations])):
+        for kind, names in (
+            ("take", ids),
+            ("annotation source", [source.id for source in (*self.annotations, *self.videos)]),
+        ):
             double = sorted(name for name, count in Counter(names).items() if count > 1)
             if double:
                 raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")
         named = [
             *self.held_out,
             *self.prior,
-            *(source.take_id for source in self.annotations if source.take_id),
+            *(source.take_id for source in (*self.annotations, *self.videos) if source.take_id),
         ]
         awaited = self.awaited()
         for name in named:
@@ -416,7 +462,7 @@ class IngestParameters(Parameters):
         """Return the duets: those named, or the default ones when nothing else comes in."""
         if self.duets is not None:
             return tuple(take for entry in self.duets for take in entry.takes())
-        if self.takes or self.pairs or self.annotations:
+        if self.takes or self.pairs or self.annotations or self.videos:
             return ()
         return tuple(DuetOptions(name=name) for name in DEFAULT_DUETS)
 

@@ -11,7 +11,7 @@ from pasdedeux.choreography.duets import style_of
 from pasdedeux.errors import InputError, named
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
-from tasks.ingest.annotations import find_annotations
+from tasks.ingest.annotations import find_annotations, find_videos
 from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import (
     DuetOptions,
@@ -34,7 +34,7 @@ from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_perso
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
 from tasks.stage import Shard, StageInputs, StageName
 
-INGEST = StageName("ingest", 16)
+INGEST = StageName("ingest", 17)
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -76,6 +76,10 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
             shards.append(INGEST.shard(inputs, one.parameters.id, "annotations", one.parameters, files=one.files))
         if waiting:
             shards.append(INGEST.shard(inputs, options.id, "skipped", SkippedParameters(skipped=waiting)))
+    for film in parameters.videos:
+        is_held_out = film.take_id in parameters.held_out
+        for one in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
+            shards.append(INGEST.shard(inputs, one.parameters.id, "film", one.parameters, files=one.files))
     return shards
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.skeletons.layouts import KeypointLayout
 from storage_schema import SourceCredit
 from tasks.ingest.parameters import (
     AnnotationCommon,
@@ -96,6 +98,7 @@ class AnnotationParameters(AnnotationCommon):
         video_size_px: Its width and height.
         people: Rows of the table of who is who that are about its sequences.
         take_seconds: Only so much from the start of each sequence; None: all of it.
+        own_layout: TOML of a keypoint layout of the user's own, None without.
     """
 
     is_held_out: bool
@@ -104,3 +107,32 @@ class AnnotationParameters(AnnotationCommon):
     video_size_px: tuple[int, int] | None
     people: tuple[str, ...]
     take_seconds: float | None = None
+    own_layout: str | None = None
+
+    def keypoint_layout(self) -> str | KeypointLayout:
+        """Return the layout of the files: its name, "auto", or the user's own."""
+        return self.layout if self.own_layout is None else read_layout(self.own_layout)
+
+
+class FilmParameters(AnnotationParameters):
+    """The shard of a shot of a film.
+
+    Attributes:
+        num_given: Of its files the first are these, of key frames or detections; the film comes last.
+        num_networks: Then come these, of a detector.
+        is_key: The given files are key frames.
+        detect_every: The detector sees every so many frames.
+        first_number: Number of the film's first image.
+        first_frame: First frame of the shot, counted from the beginning of the film.
+        num_frames: Its length.
+        is_constant_rate: Whether the time stamps of the film are those of a constant rate.
+    """
+
+    num_given: int
+    num_networks: int
+    is_key: bool
+    detect_every: int
+    first_number: int
+    first_frame: int
+    num_frames: int
+    is_constant_rate: bool

@@ -12,6 +12,7 @@ from typing import Any
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
 from pasdedeux.formats.guess import UnitGuess, guess_unit
+from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
 from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
@@ -78,6 +79,20 @@ def read_again(file: SourceFile) -> bytes:
     if loaded.file.sha256 != file.sha256:
         raise InputError(f"file {file.path} changed since the run was planned; run again")
     return loaded.data
+
+
+def own_layout_of(path: Path | None) -> str | None:
+    """Return the text of a keypoint layout of the user's own, after a check.
+
+    Raises:
+        InputError: It is not there, or mangled.
+    """
+    if path is None:
+        return None
+    text = load_file(path).data.decode("utf-8", errors="replace")
+    with named(path.name):
+        read_layout(text)
+    return text
 
 
 def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str, Tables]) -> Layout:

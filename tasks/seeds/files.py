@@ -150,6 +150,14 @@ def _pair_file(store: Store, manifest: Manifest, pair_m: np.ndarray, made_from: 
     )
 
 
+def pair_in_store(store: Store, table: str, ref: ArtifactRef, row: int) -> PairFile:
+    """Return the pair in a row of a table with pairs, with its lineage; a draw in float64 as the chain had it."""
+    if table == "draws":
+        return pair_of_draw(store, f"draws@{ref.key}#{row}").pair
+    pair_m = store.read(ref, table, columns=["pair17_m"], rows=slice(row, row + 1))["pair17_m"][0]
+    return _pair_file(store, store.manifest(ref), np.array(pair_m, dtype=np.float64), f"{table}@{ref.key}#{row}")
+
+
 def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
     """Return the seeds that a reference names, each with its index, as `export` writes them.
 

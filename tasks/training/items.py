@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from pasdedeux.augmentation import AugmentationSettings, Source
 from pasdedeux.learning.model import TrainingItem, VariantRequest, mapped_item, mapped_source
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import ArtifactRef, Manifest, Store, TableData
 from tasks.augmentation import batch_of
+from tasks.curation import rejected_names
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.takes import TakeMotion, read_take
 
@@ -31,11 +33,21 @@ class _Home:
     is_failed: bool
 
 
+def _batches(store: Store, ref: ArtifactRef, columns: Sequence[str]) -> Iterator[TableData]:
+    return store.iter_batches(ref, "variants", columns=columns)
+
+
 class StoredVariants:
     """The variants of some artifacts, with their takes: read one at a time, when they are asked for."""
 
     def __init__(
-        self, store: Store, takes: Sequence[ArtifactRef], variants: Sequence[ArtifactRef], skeleton: str = BODY22.name
+        self,
+        store: Store,
+        takes: Sequence[ArtifactRef],
+        variants: Sequence[ArtifactRef],
+        skeleton: str = BODY22.name,
+        *,
+        rejected: Mapping[str, str] | None = None,
     ) -> None:
         self._store = store
         self._joints = MAPPED_SKELETONS.get(skeleton)
@@ -46,13 +58,16 @@ class StoredVariants:
         self._homes: dict[tuple[str, str], _Home] = {}
         for ref in variants:
             take_id = VariantFacts.of(store.manifest(ref)).take_id
+            own = {name: it for name, it in (rejected or {}).items() if name.partition("/")[0] == take_id}
+            refused = rejected_names(own, "variants", partial(_batches, store, ref))
             table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
             for row, variant_id in enumerate(table["variant_id"]):
-                home = _Home(ref, table["bone_scale"][row].reshape(2, -1), str(table["verdict"][row]) == "fail")
+                is_refused = str(table["verdict"][row]) == "fail" or f"{take_id}/{variant_id}" in refused
+                home = _Home(ref, table["bone_scale"][row].reshape(2, -1), is_refused)
                 self._homes[take_id, str(variant_id)] = home
 
     def sound(self, keys: Sequence[VariantKey]) -> list[VariantKey]:
-        """Return the variants that did not fail."""
+        """Return the variants that did not fail and are not rejected."""
         return [key for key in keys if not self._homes[key.take_id, key.variant_id].is_failed]
 
     def sound_names(self, take_id: str) -> list[tuple[str, str]]:
@@ -60,7 +75,7 @@ class StoredVariants:
         return [key for key, home in self._homes.items() if key[0] == take_id and not home.is_failed]
 
     def items(self, wanted: Sequence[tuple[str, str]]) -> Iterator[TrainingItem]:
-        """Read variants, named by take and variant, one at a time, artifact by artifact."""
+        """Read variants, named by take and variant, one artifact at a time."""
         by_ref: dict[ArtifactRef, set[str]] = {}
         for take_id, variant_id in wanted:
             by_ref.setdefault(self._homes[take_id, variant_id].ref, set()).add(variant_id)
@@ -69,12 +84,14 @@ class StoredVariants:
             take_id, batch = VariantFacts.of(manifest).take_id, batch_of(manifest)
             offset = 0
             sizes = self._store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
+            # At once: a part of a row group takes as long as all of it, and groups hold several variants.
+            motions = self._store.read(ref, "variants", columns=["body22_m"])["body22_m"]
             for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):
                 rows = slice(offset, offset + 2 * int(frames))
                 offset = rows.stop
                 if str(name) not in names:
                     continue
-                motion = self._store.read(ref, "variants", columns=["body22_m"], rows=rows)["body22_m"]
+                motion = motions[rows]
                 request = VariantRequest(
                     take_id=take_id,
                     source=self.takes[take_id].source,

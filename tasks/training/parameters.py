@@ -11,6 +11,7 @@ from pasdedeux.learning.registry import DEFAULT_MODELS, MODELS, model_class
 from pasdedeux.learning.splits import SPLIT_NAMES, SplitName
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
+from tasks.curation import CurationSettings
 from tasks.stage import Parameters, with_fields
 from tasks.sweep import SweptParameters
 
@@ -35,7 +36,7 @@ class NamedModel(NamedTuple):
 
 
 @with_fields(_SETTINGS_OF_MODELS)
-class TrainingParameters(SweptParameters):
+class TrainingParameters(CurationSettings, SweptParameters):
     """Which models are trained on which splits, and how."""
 
     splits: tuple[SplitName, ...] = Field(("cross_scale",), description=f"Splits: {', '.join(SPLIT_NAMES)}")
@@ -117,4 +118,5 @@ class SegmentParameters(Parameters):
     # Not in the key for `body22`: what was trained before there was another skeleton stays as it is.
     skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
     seed: int = Field(0, exclude_if=lambda seed: seed == 0)
+    rejected: dict[str, str] = Field({}, exclude_if=lambda rejected: not rejected)
     device: DeviceName = Field("auto", exclude_if=lambda name: name == "auto")

@@ -10,12 +10,13 @@ from pasdedeux.learning.registry import model_class
 from pasdedeux.learning.splits import Split, VariantKey, make_split
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations, variations
+from tasks.curation import rejections
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import SegmentParameters, TrainingParameters
 
-TRAINING = StageName("training", 11)
+TRAINING = StageName("training", 12)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
@@ -34,6 +35,8 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     test_takes = tuple(sorted(parameters.test_takes))
     _check_test_takes(test_takes, used)
     shards: list[Shard] = []
+    rejected = rejections(parameters.choices, "variants")
+    rejected = {name: content for name, content in rejected.items() if name.partition("/")[0] in used}
     models = parameters.named()
     for name in dict.fromkeys(split for model in models.values() for split in model.section.splits):
         split_variants(name, takes, variants, test_takes, inputs.seed)
@@ -58,6 +61,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
                         skeleton=section.skeleton,
                         seed=section.seed,
                         device=section.device,
+                        rejected=rejected,
                     ),
                     {"takes": takes, "variants": variants},
                     after=before + ((last[start],) if start is not None else ()),

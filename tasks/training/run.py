@@ -38,10 +38,14 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         refuse_without_torch(options.name, "training.models=MODELS, with those that need none")
     takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))
     split = split_variants(options.split, takes, variants_of, options.test_takes, shard.seed)
-    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), options.skeleton)
+    refs = shard.refs("takes"), shard.refs("variants")
+    variants = StoredVariants(store, *refs, options.skeleton, rejected=options.rejected)
     train, validation = variants.sound(split.train), variants.sound(split.validation)
     if not train and kind.is_trained:
-        raise InputError(f"split '{options.split}': every variant that it would learn from failed ({len(split.train)})")
+        raise InputError(
+            f"split '{options.split}': every variant that it would learn from failed or is rejected "
+            f"({len(split.train)})"
+        )
     done = {"models": None, "model_states": None} | {
         next(name for name in ("models", "model_states") if name in found.tables): found
         for found in followed(shard, store)

@@ -18,8 +18,8 @@ __all__ = ["SALSA_TAKES", "duet_couple", "salsa_couple"]
 Array = npt.NDArray[np.float64]
 
 SALSA_TAKES = ("01", "02", "03", "04", "05", "06", "07", "09", "10", "11", "12")
-_METRES_PER_UNIT = {"60": 1.263, "61": 1.191}
-_SALSA_HZ = 60.0  # the headers say 120
+SALSA_METRES_PER_UNIT = {"60": 1.263, "61": 1.191}
+SALSA_HZ = 60.0  # the headers say 120
 
 
 def _couple(motions: list[Motion], layout: str, rate_hz: float) -> Array:
@@ -37,7 +37,7 @@ def duet_couple(name: str, *, duration_s: float = 10.0, rate_hz: float = 30.0, v
 def salsa_couple(data_dir: Path, take: str, *, rate_hz: float = 30.0) -> Array:
     """Positions (frame, 2, 14, 3) of a real salsa take."""
     motions = []
-    for subject, unit in _METRES_PER_UNIT.items():
+    for subject, unit in SALSA_METRES_PER_UNIT.items():
         source = read_bvh((data_dir / "cmu_salsa_bvh" / f"{subject}_{take}.bvh").read_bytes())
-        motions.append(source.to_motion(metres_per_unit=unit, rate_hz=_SALSA_HZ))
+        motions.append(source.to_motion(metres_per_unit=unit, rate_hz=SALSA_HZ))
     return _couple(motions, "cmu_daz", rate_hz)

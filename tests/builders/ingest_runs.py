@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
 from pasdedeux.verdict import Verdict
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import ArtifactRef, Manifest, ShardRecord, Store, record_latest
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import Shard, StageInputs, verdict_of
 from tests.builders.source_samples import figure_motion
@@ -40,3 +40,12 @@ def write_figure_pair(folder: Path) -> tuple[Path, Path]:
     first.write_text(write_bvh(motion))
     second.write_text(write_bvh(place_motion(motion, translation_m=(1.0, 0.0, 0.0), yaw_rad=np.pi)))
     return first, second
+
+
+def duet_store(root: Path) -> tuple[Store, list[Manifest]]:
+    """Return a store with a waltz of a second at 12 Hz, on record as the study `short`, and the take."""
+    store = Store(root)
+    shards = planned(rate_hz=12.0, duets=[{"name": "waltz", "duration_s": 1.0}])
+    takes = list(run(store, [one for one in shards if one.name == "take"]).values())
+    record_latest(store, "short", "20260101T000000-short", {"ingest": [ShardRecord.of(one, store) for one in takes]})
+    return store, takes

@@ -8,6 +8,7 @@ from pasdedeux.cameras.frames import true_direction
 from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.cameras.virtual_video import frame_take, sample_views
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.sampling.annotations import AnnotatedPairs, shows_enough
 from pasdedeux.sampling.parameters import NUM_JOINTS, NUM_PER_PERSON
 from pasdedeux.skeletons import PAIR17
 
@@ -101,3 +102,10 @@ def block_indices(block: int) -> np.ndarray:
     person, joint = divmod(block, NUM_JOINTS)
     start = NUM_PER_PERSON * person
     return np.arange(start, start + 6) if joint == 0 else np.arange(start + 3 + 3 * joint, start + 6 + 3 * joint)
+
+
+def with_hidden(rng: np.random.Generator, pairs: AnnotatedPairs, share: float) -> AnnotatedPairs:
+    """Return the annotations that still show enough with a share of all joints hidden."""
+    points = np.where(rng.random((*pairs.points_m.shape[:3], 1)) < share, np.nan, pairs.points_m)
+    enough = shows_enough(points)
+    return AnnotatedPairs(points[enough], pairs.directions[enough], pairs.annotation_index[enough])

@@ -33,6 +33,7 @@ __all__ = [
     "digests",
     "graph",
     "never_begun",
+    "refused",
     "wait_until_gone",
 ]
 
@@ -131,6 +132,19 @@ def call_in_process(capsys: Any, *arguments: str | Path) -> Answer:
     return Answer(code, found.out, found.err)
 
 
+def refused(capsys: Any, study: Path, *more: str | Path, commands: Sequence[str] = ("run",)) -> str:
+    """Return the one sentence with which commands refuse a study; nothing may have been begun in `store` beside it."""
+    store, sentences = study.parent / "store", set()
+    for command in commands:
+        found = call_in_process(capsys, command, study, "--store", store, *more)
+        assert (found.code, found.out, found.err.count("\n")) == (2, "", 1), found
+        assert found.err.startswith("error: ")
+        sentences.add(found.err.removeprefix("error: ").rstrip())
+    assert never_begun(store)
+    assert len(sentences) == 1
+    return sentences.pop()
+
+
 @dataclass(frozen=True)
 class BuiltStudy:
     """A study that was built: its file, its store, and what the command said."""
@@ -193,7 +207,7 @@ class RealRun:
 
     def workers(self) -> list[psutil.Process]:
         """Return the Dask workers: processes that Python's multiprocessing spawned and that listen to the scheduler."""
-        return [p for p in self.descendants() if _command(p).find("spawn_main") >= 0]
+        return [p for p in self.descendants() if command_of(p).find("spawn_main") >= 0]
 
 
 def wait_until_gone(processes: Sequence[psutil.Process]) -> None:
@@ -201,7 +215,8 @@ def wait_until_gone(processes: Sequence[psutil.Process]) -> None:
     wait_until(lambda: not any(_is_running(p) for p in processes), "the run's processes to end", limit_s=60.0)
 
 
-def _command(process: psutil.Process) -> str:
+def command_of(process: psutil.Process) -> str:
+    """Return the command line of a process, empty where it is gone."""
     try:
         return " ".join(process.cmdline())
     except psutil.Error:

@@ -10,11 +10,14 @@ import numpy as np
 
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.c3d import write_c3d
+from pasdedeux.formats.cvat import write_cvat
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_npz
+from tests.builders.body_models import amass, body_model
 
 FIGURE_REST_M = {
     "pelvis": (0.0, 0.95, 0.0),
@@ -341,6 +344,14 @@ def positions_npz() -> bytes:
     return out.getvalue()
 
 
+def c3d_points(subjects: str = "A") -> bytes:
+    """Return the figure as labelled points of a C3D file, as often as there are letters, a metre beside each other."""
+    one, _ = figure_motion().world()
+    labels = [f"{subject}:{joint}" for subject in subjects for joint in BODY22.joint_names]
+    people = [one + np.array([1.0 * number, 0.0, 0.0]) for number in range(len(subjects))]
+    return write_c3d(np.concatenate(people, axis=1), labels, rate_hz=30.0, facts={"CREDIT": "made up"})
+
+
 _EXPI_SIDES = ("shoulder", "elbow", "wrist", "hip", "knee", "heel", "toes")
 EXPI_NAMES = [
     f"{who}-{joint}"
@@ -403,6 +414,8 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
     "rotation_rows": (ROTATION_ROWS.encode(), ROTATION_TEMPLATE.encode()),
     "positions_npz": (positions_npz(), b""),
     "expi": (expi_tsv(), b""),
+    "c3d": (c3d_points(), b""),
+    "smpl": (amass(), body_model()),
 }
 """A good file of every format of motions, and what must lie beside it."""
 
@@ -411,6 +424,7 @@ GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
     "coco": {"c.json": coco_text().encode()},
     "image_results": {f"w_{frame}.json": image_text("mmpose", seed=frame).encode() for frame in range(3)},
     "mediapipe": {"m.json": landmark_texts()["frames"].encode()},
+    "cvat": {"c.xml": write_cvat(read_annotation_csv(csv_text())).encode()},
     "annotation_csv": {"t.csv": csv_text().encode()},
     "annotation_npz": {"a.npz": write_annotation_npz(read_annotation_csv(csv_text()))},
 }

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from distributed import Client
 
+from flows.console.app import run_command_line
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, Selection, make_plan
@@ -54,6 +55,11 @@ def run_toys(
     run = Run(chosen, stages, Store(store), selection or Selection())
     plan = make_plan(chosen, stages, run.store, selection)
     return execute(run, begin(run, plan), plan, pool or HerePool(str(store)))
+
+
+def call(*arguments: str) -> int:
+    """Call the command line with the graph of the toys; gives its exit code."""
+    return run_command_line(arguments, graph=TOYS)
 
 
 def build_here(monkeypatch: pytest.MonkeyPatch) -> None:

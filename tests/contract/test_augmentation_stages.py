@@ -75,11 +75,6 @@ def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: b
     return put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts)
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
-
-
 def augment(store: Store, takes: list[Manifest], **parameters: Any) -> list[Manifest]:
     inputs = StageInputs({"poses": takes, "takes": takes}, seed=3)
     shards = augmentation.plan(inputs, AugmentationParameters(**parameters))
@@ -480,6 +475,7 @@ def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
         {"grid": {"start": 1.2, "stop": 0.8, "step": 0.1}},
         {"groups": ("wings",)},
         {"persons": ("cat",)},
+        {"kinds": ("spiral",)},
         {"limits": {"nonsense": (1, 2)}},
         {"contacts": {"pair": [{"joint_a": "nose", "joint_b": "head", "stop_frame": 3}]}},
         {"contacts": {"pair": [{"joint_a": "head", "joint_b": "head", "start_frame": 3, "stop_frame": 3}]}},

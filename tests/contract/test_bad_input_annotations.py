@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from storage_schema import Store, open_table
-from tests.builders.real_study import build_here, call_in_process, never_begun
+from tests.builders.real_study import build_here, refused
 from tests.builders.source_samples import csv_text, openpose_text
 
 STUDY = """
@@ -43,16 +43,6 @@ def write_study(folder: Path, options: str = "", *, path: str = "walk") -> Path:
     return study
 
 
-def refusal(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one sentence with which `run` refuses the study; nothing may have been begun."""
-    found = call_in_process(capsys, "run", folder / "bad.toml", "--store", folder / "store")
-    assert found.code == 2, found
-    assert (found.out, found.err.count("\n")) == ("", 1), found
-    assert "Traceback" not in found.err
-    assert never_begun(folder / "store")
-    return found.err.removeprefix("error: ").rstrip()
-
-
 @pytest.mark.parametrize(
     "text", ["", '{"version": 1.3, "people": [{"pose_keypoints_2d": [1, 2', "\x00\x00", '{"people": 3}']
 )
@@ -60,7 +50,7 @@ def test_an_unreadable_openpose_file_is_named_with_what_can_be_done(
     folder: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
     (folder / "walk" / name_of(3)).write_text(text)
-    found = refusal(folder, capsys)
+    found = refused(capsys, folder / "bad.toml")
     assert found.startswith(f"annotations walk: {name_of(3)}: ")
     assert found.endswith('(set on_unreadable = "skip" to go on without it)')
 
@@ -85,22 +75,22 @@ def test_a_folder_of_nothing_but_unreadable_files_is_refused_even_when_they_are_
     for frame in range(NUM_FRAMES):
         (folder / "walk" / name_of(frame)).write_text("{")
     write_study(folder, ', on_unreadable = "skip"')
-    assert "nobody was detected" in refusal(folder, capsys)
+    assert "nobody was detected" in refused(capsys, folder / "bad.toml")
 
 
 def test_coco_18_is_not_read_as_body_25(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_study(folder, ', layout = "body25"')
-    assert refusal(folder, capsys) == (
+    assert refused(capsys, folder / "bad.toml") == (
         "annotations walk: sequence 'walk': the layout 'body25' is asked for, but the files have 18 keypoints: 'coco18'"
     )
 
 
 def test_an_empty_folder_and_a_missing_one_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.rmtree(folder / "walk")
-    assert refusal(folder, capsys) == f"annotations walk: file {folder / 'walk'} does not exist"
+    assert refused(capsys, folder / "bad.toml") == f"annotations walk: file {folder / 'walk'} does not exist"
     (folder / "walk").mkdir()
     assert (
-        refusal(folder, capsys)
+        refused(capsys, folder / "bad.toml")
         == f"annotations walk: folder {folder / 'walk'} holds no files of 2D poses (.csv, .json, .npz)"
     )
 
@@ -110,7 +100,7 @@ def test_a_line_of_a_table_that_is_wrong_is_named(folder: Path, capsys: pytest.C
     lines[9] = lines[9].replace(",0.8", ",high")
     (folder / "walk.csv").write_text("\n".join(lines) + "\n")
     write_study(folder, path="walk.csv")
-    assert refusal(folder, capsys).startswith("annotations walk: walk.csv: line 10: ")
+    assert refused(capsys, folder / "bad.toml").startswith("annotations walk: walk.csv: line 10: ")
 
 
 def test_a_motion_file_in_the_place_of_2d_poses_is_called_by_its_kind(
@@ -119,7 +109,8 @@ def test_a_motion_file_in_the_place_of_2d_poses_is_called_by_its_kind(
     (folder / "walk.json").write_text("HIERARCHY\nROOT hips\n{\n}\n")
     write_study(folder, path="walk.json")
     assert (
-        refusal(folder, capsys) == "annotations walk: walk.json: this is a file of the kind 'bvh', not one of 2D poses"
+        refused(capsys, folder / "bad.toml")
+        == "annotations walk: walk.json: this is a file of the kind 'bvh', not one of 2D poses"
     )
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
-from tests.builders.real_study import call_in_process, never_begun
+from tests.builders.real_study import call_in_process, refused
 from tests.builders.source_samples import ASF, figure_motion
 
 STUDY = """
@@ -36,20 +36,6 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "61_01.bvh").write_text(write_bvh(facing))
     (tmp_path / "bad.toml").write_text(STUDY.format(options=""))
     return tmp_path
-
-
-def refusal(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one sentence with which `run` and `plan` refuse the study; nothing may have been begun."""
-    sentences = set()
-    for command in ("plan", "run"):
-        found = call_in_process(capsys, command, folder / "bad.toml", "--store", folder / "store")
-        assert (found.code, found.out, found.err.count("\n")) == (2, "", 1), found
-        assert found.err.startswith("error: ")
-        assert "Traceback" not in found.err
-        sentences.add(found.err.removeprefix("error: ").rstrip())
-    assert never_begun(folder / "store")
-    assert len(sentences) == 1
-    return sentences.pop()
 
 
 def written(data: bytes | str) -> Spoil:
@@ -134,6 +120,6 @@ def test_bad_files_are_named_with_their_take_and_what_is_wrong(
     folder: Path, capsys: pytest.CaptureFixture[str], spoil: Spoil, says: tuple[str, ...]
 ) -> None:
     spoil(folder)
-    found = refusal(folder, capsys).replace(str(folder), "FOLDER")
+    found = refused(capsys, folder / "bad.toml", commands=("plan", "run")).replace(str(folder), "FOLDER")
     assert found.startswith(f"take dance: {says[0]}")
     assert all(part in found for part in says)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from storage_schema import Store, verify
-from tests.builders.real_study import SMALL, Answer, RealRun, build_here, call_in_process, never_begun
+from tests.builders.real_study import SMALL, Answer, RealRun, build_here, call_in_process, refused
 
 ONE_TAKE = """
 [study]
@@ -22,17 +22,6 @@ duets = [{ name = "hug", duration_s = 1.0 }]
 rate_hz = 12.0
 virtual_video = { num_random_views = 4 }
 """
-
-
-def refuse(capsys: pytest.CaptureFixture[str], study: Path, *more: str | Path) -> str:
-    """Return what `run` says when it refuses a study; nothing may have been begun."""
-    store = study.parent / "store"
-    found = call_in_process(capsys, "run", study, "--store", store, *more)
-    assert found.code == 2, found
-    assert found.out == ""
-    assert "Traceback" not in found.err
-    assert never_begun(store)
-    return found.err.removeprefix("error: ").rstrip()
 
 
 def write(folder: Path, text: str) -> Path:
@@ -60,9 +49,7 @@ def test_what_a_study_says_wrongly_is_named_with_its_full_path(
 ) -> None:
     assert SMALL.count(old) == 1
     study = write(tmp_path, SMALL.replace(old, new))
-    found = refuse(capsys, study)
-    assert found.startswith(f"study {study}: {sentence}")
-    assert "\n" not in found
+    assert refused(capsys, study).startswith(f"study {study}: {sentence}")
 
 
 def test_a_split_that_leaves_nothing_to_test_on_is_refused_before_anything_is_computed(
@@ -70,7 +57,7 @@ def test_a_split_that_leaves_nothing_to_test_on_is_refused_before_anything_is_co
 ) -> None:
     near = SMALL.replace("scales = [0.75, 0.95, 1.05, 1.25]", "scales = [0.95, 1.05]")
     study = write(tmp_path, near + '\n[training]\nsplits = ["cross_scale"]\n')
-    found = refuse(capsys, study)
+    found = refused(capsys, study)
     assert "split 'cross_scale' has no test variant among 4 variants of 2 takes; it needs scales within" in found
 
 
@@ -142,7 +129,7 @@ def test_next_to_no_room_is_refused_before_any_work(
 ) -> None:
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 10**12 - 10**6, 10**6))
-    found = refuse(capsys, write(tmp_path, ONE_TAKE))
+    found = refused(capsys, write(tmp_path, ONE_TAKE))
     assert found == f"the disk of {tmp_path / 'store'} has 1 MB left; free some space first"
 
 

@@ -4,39 +4,55 @@ from __future__ import annotations
 
 import csv
 import errno
+import json
 import re
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
+import cv2
+import ezc3d
 import numpy as np
+import pybvh
+import pygltflib
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from flows.exports import EXPORT_FORMATS, export_format, export_reference
+from flows.exports import EXPORT_FORMATS, Export, export_format, export_reference
 from flows.exports.credits import add_notice
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, recognise_format
 from pasdedeux.learning.baselines import CopyModel
 from pasdedeux.learning.registry import read_weights
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.verdict import Level
 from storage_schema import (
     TABLES,
     ArtifactRef,
     ShardRecord,
     SourceCredit,
     Store,
+    TableData,
     open_table,
     parse_reference,
     record_latest,
     source_credits,
 )
+from storage_schema.encoding import encode
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
+from tests.builders.body_models import body_model
+from tests.builders.made_poses import NUM_LIFTED, put_made_poses
 from tests.builders.storage_rows import put, random_columns
 from tests.builders.stored_models import put_model
 
@@ -69,8 +85,18 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         facts={},
         sources=[CREDIT],
     )
+    put_made_poses(store)
     put_model(store, CopyModel(), "random", [one for one in store.artifacts("ingest") if "poses" in one.tables])
     return store
+
+
+def poses_of(text: str, store: Store) -> np.ndarray:
+    """Return what a reference names (frame, person, J, 3), of variants one after another."""
+    rows = open_table(text, store)
+    if text.startswith(("poses", "variants")):
+        order = np.lexsort((rows["person"], rows["frame"], *([rows["variant_id"]] if "variant_id" in rows else [])))
+        return rows["body22_m"][order].reshape(-1, 2, 22, 3)
+    return rows["pair17_m"]
 
 
 def references(store: Store) -> dict[str, str]:
@@ -99,14 +125,149 @@ def check_csv(paths: list[Path], text: str, store: Store) -> None:
     assert [len(line) for line in lines] == [len(header)] * rows.num_rows
 
 
+def options_of(name: str, folder: Path) -> dict[str, Any]:
+    """Return what a format cannot do without."""
+    if name != "smpl":
+        return {}
+    (folder / "body_model.npz").write_bytes(body_model("SMPL"))
+    return {"body_model": folder / "body_model.npz"}
+
+
+def names_in(paths: list[Path], suffix: str) -> list[Path]:
+    """Return the files of a kind in the order of their names, the text on units beside them."""
+    (units,) = [path for path in paths if path.name == "UNITS.txt"]
+    found = sorted(path for path in paths if path.suffix == suffix)
+    assert all(path.name.removesuffix(suffix) in units.read_text() for path in found)
+    return found
+
+
 def check_bvh(paths: list[Path], text: str, store: Store) -> None:
-    motions = [path for path in paths if path.suffix == ".bvh"]
-    assert len(motions) == 2 * (NUM_SEEDS if text.startswith("seeds") else 1)
+    motions = names_in(paths, ".bvh")
+    count = 15 if text.startswith(("poses", "variants")) else NUM_SEEDS if text.startswith("seeds") else NUM_LIFTED
+    assert [path.stem[-2:] for path in motions] == ["_A", "_B"] * (2 if text.startswith("variants") else 1)
     for path in motions:
         source = read_bvh(path.read_bytes())
-        assert source.num_frames == (1 if text.startswith("seeds") else 15)
+        assert source.num_frames == count
+        assert pybvh.read_bvh_file(path).frame_count == count
         stature = np.ptp(source.to_motion(metres_per_unit=0.01, rate_hz=30.0).world()[0][0], axis=0).max()
         assert 1.0 < stature < 2.5
+
+
+def check_glb(paths: list[Path], text: str, store: Store) -> None:
+    files = [pygltflib.GLTF2.load(str(path)) for path in names_in(paths, ".glb")]
+    for file in files:
+        assert [skin.name for skin in file.skins] == ["A", "B"]
+        assert "licence:" in file.asset.copyright
+        assert file.asset.extras["unit"] == "m"
+        assert "Y up" in file.asset.extras["axes"] or "y up" in file.asset.extras["axes"]
+    found = np.concatenate([joints_of(file) for file in files])
+    if text.startswith("motions"):
+        assert found.shape == (NUM_LIFTED, 2, 27, 3)
+        np.testing.assert_allclose(found[:, 1] - found[:, 0] - [1.0, 0.0, 0.0], 0.0, atol=1e-5)
+    else:
+        wanted = poses_of(text, store)
+        np.testing.assert_allclose(found[:, :, : wanted.shape[2]], wanted, atol=1e-4)
+
+
+def joints_of(file: pygltflib.GLTF2) -> np.ndarray:
+    """Return the joints (frame, person, J, 3) of a file, by its matrices, and check that bodies lie round them."""
+
+    def values(accessor: int, dtype: str = "<f4") -> np.ndarray:
+        one = file.accessors[accessor]
+        start = file.bufferViews[one.bufferView].byteOffset
+        stop = start + file.bufferViews[one.bufferView].byteLength
+        return np.frombuffer(file.binary_blob()[start:stop], dtype).reshape(one.count, -1)
+
+    (moving,) = file.animations
+    tracks = {(c.target.node, c.target.path): values(moving.samplers[c.sampler].output) for c in moving.channels}
+    num_frames = len(values(moving.samplers[0].input))
+    people = []
+    for skin, mesh in zip(file.skins, file.meshes, strict=True):
+        world = {skin.skeleton: np.eye(4)[None]}
+        for node in skin.joints:
+            own = file.nodes[node]
+            matrix = np.tile(np.eye(4), (num_frames, 1, 1))
+            matrix[:, :3, :3] = Rotation.from_quat(tracks[node, "rotation"]).as_matrix()
+            matrix[:, :3, 3] = tracks.get((node, "translation"), np.array(own.translation))
+            world[node] = world[node] @ matrix
+            world |= dict.fromkeys(own.children or (), world[node])
+        joints = np.stack([world[node] for node in skin.joints], axis=1)
+        people.append(joints[..., :3, 3])
+        bind = values(skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
+        shape = mesh.primitives[0].attributes
+        bound = values(shape.JOINTS_0, "<u2")[:, 0]
+        points = np.c_[values(shape.POSITION), np.ones(len(bound))]
+        posed = np.einsum("nij,nj->ni", (joints[0] @ bind)[bound], points)[:, :3]
+        near = np.linalg.norm(posed[:, None] - joints[0, None, :, :3, 3], axis=-1).min(axis=1)
+        assert near.max() < 0.3
+        faces = posed[values(mesh.primitives[0].indices, "<u4").reshape(-1, 3)]
+        assert np.einsum("ni,ni->", faces[:, 0], np.cross(faces[:, 1], faces[:, 2])) > 0, "faces look inwards"
+    return np.stack(people, axis=1)
+
+
+def check_c3d(paths: list[Path], text: str, store: Store) -> None:
+    files = [ezc3d.c3d(str(path)) for path in names_in(paths, ".c3d")]
+    point = files[0]["parameters"]["POINT"]
+    assert point["UNITS"]["value"] == ["mm"]
+    assert point["LABELS"]["value"][0] == "A:pelvis"
+    assert point["LABELS"]["value"][-1].startswith("B:")
+    assert "licence:" in "".join(files[0]["parameters"]["PASDEDEUX"]["CREDIT"]["value"])
+    found = np.concatenate([file["data"]["points"][:3].transpose(2, 1, 0) for file in files]) / 1e3
+    check_points(found, text, store)
+
+
+def check_trc(paths: list[Path], text: str, store: Store) -> None:
+    tables = []
+    for path in names_in(paths, ".trc"):
+        lines = path.read_text().split("\n")
+        head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
+        labels = lines[3].split("\t")[2::3]
+        assert (head["Units"], int(head["NumMarkers"])) == ("m", len(labels))
+        assert (labels[0], labels[-1][:2]) == ("A:pelvis", "B:")
+        rows = np.loadtxt(lines[6:], delimiter="\t", ndmin=2)
+        assert rows[:, 0].tolist() == list(range(1, int(head["NumFrames"]) + 1))
+        tables.append(rows[:, 2:].reshape(len(rows), -1, 3))
+    check_points(np.concatenate(tables), text, store)
+
+
+def check_points(found: np.ndarray, text: str, store: Store) -> None:
+    if text.startswith("motions"):
+        assert found.shape == (NUM_LIFTED, 44, 3)
+    else:
+        wanted = poses_of(text, store)
+        np.testing.assert_allclose(found.reshape(wanted.shape), wanted, atol=1e-5)
+
+
+def check_smpl(paths: list[Path], text: str, store: Store) -> None:
+    found = names_in(paths, ".npz")
+    assert [path.stem[-2:] for path in found] == ["_A", "_B"] * (2 if text.startswith("variants") else 1)
+    for path in found:
+        source = MOTION_FORMATS["smpl"].read(path.read_bytes(), body_model("SMPL"))
+        assert source.num_frames == (NUM_LIFTED if text.startswith("motions") else 15)
+        assert "licence:" in str(np.load(path)["credit"])
+
+
+def check_coco(paths: list[Path], text: str, store: Store) -> None:
+    (path,) = paths
+    rows, content = open_table(text, store), json.loads(path.read_text())
+    assert "licence: Apache-2.0" in content["info"]["contributor"]
+    assert content["licenses"][0]["name"] == "Apache-2.0"
+    assert content["categories"][0]["keypoints"] == list(KEYPOINT_LAYOUTS[rows["layout"][0]].keypoint_names)
+    assert [one["num_keypoints"] for one in content["annotations"]] == (rows["pair17_confidence"] > 0).sum(1).tolist()
+    kind = ANNOTATION_FORMATS["coco"]
+    assert recognise_format(path.read_bytes()) is kind
+    read = kind.read({path.name: path.read_bytes()}, sequence_id="s")
+    assert (read.frame.tolist(), read.person_id.tolist()) == (rows["frame"].tolist(), rows["person_id"].tolist())
+    np.testing.assert_allclose(read.keypoints_px.ravel(), np.concatenate(rows["keypoints_px"]), atol=1e-3)
+
+
+def check_mp4(paths: list[Path], text: str, store: Store) -> None:
+    (path,) = names_in(paths, ".mp4")
+    video = cv2.VideoCapture(str(path))
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == NUM_LIFTED
+    is_read, image = video.read()
+    assert is_read
+    assert (np.ptp(image, axis=-1) > 60).sum() > 200, "nobody is drawn"
 
 
 def check_json(paths: list[Path], text: str, store: Store) -> None:
@@ -128,6 +289,12 @@ READ_BACK: dict[str, Callable[[list[Path], str, Store], None]] = {
     "npz": check_npz,
     "csv": check_csv,
     "bvh": check_bvh,
+    "glb": check_glb,
+    "c3d": check_c3d,
+    "trc": check_trc,
+    "smpl": check_smpl,
+    "coco": check_coco,
+    "mp4": check_mp4,
     "json": check_json,
     "safetensors": check_safetensors,
 }
@@ -162,21 +329,17 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
         out = tmp_path / table
         if not kind.can_write(parse_reference(text)):
             with pytest.raises(InputError) as found:
-                export_reference(store, text, name, out)
+                export_reference(store, text, name, out, **options_of(name, tmp_path))
             sentence = str(found.value)
             assert sentence == f"'{text}' cannot be written as {name.upper()}; allowed are {kind.writes}"
             assert not out.exists()
             continue
-        *written, notice = export_reference(store, text, name, out)
+        *written, notice = export_reference(store, text, name, out, **options_of(name, tmp_path))
         READ_BACK[name](written, text, store)
-        (source,) = {
-            one
-            for manifest in store.artifacts()
-            if manifest.ref.key in text
-            for one in source_credits(store, manifest.ref)
-        }
+        (manifest,) = [one for one in store.artifacts() if one.ref.key in text]
         assert notice.name == "CREDITS.txt"
-        assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
+        for source in source_credits(store, manifest.ref):
+            assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
         num_written += 1
     assert num_written > 0
 
@@ -209,7 +372,7 @@ def named(store: Store, name: str, into: Store) -> None:
 NASTY = ("../ESCAPED", "/etc/passwd", "..", "a/b", "a\\b", "a\0b", "", "~", "con:", "x" * 300, "take\n1", "-rf", "ä")
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(NASTY) | st.text(st.characters(exclude_categories=["Cs"]), max_size=40))
 @example(name="../ESCAPED")
 @example(name="60_03.b-1")
@@ -217,6 +380,7 @@ def test_no_name_in_rows_leads_out_of_the_folder_whatever_the_format(
     store: Store, tmp_path_factory: pytest.TempPathFactory, name: str
 ) -> None:
     folder = tmp_path_factory.mktemp("named")
+    options_of("smpl", folder)
     copy = Store(folder / "store")
     named(store, name, copy)
     before = {path for path in folder.rglob("*") if path.is_file()}
@@ -224,7 +388,7 @@ def test_no_name_in_rows_leads_out_of_the_folder_whatever_the_format(
         out = folder / "out" / str(number) / "here"
         if export_format(file_format).can_write(parse_reference(text)):
             with suppress(InputError):
-                export_reference(copy, text, file_format, out)
+                export_reference(copy, text, file_format, out, **options_of(file_format, folder))
             assert (out / "CREDITS.txt").is_file()
             assert all(path.parent == out and path.is_file() for path in out.rglob("*")), (file_format, table)
         there = {path for path in folder.rglob("*") if path.is_file() and out not in path.parents}
@@ -282,7 +446,7 @@ def test_credits_of_folders_that_somebody_has_joined_are_kept(store: Store, tmp_
 
 def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tmp_path: Path) -> None:
     text = references(store)["poses"]
-    with pytest.raises(InputError, match=r"chosen for BVH files of poses and variants, not for 'poses@.*' as CSV"):
+    with pytest.raises(InputError, match=r"chosen for BVH files of poses and variants, .* not for 'poses@.*' as CSV"):
         export_reference(store, text, "csv", tmp_path, rest_pose="standing")
     with pytest.raises(InputError, match=r"not for 'seeds@.*' as BVH"):
         export_reference(store, references(store)["seeds"], "bvh", tmp_path, units="m")
@@ -291,3 +455,91 @@ def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tm
 def test_an_unknown_format_is_answered_with_the_known_ones(store: Store, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'fbx' is not known; known formats: " + ", ".join(EXPORT_FORMATS)):
         export_reference(store, references(store)["poses"], "fbx", tmp_path)
+
+
+def test_what_is_worse_than_asked_for_lies_apart(store: Store, tmp_path: Path) -> None:
+    text = references(store)["variants"]
+    for file_format in ("glb", "bvh", "c3d"):
+        out = tmp_path / file_format
+        export_reference(store, text, file_format, out, verdict=Level.PASS)
+        folders = {path.name: path.parent.relative_to(out).as_posix() for path in out.rglob(f"*.{file_format}")}
+        assert {name.split("_")[1].split(".")[0]: at for name, at in folders.items()} == {
+            "same": ".",
+            "bad": "not_good",
+        }
+        units = (out / "UNITS.txt").read_text()
+        assert "not_good/waltz_bad" in units
+        assert "\nwaltz_same" in units
+    with pytest.raises(InputError, match="--verdict is for bvh, glb, c3d, trc, smpl, mp4, not for csv"):
+        export_reference(store, text, "csv", tmp_path / "csv", verdict=Level.PASS)
+
+
+def test_a_result_is_drawn_on_the_footage_that_is_named(store: Store, tmp_path: Path) -> None:
+    text, film = references(store)["in_betweens"], tmp_path / "film.mp4"
+    rows = open_table(references(store)["annotations"], store)
+    size = int(rows["image_width_px"][0]), int(rows["image_height_px"][0])
+    video = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, size)
+    for level in (0, 60, 120, 180):
+        video.write(np.full((size[1], size[0], 3), level, np.uint8))
+    video.release()
+    (path, *_) = export_reference(store, text, "mp4", tmp_path / "out", footage=film)
+    drawn = cv2.VideoCapture(str(path))
+    levels = [float(np.median(drawn.read()[1])) for _ in range(NUM_LIFTED)]
+    np.testing.assert_allclose(levels, [60, 120, 180], atol=10)  # frames 1 to 3
+    with pytest.raises(InputError, match=r"footage film\.mp4 has no frame 4"):
+        export_reference(store, references(store)["lifted_pairs"], "mp4", tmp_path / "out", footage=film)
+    (tmp_path / "notes.txt").write_text("no film")
+    with pytest.raises(InputError, match=r"footage notes\.txt is no video"):
+        export_reference(store, text, "mp4", tmp_path / "out", footage=tmp_path / "notes.txt")
+
+
+def test_selected_pairs_leave_as_poses_those_of_doubtful_chains_apart(store: Store, tmp_path: Path) -> None:
+    columns = random_columns("selected_pairs", 2) | {
+        "verdict": ["pass", "fail"],
+        "reference": ["draws@a#0", "draws@b#1"],
+    }
+    rows = TableData(TABLES["selected_pairs"], encode(TABLES["selected_pairs"], columns))
+    reference = parse_reference(references(store)["draws"])
+    export = Export(store, "x", replace(reference, table="selected_pairs"), (), selected=rows, verdict=Level.WARN)
+    files = {path.relative_to(tmp_path).as_posix() for path in export_format("c3d").write(export, tmp_path)}
+    assert files == {"selected_pairs_pass.c3d", "not_good/selected_pairs_fail.c3d", "UNITS.txt"}
+
+
+def test_contacts_go_out_as_a_table_with_points_on_both_bodies(store: Store, tmp_path: Path) -> None:
+    path, notice = export_reference(store, references(store)["poses"].replace("poses", "contacts"), "npz", tmp_path)
+    assert (path.name, notice.name) == ("contacts.npz", "CREDITS.txt")
+    with np.load(path) as archive:
+        rows = dict(archive)
+    assert list(rows) == [column.name for column in TABLES["contacts"].columns]
+    body = dict(zip("AB", np.moveaxis(poses_of(references(store)["poses"], store), 1, 0), strict=True))
+    assert len(rows["frame"]) > 20
+    for row in range(len(rows["frame"])):
+        for who, bone, share, point in (
+            (rows["person"], rows["bone"], rows["share"], rows["point_m"]),
+            (rows["partner"], rows["partner_bone"], rows["partner_share"], rows["partner_point_m"]),
+        ):
+            child = BODY22.index(str(bone[row]))
+            start, end = (body[str(who[row])][rows["frame"][row], one] for one in (BODY22.parents[child], child))
+            np.testing.assert_allclose(point[row], start + share[row] * (end - start), atol=1e-5)
+    between = np.linalg.norm(rows["point_m"] - rows["partner_point_m"], axis=-1)
+    np.testing.assert_allclose(rows["distance_m"], between, atol=1e-5)
+    assert (rows["gap_m"] < rows["distance_m"]).all()
+    assert np.abs(rows["gap_m"][rows["is_held"]]).max() < 0.2
+    np.testing.assert_array_equal(rows["is_held"], rows["weight"] >= 0.5)
+
+
+def test_contacts_of_variants_and_reconstructions_are_named_by_them(store: Store, tmp_path: Path) -> None:
+    texts = {table: references(store)[table].replace(table, "contacts") for table in ("variants", "motions")}
+    path, _ = export_reference(store, texts["variants"], "csv", tmp_path / "variants")
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["origin"], row["take_id"], row["variant_id"]) for row in rows} == {
+        ("variants", "waltz", "bad"),
+        ("variants", "waltz", "same"),
+    }
+    path, _ = export_reference(store, texts["motions"], "npz", tmp_path / "motions")
+    assert len(np.load(path)["frame"]) == 0  # they stand a metre apart
+    with pytest.raises(InputError, match="cannot be written as GLB"):
+        export_reference(store, texts["motions"], "glb", tmp_path / "glb")
+    with pytest.raises(InputError, match="here are none"):
+        export_reference(store, references(store)["seeds"].replace("seeds", "contacts"), "npz", tmp_path / "none")

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from pasdedeux.errors import FormatError, InputError
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level
 from storage_schema import Store
@@ -68,26 +66,6 @@ def test_a_preview_takes_the_first_frames_of_each_sequence_and_of_the_table_of_w
     assert (whole.facts["num_frames"], short.facts["num_frames"]) == (6, 3)
     rows = store.read(short.ref, "annotations")
     assert rows["frame"].tolist() == [0, 0, 1, 1, 2, 2]
-
-
-def test_an_unreadable_openpose_frame_is_named_or_skipped_and_counted(tmp_path: Path) -> None:
-    write_openpose(tmp_path / "walk")
-    bad = tmp_path / "walk" / "w_000000000003_keypoints.json"
-    bad.write_text(bad.read_text()[:40])
-    section = {"id": "walk", "path": tmp_path / "walk"}
-    with pytest.raises(FormatError, match=r"annotations walk: w_000000000003_keypoints.json: .*on_unreadable"):
-        planned(annotations=[section])
-    shards = planned(annotations=[section | {"on_unreadable": "skip"}])
-    manifest = run(Store(tmp_path / "store"), shards)["walk", "annotations"]
-    assert manifest.facts["num_skipped_frames"] == 1
-    assert manifest.facts["skipped_files"] == [bad.name]
-    assert manifest.facts["num_frames"] == 5
-
-
-def test_a_wrong_layout_is_refused_while_planning(tmp_path: Path) -> None:
-    write_openpose(tmp_path / "walk")
-    with pytest.raises(InputError, match=r"annotations walk: .*'body25' is asked for, but the files have 18"):
-        planned(annotations=[{"id": "walk", "path": tmp_path / "walk", "layout": "body25"}])
 
 
 def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Path) -> None:

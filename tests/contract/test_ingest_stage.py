@@ -146,16 +146,6 @@ def test_results_are_the_same_whoever_computes_them(tmp_path: Path, pair: tuple[
     assert {k: m.ref.content_digest for k, m in first.items()} == {k: m.ref.content_digest for k, m in second.items()}
 
 
-def test_a_licence_is_in_no_content(tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    """What was made of a take is not made again where its licence alone is said anew."""
-    found = [
-        run(Store(tmp_path / "store"), planned(takes=[{"id": "d", "files": list(pair), "licence": licence}]))
-        for licence in ("CC-BY-4.0", "CC-BY-NC-ND-4.0")
-    ]
-    assert [one["d", "take"].sources[0].licence for one in found] == ["CC-BY-4.0", "CC-BY-NC-ND-4.0"]
-    assert [one.ref for one in found[0].values()] == [one.ref for one in found[1].values()]
-
-
 def test_no_path_is_in_a_key(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     moved = tmp_path / "elsewhere"
     moved.mkdir()
@@ -308,7 +298,7 @@ def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     # The figure of the tests slides, and both people are it.
     quiet = {
         "virtual_video": {"num_videos": 0, "num_random_views": 0},
-        "capture": {"limits": {"skate_m_s": [9, 9], "twin_m": [0, 0]}},
+        "capture": {"limits": {"skate_m_s": [9, 9], "twin_m": [0, 0], "body_difference_m": [0, 0]}},
     }
     takes = [{"id": "two", "files": list(pair)}, {"id": "one", "files": [pair[0]]}]
     found = run(store, planned(takes=takes, **quiet))

@@ -101,6 +101,10 @@ def cut_off(data: bytes) -> bytes:
 
 def with_last_number(data: bytes, word: str) -> bytes:
     """Put a word in the place of a file's last number."""
+    if data[1:2] == b"P" and data[0] < ord(" "):  # a C3D file, whose last number is a float before zeros
+        bare = data.rstrip(b"\0")
+        number = np.float32(np.nan).tobytes() if word == "nan" else word.encode()
+        return bare[:-4] + number + data[len(bare) :]
     if data[:2] != b"PK":
         *_, last = NUMBER.finditer(data)
         return data[: last.start()] + word.encode() + data[last.end() :]

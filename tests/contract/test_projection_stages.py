@@ -79,11 +79,6 @@ def put_video(
     return manifest, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
-
-
 def build(
     store: Store, takes: list[Manifest], *, settings: dict[str, Any] | None = None, **tables: list[Manifest]
 ) -> list[Manifest]:

@@ -17,7 +17,7 @@ from flows.outcomes import Run
 from flows.planning import make_plan
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_bvh, write_pair_json
+from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
@@ -27,6 +27,7 @@ from tasks.seeds import SeedsParameters
 from tasks.seeds.files import SeedFile, pair_of_draw
 from tasks.shards import HerePool
 from tasks.stage import StageInputs
+from tests.builders.made_poses import pair_bvh
 from tests.builders.real_study import build_here, call_in_process, never_begun
 
 PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
@@ -82,7 +83,7 @@ def test_a_seed_of_a_file_is_the_pair_in_it_with_its_lineage(tmp_path: Path) -> 
 
 
 def test_a_seed_of_two_bvh_files_is_the_pair_in_them(tmp_path: Path) -> None:
-    for name, text in zip("ab", write_pair_bvh(PAIR), strict=True):
+    for name, text in zip("ab", pair_bvh(PAIR), strict=True):
         (tmp_path / f"{name}.bvh").write_text(text)
     store = Store(tmp_path / "store")
     (made,) = planned(store, SeedFile(path=tmp_path / "a.bvh", other=tmp_path / "b.bvh"))
@@ -252,7 +253,7 @@ def test_exported_seeds_and_draws_come_in_again(tmp_path: Path) -> None:
     as_json = export_reference(store, "seeds:edited", "json", out)
     assert [path.name for path in as_json] == ["seed0.json", "seed1.json", "CREDITS.txt"]
     as_bvh = export_reference(store, "seeds:edited#1", "bvh", out)
-    assert [path.name for path in as_bvh] == ["seed1_A.bvh", "seed1_B.bvh", "CREDITS.txt"]
+    assert [path.name for path in as_bvh] == ["seed1_A.bvh", "seed1_B.bvh", "UNITS.txt", "CREDITS.txt"]
     (exact,) = planned(store, SeedFile(path=out / "seed1.json"))
     (close,) = planned(store, SeedFile(path=out / "seed1_A.bvh", other=out / "seed1_B.bvh"))
     np.testing.assert_allclose(store.read(exact.ref, "seeds")["pair17_m"][0], seed[1], atol=1e-12)

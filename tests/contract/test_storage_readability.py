@@ -71,11 +71,7 @@ def test_pyarrow_reads_every_table_with_its_metadata(files: dict[str, Path], nam
 @pytest.mark.parametrize("name", TABLES)
 def test_pandas_reads_every_table(files: dict[str, Path], name: str) -> None:
     found = pd.read_parquet(files[name])
-    columns = {
-        str(column): [None if pd.api.types.is_scalar(row) and pd.isna(row) else row for row in found[column]]
-        for column in found
-    }
-    assert_rows(TABLES[name], columns)
+    assert_rows(TABLES[name], {str(column): [_none_where_missing(row) for row in found[column]] for column in found})
 
 
 def _none_where_missing(value: object) -> object:

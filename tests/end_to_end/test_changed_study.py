@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from flows.planning import Selection
 from storage_schema import Store
-from tests.builders.real_study import BuiltStudy, build_here, call_in_process, digests, graph
-from tests.builders.toy_runs import run_toys
+from tests.builders.real_study import BuiltStudy, build_here, call_in_process, digests
 
 pytestmark = pytest.mark.slow
 
@@ -116,29 +114,3 @@ def test_another_title_of_the_report_rebuilds_the_report_alone(
     assert shards[0]["reason"].startswith("evaluation.title ")
     store = small.copy_store(tmp_path)
     assert build_here(small.study, store, setting)["evaluation"] == 1
-
-
-def test_lost_files_are_made_again_with_the_same_bytes(
-    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store = small.copy_store(tmp_path)
-    manifest = next(m for m in Store(store).artifacts("views"))
-    (store / "views" / manifest.ref.key[:2] / manifest.ref.key / "views.parquet").unlink()
-    found = call_in_process(capsys, "plan", small.study, "--store", store, "--json").json
-    (views,) = [stage for stage in found["stages"] if stage["stage"] == "views"]
-    assert reasons(views) == {"missing: its files are missing or incomplete"}
-    computed = build_here(small.study, store)
-    assert {name: count for name, count in computed.items() if count} == {"views": 1}
-    assert digests(store) == digests(small.store)
-
-
-def test_a_forced_stage_is_computed_again_and_nothing_after_it_when_its_bytes_are_the_same(
-    small: BuiltStudy, tmp_path: Path
-) -> None:
-    store = small.copy_store(tmp_path)
-    outcome = run_toys(small.study, store, graph=graph(), selection=Selection(force=("priors", "training")))
-    assert {stage.name: stage.num_computed for stage in outcome.stages if stage.num_computed} == {
-        "priors": 1,
-        "training": 3,
-    }
-    assert digests(store) == digests(small.store)

@@ -26,7 +26,7 @@ from pathlib import Path
 import psutil
 
 from storage_schema import Store, verify
-from tests.builders.real_study import RealRun, committed, digests, wait_until_gone
+from tests.builders.real_study import RealRun, command_of, committed, digests, wait_until_gone
 from tests.builders.toy_runs import Outside, run_toys, write_study
 
 VICTIMS = ("worker", "flow", "all workers", "Prefect's server", "scheduler")
@@ -44,7 +44,7 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="soak-") as folder:
         counts, problems = soak(Path(folder), 60 * options.minutes, options.every)
-        left = [p.pid for p in psutil.process_iter() if p.pid != os.getpid() and folder in " ".join(_command(p))]
+        left = [p.pid for p in psutil.process_iter() if p.pid != os.getpid() and folder in command_of(p)]
     if left:
         problems.append(f"processes are left: {left}")
     sys.stdout.write(json.dumps({**counts, "problems": problems}, indent=1) + "\n")
@@ -128,18 +128,11 @@ def kill(run: RealRun, victim: str, outside: Outside | None) -> bool:
             return True
         found = run.workers()
         if victim == "Prefect's server":
-            found = [process for process in run.descendants() if "flows.prefect_server" in _command(process)]
+            found = [process for process in run.descendants() if "flows.prefect_server" in command_of(process)]
         for process in found if victim == "all workers" else found[:1]:
             process.kill()
         return bool(found)
     return False
-
-
-def _command(process: psutil.Process) -> list[str]:
-    try:
-        return list(process.cmdline())
-    except psutil.Error:
-        return []
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from flows.records import describe_runs
 from storage_schema import Store
 from tasks.shards import ClusterError, ClusterPool, ClusterSettings, connect
 from tasks.shards.cluster import DEATHS_ALLOWED
+from tests.builders.real_study import wait_until_gone
 from tests.builders.toy_runs import ROOT, Outside, Started, digests, run_toys, wait_until, write_study
 
 pytestmark = pytest.mark.slow
@@ -36,14 +37,6 @@ with connect(ClusterSettings(scheduler=sys.argv[1]), store_root=sys.argv[2]):
     os.kill(os.getpid(), 9)
 """
 Start = Callable[..., Started]
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """Digests of a run that nothing happened to, computed one shard after the other in this process."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    run_toys(write_study(folder), folder / "store")
-    return digests(folder / "store")
 
 
 @pytest.fixture(scope="module")
@@ -73,17 +66,6 @@ def hold(folder: Path, name: str) -> Path:
 
 def descendants(run: Started) -> list[psutil.Process]:
     return psutil.Process(run.process.pid).children(recursive=True)
-
-
-def wait_until_gone(processes: list[psutil.Process]) -> None:
-    wait_until(lambda: not any(_is_running(p) for p in processes), "the run's processes to end", limit_s=60)
-
-
-def _is_running(process: psutil.Process) -> bool:
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 def test_a_run_killed_in_mid_stage_leaves_no_process_and_the_next_one_computes_only_the_rest(

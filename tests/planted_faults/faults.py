@@ -125,7 +125,7 @@ FAULTS = (
           "others.append(pairs[~is_chosen & ~is_held_out])", "others.append(pairs)",
           "contract/test_coverage_topic.py::test_real_pairs_that_cover_are_not_those_to_be_covered"),
     Fault("held-out takes enter the projection database", "tasks/projections.py",
-          'if shown.is_held_out:', "if False:", "contract/test_projection_stages.py::"
+          'if not take.is_held_out', "if True", "contract/test_projection_stages.py::"
           "test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database"),
     Fault("a sequence is matched against its own take", "tasks/reconstruction.py",
           'if not shares_takes(manifest, database)', "if database is not None",

@@ -74,7 +74,9 @@ def write_and_read(columns: dict, table: Table = ANY, cuts: tuple[int, ...] = ()
 
 @given(st.lists(ROW, max_size=6), st.tuples(st.integers(0, 6), st.integers(0, 6)))
 @settings(max_examples=60, deadline=None)
-def test_every_row_comes_back_as_it_was_given(rows: list[dict], cuts: tuple[int, int]) -> None:
+def test_every_row_comes_back_as_it_was_given_and_is_written_again_with_the_same_bytes(
+    rows: list[dict], cuts: tuple[int, int]
+) -> None:
     columns = {column.name: [row[column.name] for row in rows] for column in ANY.columns}
     found, data = write_and_read(columns)
     assert found.num_rows == len(rows)
@@ -82,14 +84,7 @@ def test_every_row_comes_back_as_it_was_given(rows: list[dict], cuts: tuple[int,
     for name, values in columns.items():
         assert_same_values(found[name], values)
     assert write_and_read(columns, cuts=cuts)[1] == data
-
-
-@given(st.lists(ROW, max_size=6))
-@settings(max_examples=30, deadline=None)
-def test_what_is_read_can_be_written_again_with_the_same_bytes(rows: list[dict]) -> None:
-    columns = {column.name: [row[column.name] for row in rows] for column in ANY.columns}
-    found, data = write_and_read(columns)
-    assert write_and_read({name: found[name] for name in found})[1] == data
+    assert write_and_read({name: found[name] for name in found})[1] == data, "what was read is written the same"
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -125,7 +125,7 @@ def test_a_video_and_images_are_answered_with_what_to_run_first(tmp_path: Path, 
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"\0")
-    with pytest.raises(InputError, match=r"detected first, for example with RTMPose .* or OpenPose"):
+    with pytest.raises(InputError, match=r"annotated or detected: give key frames \(--keys FILE\), .* or a detector"):
         found_in(path if path.suffix != ".jpg" else path.parent)
 
 

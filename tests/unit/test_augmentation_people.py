@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, UserContact, uniform_variations
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
@@ -79,9 +78,3 @@ def test_a_take_in_which_nobody_ever_stands_is_warned_of_unless_its_floor_is_sai
         (variant,) = augmenter.solve(uniform_variations([0.95], ["A"], 1))
         assert variant.verdict.level is level
         assert ("nobody ever stands" in variant.verdict.reason) == (level is Level.WARN)
-
-
-def test_contacts_of_somebody_who_is_not_there_are_refused() -> None:
-    stated = UserContact(joint_a="head", joint_b="head", person_a="B", person_b="D", stop_frame=5)
-    with pytest.raises(InputError, match="contact of B's head and D's head, but the people are A, B, C"):
-        Augmenter(Source(swaying_people(3, 8), 30.0), user_contacts=[stated])

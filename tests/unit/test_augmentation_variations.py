@@ -1,8 +1,5 @@
-from typing import Any
-
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from pasdedeux.augmentation import LIMB_GROUPS, VariationSettings, uniform_variations
 from pasdedeux.augmentation.variations import (
@@ -72,16 +69,3 @@ def test_a_scale_that_is_not_positive_is_refused_with_its_bone(scale: float) -> 
 def test_scales_of_the_wrong_length_are_refused() -> None:
     with pytest.raises(InputError, match=r"shape \(2, 21\), expected \(2, 22\)"):
         Variation("bad", np.ones((2, 21)))
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"persons": ("cat",)},
-        {"groups": ("wings",)},
-        {"kinds": ("spiral",)},
-    ],
-)
-def test_variations_that_cannot_be_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError):
-        VariationSettings.model_validate(settings)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.figure import complete_limits, limits_of
+from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.plausibility.capture import JUDGED, check_capture, judge_capture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -77,6 +78,29 @@ def test_the_built_in_duets_pass_at_any_rate(name: str) -> None:
         assert judged(duet(name, rate_hz), rate_hz) == Verdict(Level.PASS)
 
 
+def test_two_of_one_body_are_doubted_though_they_move_each_in_their_own_way() -> None:
+    pair = duet("waltz", 30.0)
+    lengths = bone_lengths(BODY22, pair[0, 0])
+    same = np.stack(
+        [place_bones(BODY22, pair[:, 0, 0], bone_directions(BODY22, pair[:, 0]), 1.04 * lengths), pair[:, 1]], 1
+    )
+    twin = place_bones(BODY22, pair[:, 1, 0], bone_directions(BODY22, pair[:, 1]), 1.04 * lengths)
+    assert judged(same, 30.0).level is Level.PASS
+    verdict = judged(np.stack([same[:, 0], twin], axis=1), 30.0)
+    assert verdict.level is Level.WARN
+    assert "the partners have one body" in verdict.reason
+
+
+def test_how_deep_people_are_in_each_other_is_said() -> None:
+    hug, deep = duet("hug", 30.0), duet("hug", 30.0).copy()
+    assert check_capture(hug, rate_hz=30.0)[0].penetration_m < 0.05
+    axis = deep[:, 1, :1] - deep[:, 0, :1]
+    deep[:, 1] -= axis * [1.0, 0.0, 1.0]
+    found = check_capture(deep, rate_hz=30.0)[0]
+    assert 0.12 < found.penetration_m < 0.2
+    assert f"people are {found.penetration_m:.2f} m inside each other" in judged(deep, 30.0).reason
+
+
 def test_one_of_three_who_is_far_away_or_another_twice_is_noticed() -> None:
     away, twice = (duet("trio", 30.0).copy() for _ in range(2))
     away[:, 2] += [7.0, 0.0, 0.0]
@@ -122,7 +146,7 @@ def test_a_limit_is_what_the_study_says() -> None:
 def test_one_person_and_a_single_frame_have_figures() -> None:
     for frames in (1, 2, 5, 240):
         (alone,) = check_capture(duet("waltz", 30.0)[:frames, :1], rate_hz=30.0)
-        assert np.isnan([alone.distance_m, alone.trunk_m, alone.twin_m]).all()
+        assert np.isnan([alone.distance_m, alone.trunk_m, alone.penetration_m, alone.twin_m]).all()
         assert not alone.complaints(LIMITS)
 
 

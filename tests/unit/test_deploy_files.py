@@ -133,7 +133,7 @@ def test_prefects_telemetry_is_off_wherever_a_server_is_started() -> None:
     assert COMPOSE["services"]["prefect"]["build"] == COMPOSE["services"]["builder"]["build"]
     assert all("DO_NOT_TRACK=1" in path.read_text() for path in (DEPLOY / "systemd").glob("*.service"))
     shown = re.findall(r"```sh\n(.*?)```", (DEPLOY / "README.md").read_text(), re.DOTALL)
-    files = [(DEPLOY / "systemd" / "prefect-server.service").read_text(), deploy._DEPLOY, *shown]
+    files = [(DEPLOY / "systemd" / "prefect-server.service").read_text(), str(deploy.deploy.__doc__), *shown]
     starting = [text for text in files if "server start" in text]
     assert len(starting) == 3
     for text in starting:

@@ -26,7 +26,7 @@ from tasks.evaluation.coverage import (
     curve_points,
     real_frame_levels,
 )
-from tasks.evaluation.models import best_model, model_figure, model_scores, model_tables, share_scores
+from tasks.evaluation.models import best_model, fall_scores, model_figure, model_scores, model_tables, share_scores
 from tasks.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_items, reconstruction_scores
 from tasks.evaluation.views import view_errors
 from tests.builders.moving_pairs import swaying_pair
@@ -229,6 +229,17 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
     assert best_model(scores, split="random test", baselines=("copy",)) == "ridge"
     assert best_model(scores, split="random test", baselines=("copy", "ridge")) == "ridge"
     assert model_tables([]) == []
+
+
+def test_a_model_whose_validation_still_fell_in_its_last_segment_is_marked_on_that_split_alone() -> None:
+    errors = {name: [{"E_r": 4.0, "PWD": 1.0}] for name in ("copy", "falling", "still")}
+    splits = ("random test", "cross_scale test")
+    scores = [score for split in splits for score in model_scores(errors, split=split, item="all")]
+    log = {"quantity": np.array(["train_loss", "validation_fall", "num_train"])}
+    logs = {"falling": log | {"value": np.array([5.0, 1.5, 9.0])}, "still": log | {"value": np.array([5.0, 0.5, 9.0])}}
+    (table,) = model_tables([*scores, *fall_scores(logs, "random test")])
+    marked = {(row[0], at) for row in table.rows for at, cell in enumerate(row) if "still fell" in cell}
+    assert marked == {("falling", table.headings.index("random"))}
 
 
 def test_tables_put_methods_side_by_side_and_baselines_last() -> None:

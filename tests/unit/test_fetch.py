@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import re
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from flows.console.fetch import FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from tasks.ingest.known_sources import was_fetched
+from tests.builders.real_study import build_here, call_in_process
 from tests.builders.source_samples import AMC, ASF
 
 PAGE = '<a href="subjects/60/60_01.amc">amc</a> <a href="subjects/60/60_02.amc">amc</a> <a href="61_01.amc">x</a>'
@@ -199,6 +201,43 @@ def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_p
         "CMU.sha256",
         "CREDITS.txt",
     ]
+
+
+def test_a_database_is_downloaded_and_built_where_that_was_agreed_to(
+    site: Site, data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for subject, take in (("02", "03"), ("20", "11")):  # people with all bones: they become poses of the database
+        for name in (f"{subject}.asf", f"{subject}_{take}.amc"):
+            site.files[f"/subjects/{subject}/{name}"] = (data_dir / "cmu_asfamc" / name).read_bytes()
+    study, out, store = (tmp_path / name for name in ("mine.toml", 'it\'s "cmu"', "store"))
+    study.write_text(
+        '[study]\nname = "mine"\ntitle = "Mine"\nstages = ["ingest", "projections"]\n'
+        "[ingest.virtual_video]\nnum_videos = 0\nnum_random_views = 0\n"
+        '[ingest.pairs.a]\nfolder = "cmu"\nsubjects = ["02"]\ntakes = ["03"]\n'
+        '[ingest.pairs.b]\nfolder = "cmu"\nsubjects = ["20"]\ntakes = ["11"]\n'
+    )
+    command = ["fetch", "database", "--study", study, "--out", out, "--store", store, "--base-url", site.url]
+    said = call_in_process(capsys, *command)
+    assert (said.code, site.requests, out.exists()) == (0, [], False)
+    assert "study mine: 2 takes of CMU; about 2 MB come into" in said.out
+    assert "Free for all uses; the data itself may not be resold" in said.out
+    assert said.out.splitlines()[-1] == "nothing was done yet; the same command with --yes begins"
+    # Built here of the same files first, without Prefect: what the command builds has the same content and is there.
+    elsewhere = tmp_path / "elsewhere"
+    list(fetch_cmu({"02": ["03"], "20": ["11"]}, elsewhere, base_url=site.url))
+    built = build_here(study, store, *(f'ingest.pairs.{name}.folder="{elsewhere}"' for name in "ab"))
+    assert built == {"ingest": 2, "projections": 2}
+    said = call_in_process(capsys, *command, "--yes")
+    assert said.code == 0, said.err
+    assert sum(line.startswith("fetched") for line in said.out.splitlines()) == 4
+    assert "everything is fresh" in said.out
+    assert re.search(r"built: 2 takes \(\d+ s, [\d.]+ .B\), [\d,]+ database poses", said.out)
+    assert "--database projections:mine" in said.out.splitlines()[-1]
+    del site.files["/subjects/20/20_11.amc"]
+    (out / "20_11.amc").unlink()
+    said = call_in_process(capsys, *command, "--yes")
+    assert said.code == 1
+    assert "20_11.amc: the site answers 404" in said.err
 
 
 def test_the_database_that_ships_has_people_with_a_partner_and_alone() -> None:

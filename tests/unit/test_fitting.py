@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.dragging import pull_joint
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import (
     AccelerationTerm,
@@ -147,3 +148,15 @@ def test_a_first_guess_that_is_not_finite_is_refused() -> None:
     start, term = forest.state_of(np.full((2, 5, 3), np.nan)), PointTerm(np.zeros((2, 5, 3)), np.array(1.0))
     with pytest.raises(InputError, match="not finite"):
         fit_bones(forest, start, [term])
+
+
+@pytest.mark.parametrize("joint", [CHAIN.root, 2, 4])
+def test_a_pulled_joint_goes_where_it_can_bones_keep_their_lengths_and_others_stay(joint: int) -> None:
+    people = np.random.default_rng(3).normal(size=(2, 5, 3))
+    before = bone_lengths(CHAIN, people)
+    for away, misses_at_most in ((0.0, 1e-6), (0.05, 2e-3), (50.0, np.inf)):
+        target = people[1, joint] + np.array([away, 0.0, 0.0])
+        pulled = pull_joint(CHAIN, people, 1, joint, target)
+        np.testing.assert_allclose(bone_lengths(CHAIN, pulled), before, atol=1e-9)
+        np.testing.assert_array_equal(pulled[0], people[0])
+        assert np.linalg.norm(pulled[1, joint] - target) <= misses_at_most

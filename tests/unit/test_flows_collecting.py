@@ -14,7 +14,6 @@ from typing import NoReturn
 import pytest
 
 from flows.collecting import StoreInUseError, collect, find_garbage
-from flows.console.app import run_command_line
 from flows.console.run import build
 from flows.outcomes import Run
 from flows.planning import Selection
@@ -32,15 +31,11 @@ from storage_schema import (
 )
 from tasks.shards import ClusterSettings, HerePool
 from tests.builders.storage_rows import commit_rows, list_as_of_schema_1
-from tests.builders.toy_runs import STUDY, plan_toys, run_toys, write_study
+from tests.builders.toy_runs import STUDY, call, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
 
 NOW = datetime(9999, 1, 1, tzinfo=UTC)
 """A time after which nothing was made: nothing is kept for being young."""
-
-
-def call(*arguments: str) -> int:
-    return run_command_line(arguments, graph=TOYS)
 
 
 def files(folder: Path) -> dict[str, int]:

@@ -23,8 +23,7 @@ from storage_schema.provenance import code_version
 from tasks.data import LOOK
 from tests.builders.pages import Page
 from tests.builders.storage_rows import put
-from tests.builders.toy_runs import STUDY, build_here, run_toys, write_study
-from tests.builders.toys import TOYS
+from tests.builders.toy_runs import STUDY, build_here, call, run_toys, write_study
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +33,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     study = write_study(folder)
     run_toys(study, folder / "store")
     return str(study), str(folder / "store")
-
-
-def call(*arguments: str) -> int:
-    return run_command_line(arguments, graph=TOYS)
 
 
 def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(

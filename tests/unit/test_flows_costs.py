@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -64,7 +63,7 @@ def test_what_was_built_once_tells_what_it_takes_from_nothing(tmp_path: Path) ->
     assert sum(job.seconds for job in work.jobs) == pytest.approx(
         sum(one.timings["shard_s"] for one in Store(built).artifacts()), rel=1e-6
     )
-    long = Work([replace(job, seconds=float(job.is_shard)) for job in work.jobs])
+    long = Work([job._replace(seconds=float(job.is_shard)) for job in work.jobs])
     assert estimate_cost(long, 1).wall_s == pytest.approx(14, abs=0.2)
     # Three segments one after the other, what is made of the last, and the sum of all.
     assert estimate_cost(long, 100).wall_s == pytest.approx(5, abs=0.2)

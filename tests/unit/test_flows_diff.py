@@ -7,14 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from flows.console.app import run_command_line
 from flows.planning import Selection
-from tests.builders.toy_runs import run_toys, write_study
-from tests.builders.toys import TOYS
-
-
-def call(*arguments: str) -> int:
-    return run_command_line(arguments, graph=TOYS)
+from tests.builders.toy_runs import call, run_toys, write_study
 
 
 @pytest.fixture

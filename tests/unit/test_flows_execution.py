@@ -384,7 +384,7 @@ def test_a_clock_that_jumps_changes_times_and_nothing_else(
     assert len(years) > 1, "the clock did jump"
 
 
-@pytest.mark.parametrize("damage", ["truncated", "flipped", "without a manifest"])
+@pytest.mark.parametrize("damage", ["truncated", "removed", "without a manifest"])
 def test_a_damaged_part_is_computed_again_and_nothing_else(undisturbed: Path, tmp_path: Path, damage: str) -> None:
     study, store = write_study(tmp_path), tmp_path / "store"
     run_toys(study, store)
@@ -392,12 +392,7 @@ def test_a_damaged_part_is_computed_again_and_nothing_else(undisturbed: Path, tm
     match damage:
         case "truncated":
             part.write_bytes(part.read_bytes()[:-1])
-        case "flipped":
-            data = bytearray(part.read_bytes())
-            data[len(data) // 2] ^= 1
-            part.write_bytes(bytes(data))
-            (problem,) = verify(Store(store)).problems
-            assert (problem.stage, problem.file_name) == ("bend", "models.parquet")
+        case "removed":
             shutil.rmtree(part.parent)
         case _:
             (part.parent / "manifest.json").unlink()
@@ -447,7 +442,8 @@ def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(tmp_path: 
     run_toys(study, store)
     create_dataset(Store(store), "toys", [one.ref for one in Store(store).artifacts()])
     flip(next(store.glob("bend/*/*/models.parquet")))
-    assert [problem.stage for problem in verify(Store(store)).problems] == ["bend"]
+    problems = verify(Store(store)).problems
+    assert [(problem.stage, problem.file_name) for problem in problems] == [("bend", "models.parquet")]
     run_toys(study, store, selection=Selection(force=("bend",)))
     assert verify(Store(store)).is_ok
 

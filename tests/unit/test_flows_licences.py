@@ -14,16 +14,12 @@ from flows.planning import Selection
 from storage_schema import Store, list_datasets
 from tests.builders.own_sources import write_walk
 from tests.builders.real_study import graph
-from tests.builders.toy_runs import STUDY, build_here, run_toys, write_study
+from tests.builders.toy_runs import STUDY, run_toys, write_study
 from tests.builders.toys import TOYS
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 STRICTER = ("--set", "grow.licence=CC-BY-NC-ND-4.0")
-
-
-@pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Build without Prefect and Dask."""
-    build_here(monkeypatch)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store, create_dataset, read_latest, source_credits, verify
 from tasks.graph import Graph
 from tasks.shards import ShardError
-from tasks.stage import Parameters, Shard
+from tasks.stage import Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, states, write_study
 from tests.builders.toys import TOYS, SegmentParameters, run_grow
 
@@ -31,13 +31,6 @@ def store(tmp_path: Path) -> Path:
 
 def reasons(plan: object, stage: str) -> set[str]:
     return {item.reason for item in plan.stage(stage).shards if item.reason}  # type: ignore[attr-defined]
-
-
-def test_the_name_of_a_shard_is_in_its_key_whatever_its_parameters_are_called() -> None:
-    class Named(Parameters):
-        name: str = "given"
-
-    assert Shard("grow", 1, "t0", "a", Named()).key != Shard("grow", 1, "t0", "b", Named()).key
 
 
 def test_before_the_first_run_everything_is_missing_or_pending(study: Path, store: Path) -> None:

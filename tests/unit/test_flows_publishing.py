@@ -12,16 +12,12 @@ from flows.study import load_study
 from flows.study_files import StudyError
 from storage_schema import Dataset, Store, list_datasets
 from tests.builders.storage_rows import list_as_of_schema_1
-from tests.builders.toy_runs import STUDY, build_here, write_study
+from tests.builders.toy_runs import STUDY, write_study
 from tests.builders.toys import TOYS
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 PUBLISH = '[publish]\nname = "released"\nrequired = ["judge"]\n'
-
-
-@pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Build without Prefect and Dask."""
-    build_here(monkeypatch)
 
 
 @pytest.fixture

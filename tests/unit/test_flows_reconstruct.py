@@ -70,6 +70,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     ]
     assert all(re.search(r"\d+ cm .* (pass|warn|fail)", line) for line in lines)
     assert "camera pitch" in said.err
+    assert "the database has 288 poses of 1 take: enough for motion like its own, not for other" in said.err
     assert f"writing to {out}" in said.err
     page = Page((out / f"{video.name}.html").read_text())
     assert look == f"look at it: {out / video.name}.html"
@@ -123,7 +124,7 @@ def test_without_a_database_it_is_said_how_to_get_one(
     monkeypatch.chdir(tmp_path)
     assert run_command_line(["reconstruct", str(video)]) == 2
     said = capsys.readouterr().err
-    assert "projections of 0 studies; `pasdedeux fetch cmu --out cmu` and `pasdedeux run everyday`" in said
+    assert "projections of 0 studies; `pasdedeux fetch database`" in said
 
 
 def test_the_height_of_the_camera_gives_people_their_size(
@@ -195,7 +196,7 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
     assert "does not exist" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(video), "--store", str(store.root)]) == 2
-    assert "projections of 0 studies; `pasdedeux fetch cmu" in capsys.readouterr().err
+    assert "projections of 0 studies; `pasdedeux fetch database`" in capsys.readouterr().err
 
 
 def written(folder: Path, frames: dict[int, str]) -> Path:

@@ -17,8 +17,10 @@ from storage_schema import ArtifactRef, Store, list_runs, read_latest
 from tasks.graph import Graph
 from tasks.stage import Shard, StageInputs, commit
 from tests.builders import toys
-from tests.builders.toy_runs import build_here, run_toys, write_study
+from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
+
+pytestmark = pytest.mark.usefixtures("in_this_process")
 
 STUDY = """
 [study]
@@ -59,12 +61,6 @@ def built(tmp_path: Path) -> Store:
     source.write_text("what it was")
     run_toys(write_study(tmp_path, STUDY), store.root, f"grow.source={source}")
     return store
-
-
-@pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Build without Prefect and Dask."""
-    build_here(monkeypatch)
 
 
 def rerun(name: str, built: Store, *more: str, graph: Graph = TOYS) -> int:

@@ -15,11 +15,12 @@ from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import growth
-from pasdedeux.sampling.annotations import AnnotatedPairs, shows_enough
+from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth import ViewedImages, grow
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
+from tests.builders.poses import with_hidden
 
 ORDER, PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
 WIDE = JointLimits(np.full(29, -10.0), np.full(29, 10.0), ("anything",) * 29)
@@ -31,14 +32,6 @@ def annotated(count: int, *, spread_rad: float = 0.15) -> tuple[np.ndarray, Anno
     pairs = random_pairs(rng, count, spread_rad=spread_rad)
     directions = normalise(rng.normal(size=(count, 3)) * [1.0, 0.3, 1.0])
     return pairs, AnnotatedPairs(project_pair(pairs, directions), directions, np.arange(count))
-
-
-def hidden(entries: AnnotatedPairs, share: float) -> AnnotatedPairs:
-    """Return the annotations that still show enough with a share of all joints hidden."""
-    is_hidden = np.random.default_rng(9).random((*entries.points_m.shape[:3], 1)) < share
-    points = np.where(is_hidden, np.nan, entries.points_m)
-    enough = shows_enough(points)
-    return AnnotatedPairs(points[enough], entries.directions[enough], entries.annotation_index[enough])
 
 
 def errors(grown: Any, pairs: np.ndarray) -> np.ndarray:
@@ -58,7 +51,7 @@ def test_view_residuals_are_those_of_projected_images() -> None:
         views = ViewedImages(across, np.ones((40, 34), dtype=bool), entries.directions)
         np.testing.assert_allclose(views.residuals(pair), expected, atol=1e-7)
         # Over the joints that are seen: each image by itself.
-        part = hidden(entries, 0.2)
+        part = with_hidden(np.random.default_rng(9), entries, 0.2)
         views = ViewedImages(np.swapaxes(part.centred_m, 1, 2), part.is_seen.reshape(-1, 34), part.directions)
         shown = part.points_m.reshape(-1, 34, 2)
         count = part.is_seen.sum(axis=(1, 2))
@@ -136,7 +129,7 @@ def test_one_seed_grows_over_all_annotations_with_exact_lineage() -> None:
 
 def test_hidden_joints_cost_little_and_bones_stay_exact() -> None:
     pairs, entries = annotated(250)
-    part = hidden(entries, 0.1)
+    part = with_hidden(np.random.default_rng(9), entries, 0.1)
     assert len(part.points_m) > 225
     assert part.is_seen.all(axis=(1, 2)).sum() < 25
     grown, whole = grow(pairs[:1], part, WIDE, num_grown=1000), grow(pairs[:1], entries, WIDE, num_grown=1000)

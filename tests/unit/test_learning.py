@@ -19,7 +19,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import UNITS, ModelMeter, key_contacts, model_errors
 from pasdedeux.fitting.terms import total_energy
 from pasdedeux.interaction.contacts import Contacts
-from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
+from pasdedeux.learning.baselines import NaiveFkModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel
 from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest
 from pasdedeux.learning.registry import ModelDescription, describe, load_model, model_arrays
@@ -170,18 +170,6 @@ def test_a_long_take_is_refined_in_windows(monkeypatch: pytest.MonkeyPatch) -> N
     short = MeshRefineModel(NaiveFkModel(), num_iterations=6).predict(asked)
     moved = np.linalg.norm(whole - NaiveFkModel().predict(asked), axis=-1).mean()
     assert np.linalg.norm(short - whole, axis=-1).mean() < 0.1 * moved
-
-
-def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
-    (variation,) = uniform_variations([0.8], ["A"])
-    (truth,) = Augmenter(TAKE).solve([variation])
-    pairs = key_contacts(TAKE.contacts())
-    request = VariantRequest("sway", TAKE, variation.bone_scale)
-    fk = model_errors(NaiveFkModel().predict(request), truth.positions_m, pairs)
-    copy = model_errors(CopyModel().predict(request), truth.positions_m, pairs)
-    assert fk["E_b"] < 1e-6
-    assert copy["E_b"] > 10.0
-    assert fk["JPD"] > 1.0
 
 
 def test_a_meter_finds_the_solver_good_and_plain_kinematics_apart_from_it_in_every_respect() -> None:

@@ -109,12 +109,10 @@ def test_hands_on_an_object_are_found_wherever_the_take_lies() -> None:
     assert source.objects is not None
     moved = MovingObjects(("bar",), source.objects.ends_m @ turn.T + shift, source.objects.radii_m)
     again = Source(source.positions_m @ turn.T + shift, 30.0, objects=moved).contacts()
-    for one, other, motion in ((found, again, source.positions_m),):
-        np.testing.assert_allclose(one.weights, other.weights, atol=1e-9)
-        lengths = np.linalg.norm(one.vectors(points_of(motion)), axis=-1)
-        np.testing.assert_allclose(
-            lengths, np.linalg.norm(other.vectors(points_of(motion @ turn.T + shift)), axis=-1), atol=1e-9
-        )
+    np.testing.assert_allclose(found.weights, again.weights, atol=1e-9)
+    lengths = np.linalg.norm(found.vectors(points_of(source.positions_m)), axis=-1)
+    elsewhere = np.linalg.norm(again.vectors(points_of(source.positions_m @ turn.T + shift)), axis=-1)
+    np.testing.assert_allclose(lengths, elsewhere, atol=1e-9)
     alone = Source(source.positions_m, 30.0).contacts()
     assert (alone.objects == -1).all()
 

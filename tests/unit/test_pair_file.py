@@ -16,11 +16,11 @@ from pasdedeux.formats.pair_file import (
     PairSource,
     pair_from_bvh,
     read_pair_json,
-    write_pair_bvh,
     write_pair_json,
 )
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.skeletons import PAIR17
+from tests.builders.made_poses import pair_bvh
 
 PAIRS = random_pairs(np.random.default_rng(1), 30, spread_rad=0.5)
 WHOLE = PairFile(PAIRS[0], "draws@abc#3", ("one", "two"), (PairSource("someone", "CC0", "made it"),))
@@ -41,9 +41,9 @@ def test_a_joint_stands_on_a_line_of_its_own_under_its_name() -> None:
 
 def test_bvh_gives_positions_back_to_a_micrometre() -> None:
     for pair in PAIRS:
-        np.testing.assert_allclose(pair_from_bvh(*write_pair_bvh(pair)).pair_m, pair, atol=1e-6)
+        np.testing.assert_allclose(pair_from_bvh(*pair_bvh(pair)).pair_m, pair, atol=1e-6)
     with pytest.raises(InputError, match="frame 0: the position of 'pelvis' is not finite"):
-        write_pair_bvh(np.where(np.arange(17)[:, None] == PAIR17.root, np.inf, PAIRS[0]))
+        pair_bvh(np.where(np.arange(17)[:, None] == PAIR17.root, np.inf, PAIRS[0]))
 
 
 def test_an_edited_joint_moves_and_the_rest_stays() -> None:
@@ -101,7 +101,7 @@ def test_what_is_no_json_of_a_pair_is_refused(text: str) -> None:
 
 
 def test_bvh_that_cannot_be_a_pair_is_refused() -> None:
-    first, second = write_pair_bvh(PAIRS[0])
+    first, second = pair_bvh(PAIRS[0])
     with pytest.raises(FormatError, match="person A: there is no frame 1, the file has 1"):
         pair_from_bvh(first, second, frame=1)
     with pytest.raises(FormatError, match="person B: its joints fit no known layout"):

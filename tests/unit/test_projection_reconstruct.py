@@ -133,6 +133,28 @@ def test_a_flat_floor_tells_the_pitch_where_the_database_leans(
     assert pitches[choose_pitch(searchers, [known]).index] != true_pitch
 
 
+def test_level_hips_tell_the_pitch_where_somebody_bows_who_does_not_in_the_database() -> None:
+    bow = rotmat_from_unitquat(unitquat_from_rotvec(np.array([0.3, 0.0, 0.0])))
+    world = walk(120, seed=9, turn_rad=3.0)
+    heading = yaw_rotmat(3.0 * np.arange(120) / 119)
+    back = mid_hip(world)[:, None]
+    bowed = back + np.einsum("fij,jk,flk,fnl->fni", heading, bow, heading, world - back)
+    searchers = [make_searcher(pitch) for pitch in (0.0, 0.175, 0.35, 0.7)]
+    track, _ = film(bowed, yaw=1.0, pitch=0.1, distance_m=6.0)
+    assert abs(choose_pitch(searchers, [track]).pitch_rad - 0.1) < np.deg2rad(4.0)
+
+
+def test_who_lies_has_no_say_and_without_anybody_else_the_pitch_is_a_guess_between_level_and_30_degrees_down() -> None:
+    searchers = [make_searcher(pitch) for pitch in (0.0, 0.35, 0.7)]
+    standing, _ = film(walk(60, seed=3), pitch=0.35)
+    lying, _ = film(walk(60, seed=4) @ yaw_rotmat(0.4)[:, [0, 2, 1]], pitch=0.35)
+    alone = choose_pitch(searchers, [lying])
+    assert alone.is_guess
+    assert 0.0 < alone.pitch_rad < np.deg2rad(30.0)
+    assert alone.deviation_rad > np.deg2rad(8.0)
+    assert choose_pitch(searchers, [standing, lying]) == choose_pitch(searchers, [standing])
+
+
 @pytest.mark.parametrize(("torso", "shoulders"), [(1.08, 0.75), (0.9, 1.3)])
 def test_joints_missing_at_random_do_not_move_the_pitch(torso: float, shoulders: float) -> None:
     # Of another build than the database's, as people are; the neck, which the image hangs on, is missed as all others.
@@ -142,7 +164,7 @@ def test_joints_missing_at_random_do_not_move_the_pitch(torso: float, shoulders:
     build[OP14.indices(["left_shoulder", "right_shoulder", "head"])] = shoulders
     track, _ = film(retarget_proportions(walk(240, seed=3), REFERENCE_LENGTHS_M * build), pitch=0.35)
     whole = choose_pitch(searchers, [track])
-    assert abs(whole.pitch_rad - 0.35) < np.deg2rad(3.0)
+    assert abs(whole.pitch_rad - 0.35) < np.deg2rad(5.0)
     for share in (0.1, 0.25):
         is_hidden = np.random.default_rng(1).random(track.confidence.shape) < share
         partly = replace(track, keypoints_px=np.where(is_hidden[..., None], np.nan, track.keypoints_px))

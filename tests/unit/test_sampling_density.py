@@ -258,17 +258,6 @@ def test_density_is_cut_below_and_flat_above_the_seed(annotated: tuple[Annotated
     assert "below" in seen
 
 
-def test_a_seed_with_density_zero_names_the_term_and_the_amount() -> None:
-    chart = PairChart(SEED)
-    bent = chart.seed_parameters()
-    for person in range(2):
-        for name in ("left_ankle", "right_ankle", "left_wrist", "right_wrist", "head", "neck"):
-            bent[block_indices(PAIR17.index(name) + 17 * person)[:2]] = [1.8, 0.5]
-    broken = PairChart(chart.positions(bent))
-    with pytest.raises(InputError, match=r"density 0: the prior found \d+ joint angles out of range, \d+ more than"):
-        PairDensity(broken, PhysicalPrior(broken, LIMITS), PriorOnly())
-
-
 def test_a_seed_without_bones_or_with_nan_is_refused() -> None:
     folded = SEED.copy()
     folded[1, PAIR17.index("left_wrist")] = folded[1, PAIR17.index("left_elbow")]

@@ -10,10 +10,11 @@ from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs, shows_enough
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs
 from pasdedeux.sampling.densities.annotated import Pooling
 from pasdedeux.sampling.densities.interaction import InteractionLikelihood
 from pasdedeux.skeletons import PAIR17
+from tests.builders.poses import with_hidden
 
 
 @pytest.fixture(scope="module")
@@ -31,13 +32,6 @@ def test_estimates_leave_the_same_best_as_comparing_all() -> None:
     likelihood = InteractionLikelihood(pairs, bank)
     for pair in random_pairs(rng, 150, spread_rad=0.2):
         assert likelihood.log_likelihood(pair) == pytest.approx(likelihood.plain(pair), rel=1e-10)
-
-
-def with_hidden(rng: np.random.Generator, pairs: AnnotatedPairs, share: float) -> AnnotatedPairs:
-    """Return the annotations that still show enough with a share of all joints hidden."""
-    points = np.where(rng.random((*pairs.points_m.shape[:3], 1)) < share, np.nan, pairs.points_m)
-    enough = shows_enough(points)
-    return AnnotatedPairs(points[enough], pairs.directions[enough], pairs.annotation_index[enough])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from storage_schema import (
@@ -17,11 +15,6 @@ from storage_schema import (
 from storage_schema.datasets import open_dataset
 from storage_schema.errors import DatasetExists
 from tests.builders.storage_rows import commit_rows
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
 
 
 @pytest.fixture

@@ -14,9 +14,7 @@ def _fresh_caches() -> None:
     provenance.code_version.cache_clear()
 
 
-def test_the_source_digest_follows_names_and_bytes_of_python_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_source_digest_follows_names_and_bytes_of_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provenance, "package_folders", lambda package: [tmp_path / package])
 
     def digest() -> str:
@@ -29,6 +27,9 @@ def test_the_source_digest_follows_names_and_bytes_of_python_files(
     before = digest()
     (tmp_path / "tasks" / "inner" / "a.pyc").write_text("not a source")
     assert digest() == before
+    (tmp_path / "pasdedeux" / "inner" / "a.toml").write_text("a = 1\n")
+    assert digest() != before
+    before = digest()
     (tmp_path / "tasks" / "inner" / "a.py").write_text("a = 2\n")
     changed = digest()
     assert changed != before

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,11 +23,6 @@ from storage_schema import (
 from storage_schema.arrow import schema_digest
 from storage_schema.tables import TABLES
 from tests.builders.storage_rows import commit_rows, random_columns
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
 
 
 def about(key: str) -> dict:

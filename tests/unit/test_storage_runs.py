@@ -25,11 +25,6 @@ from storage_schema.errors import NewerSchema
 from tests.builders.storage_rows import commit_rows
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
-
-
 def test_a_record_says_what_decided_a_shard(store: Store) -> None:
     take = commit_rows(store, "poses", stage="ingest", partition="waltz", files=(("a.bvh", "ff"),))
     seeds = commit_rows(store, "seeds", stage="seeds", partition="all", inputs=(take,), seed=3)

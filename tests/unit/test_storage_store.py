@@ -34,11 +34,6 @@ from tests.builders.storage_rows import assert_same_values, commit_rows, random_
 KEY = artifact_key(stage="seeds", version=1, parameters={}, input_digests=[], seed=0)
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
-
-
 def about(**changes: object) -> dict:
     values = {"stage": "seeds", "key": KEY, "partition": "p", "name": "n", "version": 1, "parameters": {}, "seed": 0}
     return {**values, "inputs": [], "files": [], **changes}

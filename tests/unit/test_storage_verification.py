@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 
@@ -23,11 +22,6 @@ from storage_schema.errors import NamedByDataset, OlderSchema
 from storage_schema.garbage import find_unneeded
 from storage_schema.verification import ProblemKind
 from tests.builders.storage_rows import commit_rows
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
 
 
 @pytest.fixture

@@ -119,7 +119,7 @@ def test_files_of_two_takes_are_doubted_and_not_trimmed(tmp_path: Path, capsys: 
         (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames))
     said = new_in_words(capsys, tmp_path, tmp_path / "60_01.bvh", tmp_path / "61_02.bvh")
     assert "found 60_01.bvh: 40 frames" in said
-    assert "in doubt: the files have 40 and 60 frames: are they of one take?" in said
+    assert 'in doubt: on_unequal = "trim": the files have 40 and 60 frames: ARE THEY OF ONE TAKE? Then' in said
     ingest = tomllib.loads((tmp_path / "mine.toml").read_text())["ingest"]
     assert "on_unequal" not in ingest["takes"][0]
 
@@ -129,13 +129,13 @@ def test_a_frame_more_or_less_is_one_take(tmp_path: Path) -> None:
         (tmp_path / f"{name}.bvh").write_text(bvh_text(num_frames=frames))
     made = new_study(tmp_path / "a.bvh", tmp_path / "b.bvh")
     assert made.ingest.takes[0].on_unequal == "trim"
-    assert made.said[2:] == ["in doubt: the files have 100 and 99 frames: are they of one take?"]
+    assert made.said[2:] == ['in doubt: on_unequal = "trim": the files have 100 and 99 frames: ARE THEY OF ONE TAKE?']
 
 
 def test_a_giant_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "tall.bvh").write_text(write_bvh(figure_motion(), units_per_metre=121.0))
     said = new_in_words(capsys, tmp_path, tmp_path / "tall.bvh")
-    assert "in doubt: tall.bvh: in units of one centimetre the body is 2.08 m tall; check metres" in said
+    assert "in doubt: metres_per_unit = 0.01: tall.bvh: in units of one centimetre the body is 2.08 m tall" in said
     text = (tmp_path / "mine.toml").read_text()
     assert re.search(r"metres_per_unit = 0.01 .*A GUESS - CHECK IT", text)
     assert "likely" not in text
@@ -144,7 +144,7 @@ def test_a_giant_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 def test_a_rate_that_only_a_name_tells_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_walk(tmp_path)
     said = new_in_words(capsys, tmp_path, path)
-    assert "in doubt: no file states its frame rate; 120 Hz is a guess from its name" in said
+    assert "in doubt: rate_hz = 120: the file states none, CMU's of this name has it: A GUESS" in said
     assert (
         "rate_hz = 120         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
         in (tmp_path / "mine.toml").read_text()

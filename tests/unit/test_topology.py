@@ -67,6 +67,20 @@ def test_a_mapped_item_has_the_scales_and_the_motion_that_its_bones_have() -> No
     assert found[EXPI18.index("left_knee")] == pytest.approx(1.2)
 
 
+def test_people_on_18_joints_touch_where_they_do_on_22_and_contacts_drift_as_far() -> None:
+    wide, narrow = VariantRequest("sway", TAKE, np.ones((2, 22))), VariantRequest("sway", MAPPED, np.ones((2, 18)))
+    apart = np.array([0.0, 0.0, 0.1]) * np.arange(2)[:, None, None]
+    found = [
+        (meter.key_names(), meter.measure(asked.bone_scale, {"moved": moved}, asked.source.positions_m))
+        for asked in (wide, narrow)
+        for meter, moved in [(ModelMeter(asked), asked.source.positions_m + apart)]
+    ]
+    assert found[0][0] == found[1][0] != ""
+    for metric in ("JPD", "contact_error"):
+        assert found[1][1]["moved"][metric] == pytest.approx(found[0][1]["moved"][metric], rel=0.05)
+    assert found[1][1]["solver"]["contact_error"] == 0.0
+
+
 @pytest.mark.parametrize("kind", FREE, ids=lambda kind: kind.name)
 def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(kind: type[VariantModel]) -> None:
     model, other = _trained(kind, is_mapped=True), _trained(kind, is_mapped=False)

@@ -69,9 +69,10 @@ class InteractionCvae(WindowNetwork):
         found = self.mlp1(scale)
         again = self.mlp2(draw_latent(found, batch["noise_s"]))
         of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(found)
-        found_b, found_a = self._encode(batch)
+        seen = self._seen_by_a(batch, motion[:, :, 1])
+        found_b, found_a = self._encode(batch, seen)
         b = self._decode_b(batch, draw_latent(found_b, batch["noise_b"]))
-        a = self._decode_a(batch, draw_latent(found_a, batch["noise_a"]), motion[:, :, 1])
+        a = self._decode(self.g_gru2, batch, 0, draw_latent(found_a, batch["noise_a"]), seen)
         of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * self._divergence(found_b)
         of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * self._divergence(found_a)
         return of_scales + of_b + of_a
@@ -89,9 +90,11 @@ class InteractionCvae(WindowNetwork):
         """
         z_b, z_a = batch["noise_b"], batch["noise_a"]
         if is_posterior:
-            z_b, z_a = (found.chunk(2, -1)[0] for found in self._encode(batch))
+            seen = self._seen_by_a(batch, batch["motion_m"][:, :, 1])
+            z_b, z_a = (found.chunk(2, -1)[0] for found in self._encode(batch, seen))
         b = batch["moved_b"] if "moved_b" in batch else self._decode_b(batch, z_b)
-        return torch.stack([self._decode_a(batch, z_a, batch["template_m"][:, :, 1] + b), b], 2)
+        seen = self._seen_by_a(batch, batch["template_m"][:, :, 1] + b)
+        return torch.stack([self._decode(self.g_gru2, batch, 0, z_a, seen), b], 2)
 
     def scales(self, z: Narrow) -> Narrow:
         """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
@@ -100,17 +103,17 @@ class InteractionCvae(WindowNetwork):
             found[:, self.bones] = self.mlp2(torch.from_numpy(z)).numpy()
         return found
 
-    def _encode(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """Return means and logarithms of variances of z of B and of A: equations 2 and 3, the first lines."""
+    def _encode(self, batch: Batch, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Return means and logarithms of variances of z of B, and of A, which sees B: eqs. 2 and 3, the first lines."""
         template, motion = batch["template_m"], batch["motion_m"]
         change = motion if self.settings.architecture == "whole_motion" else motion - template
         scale = batch["condition"][:, None, :, None].expand(-1, change.shape[1], -1, -1)
         b = self.st_gcn1(torch.cat([change[:, :, 1], scale], -1))
-        a, partner = self.st_gcn2(change[:, :, 0]), self._seen_by_a(batch, motion[:, :, 1])
+        a = self.st_gcn2(change[:, :, 0])
         ends = self._ends(template).flatten(2)
         return (
             self.z_b(torch.cat([b.flatten(1), ends[:, 1]], -1)),
-            self.z_a(torch.cat([a.flatten(1), ends[:, 0], partner.flatten(1)], -1)),
+            self.z_a(torch.cat([a.flatten(1), ends[:, 0], seen.flatten(1)], -1)),
         )
 
     def _seen_by_a(self, batch: Batch, b_m: Tensor) -> Tensor:
@@ -121,9 +124,6 @@ class InteractionCvae(WindowNetwork):
 
     def _decode_b(self, batch: Batch, z: Tensor) -> Tensor:
         return self._decode(self.g_gru1, batch, 1, z, batch["condition"][..., None])
-
-    def _decode_a(self, batch: Batch, z: Tensor, b_m: Tensor) -> Tensor:
-        return self._decode(self.g_gru2, batch, 0, z, self._seen_by_a(batch, b_m))
 
     def _decode(self, decoder: nn.Module, batch: Batch, person: int, z: Tensor, seen: Tensor) -> Tensor:
         """Return the change of one person (W, T, 22, 3): equations 2 and 3, the second lines."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons.mapping import Weights
 from pasdedeux.skeletons.skeleton import ARM, LEG, by_joint, by_side
@@ -79,6 +79,15 @@ class KeypointLayout:
                 np.copyto(result[..., row, :], mean, where=is_used[..., None])
                 np.copyto(result_confidence[..., row], confidence[..., columns].min(axis=-1), where=is_used)
         return Keypoints(positions=result, confidence=result_confidence)
+
+    def derive_status(self, skeleton_name: str, status: Integers) -> Integers:
+        """Return the least status (*batch, joint) of the keypoints (*batch, K) that each joint is a mean of."""
+        joint_names = WORKING_SKELETONS[skeleton_name].joint_names
+        result = np.zeros((*status.shape[:-1], len(joint_names)), dtype=np.int64)
+        for row, joint in enumerate(joint_names):
+            for weights in self.recipes[skeleton_name].get(joint, ())[:1]:
+                result[..., row] = status[..., [self.keypoint_names.index(name) for name in weights]].min(axis=-1)
+        return result
 
 
 _MID_SHOULDER = {"left_shoulder": 0.5, "right_shoulder": 0.5}

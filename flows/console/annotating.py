@@ -1,0 +1,160 @@
+"""The work of the command `annotate`, and the film that `reconstruct` is given."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import typer
+from pydantic import ValidationError
+
+from flows.console.context import say
+from flows.console.display import format_table
+from flows.exports.export_format import write_text
+from flows.study_files import toml_value
+from pasdedeux.errors import InputError
+from pasdedeux.film.annotating import AnnotatedShot, frames_to_correct
+from pasdedeux.film.drawing import contact_sheet, draw_people
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
+from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.coco import write_coco
+from pasdedeux.formats.cvat import write_cvat
+from pasdedeux.settings import first_problem
+from tasks.ingest.films import Image
+from tasks.ingest.parameters import FilmOptions
+from tasks.ingest.shots import FoundShot, annotate, find_shots, shot_images
+
+_WRITERS: Mapping[str, tuple[str, Callable[[AnnotatedFrames], str]]] = {
+    ".csv": ("ours", write_annotation_csv),
+    ".json": ("COCO", write_coco),
+    ".xml": ("CVAT", write_cvat),
+}
+_HEADER = ("shot", "frames", "people", "annotated", "detected", "tracked", "interpolated", "missing", "correct next")
+
+
+def film_source(
+    path: Path, keys: Path | None, detections: Path | None, detect: Sequence[str], settings: Sequence[str]
+) -> FilmOptions:
+    """Return the film that a path and options of a command are, as a study would name it.
+
+    Raises:
+        InputError: There is no such key, its value is not allowed, or not one of the three is given.
+    """
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
+    pairs = [setting.partition("=") for setting in settings]
+    stated = {key: toml_value(text) for key, _, text in pairs}
+    given = {"keys": keys, "detections": detections, "detect": tuple(detect)}
+    try:
+        return FilmOptions.model_validate({"id": name or "film", "path": path, **given, **stated})
+    except ValidationError as error:
+        problem = first_problem(error)
+        raise InputError(problem if problem.startswith("one of keys") else f"--set {problem}") from None
+
+
+def annotate_film(
+    film: Path,
+    keys: Path | None,
+    detections: Path | None,
+    detect: Sequence[str],
+    settings: Sequence[str],
+    out: Path | None,
+    *,
+    num_corrections: int,
+    sheet: Path | None,
+    overlay: Path | None,
+    has_faces: bool,
+) -> None:
+    """Write the annotations of all shots of a film, say what they are, and what to correct next.
+
+    Raises:
+        InputError: Nothing that can be read, or nobody is found in any shot.
+    """
+    target = out or Path(f"{film.resolve().stem}_annotations.csv")
+    if target.suffix not in _WRITERS:
+        raise InputError(
+            f"--out {target}: annotations are {', '.join(f'{end} ({what})' for end, (what, _) in _WRITERS.items())}"
+        )
+    _, write = _WRITERS[target.suffix]
+    shots = find_shots(film_source(film, keys, detections, detect, settings))
+    made: list[tuple[FoundShot, AnnotatedShot]] = []
+    failed: list[InputError] = []
+    for one in shots:
+        try:
+            made.append((one, annotate(one.parameters, one.files)))
+        except InputError as error:
+            failed.append(type(error)(f"{one.parameters.id}: {error}"))
+    for reason in failed if made else failed[:-1]:
+        typer.echo(f"skipped: {reason}", err=True)
+    if not made:
+        raise failed[-1]
+    write_text(target, write(join_frames([shot.frames for _, shot in made])))
+    wanted = [frames_to_correct(shot, num_corrections) for _, shot in made]
+    rows = [_row(one, shot, frames) for (one, shot), frames in zip(made, wanted, strict=True)]
+    say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
+    for lost in {one.film.num_lost for one, _ in made if one.film.num_lost}:
+        typer.echo(f"{film.name} states {lost} frames more than can be read", err=True)
+    if sheet is not None:
+        cells = [
+            cell
+            for (one, shot), frames in zip(made, wanted, strict=True)
+            for cell in _cells(one, shot, frames, has_faces)
+        ]
+        if cells:
+            _write_image(sheet, contact_sheet([image for _, image in cells], [title for title, _ in cells]))
+    if overlay is not None:
+        _write_film(overlay, (image for one, shot in made for image in _drawn(one, shot, has_faces)), made[0][1])
+    typer.echo(f"written: {target}", err=True)
+
+
+def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:
+    first = one.parameters.first_number + one.parameters.first_frame
+    assert shot.frames.status is not None
+    people = len(np.unique(shot.frames.person_id))
+    total = people * one.parameters.num_frames * shot.frames.status.shape[1]
+    counts = np.bincount(shot.frames.status.reshape(-1), minlength=len(KeypointStatus))
+    counts[KeypointStatus.MISSING] = total - counts[1:].sum()
+    order = (KeypointStatus.ANNOTATED, KeypointStatus.DETECTED, KeypointStatus.TRACKED, KeypointStatus.INTERPOLATED)
+    shares = [f"{counts[kind] / total:.0%}" for kind in (*order, KeypointStatus.MISSING)]
+    span = f"{first}-{first + one.parameters.num_frames - 1}"
+    return one.parameters.id, span, str(people), *shares, " ".join(map(str, wanted))
+
+
+def _cells(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[tuple[str, Image]]:
+    first = one.parameters.first_number + one.parameters.first_frame
+    for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
+        if number in wanted:
+            yield f"frame {number}", draw_people(frame.image, shot.frames, number, has_faces=has_faces)
+
+
+def _drawn(one: FoundShot, shot: AnnotatedShot, has_faces: bool) -> Iterator[Image]:
+    first = one.parameters.first_number + one.parameters.first_frame
+    for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
+        yield draw_people(frame.image, shot.frames, number, has_faces=has_faces)
+
+
+def _write_image(path: Path, image: Image) -> None:
+    import cv2  # here: a quarter of a second that other commands need not wait for
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.suffix or not cv2.imwrite(str(path), image):
+        raise InputError(f"{path} cannot be written; images are .jpg or .png")
+
+
+def _write_film(path: Path, images: Iterator[Image], shot: AnnotatedShot) -> None:
+    import cv2  # here: a quarter of a second that other commands need not wait for
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    first = next(images)
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter.fourcc(*"mp4v"), shot.frames.rate_hz or 30.0, first.shape[1::-1]
+    )
+    if not writer.isOpened():
+        raise InputError(f"{path} cannot be written; films are .mp4 or .avi")
+    try:
+        writer.write(first)
+        for image in images:
+            writer.write(image)
+    finally:
+        writer.release()

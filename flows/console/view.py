@@ -1,0 +1,65 @@
+"""`view`: look at what a store or motion files hold, in a browser."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from flows.console.context import StoreOption, WorkersOption, app, open_store
+from flows.console.curate import CURATION, CurationOption
+
+
+@app.command()
+def view(
+    what: Annotated[
+        list[str] | None,
+        Argument(
+            metavar="[REF|RUN|FILE ...]", help="Study, reference, run, dataset, or a motion file for each person."
+        ),
+    ] = None,
+    store: StoreOption = Path("store"),
+    port: Annotated[int, Option(min=0, max=65535, help="Port of this machine; 0 takes any that is free.")] = 8080,
+    workers: WorkersOption = None,
+    curation: CurationOption = CURATION,
+    unit: Annotated[
+        list[float] | None, Option(min=1e-6, max=1e3, metavar="M", help="Metres per unit of motion files.")
+    ] = None,
+) -> None:
+    """Look at takes, draws, pairs, reconstructions and variants in a browser.
+
+    \b
+      pasdedeux view                             the study that ran last
+      pasdedeux view variants:duets/waltz        one part of it
+      pasdedeux view "draws:duets/ic-seed0#17"   at one moment
+      pasdedeux view a.bvh b.bvh                 motion files, one for each person
+
+    Space plays, left and right step, up and down change the item, Home and End go to the first and the last frame, F to
+    the next frame that fails; K and X accept and reject what is shown, for exports and training (`curate`).
+
+    Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
+    """
+    from flows.console.retargeting import find_take
+    from flows.viewing.choosing import Choosing
+    from flows.viewing.editing import Editor
+    from flows.viewing.shelf import Shelf, open_shelf
+    from flows.viewing.viewer import Viewer
+
+    words = what or []
+    with contextlib.ExitStack() as held:
+        if len(words) > 1 or (words and Path(words[0]).is_file()):
+            opened, ref = held.enter_context(find_take(words, store, unit or (), None))
+            shelf, at = Shelf(opened, [ref]), None
+        else:
+            shelf = open_shelf(open_store(store), words[0] if words else None)
+            at = words[0] if words and "#" in words[0] else None
+        viewer = Viewer(shelf, port=port, at=at, choosing=Choosing(curation))
+        Editor(viewer, Path("restarts"), workers)
+        typer.echo(f"{viewer.url} shows it; Ctrl-C ends it")
+        with contextlib.suppress(KeyboardInterrupt):
+            while not viewer.wait(3600.0):
+                pass
+        viewer.stop()

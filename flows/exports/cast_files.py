@@ -1,0 +1,44 @@
+"""Files of casts: their paths, and the text beside them that says units, axes, rate, joints and what frames are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flows.exports.casts import Cast
+from flows.exports.export_format import Export, FileNames, write_text, write_units
+
+
+class CastFiles:
+    """Files of an export.
+
+    Args:
+        export: What is given out.
+        out: Folder, which is there.
+        said: Sentences on all files of the format.
+    """
+
+    def __init__(self, export: Export, out: Path, said: Sequence[str]) -> None:
+        self._export, self._out, self._said = export, out, said
+        self._names = FileNames(out)
+        self._lines: dict[str, str] = {}
+        self._paths: list[Path] = []
+
+    def is_apart(self, cast: Cast) -> bool:
+        """Return whether a cast is worse than what is asked for."""
+        return cast.level.rank > self._export.verdict.rank
+
+    def path(self, cast: Cast, *more: str, suffix: str, said: str = "") -> Path:
+        """Return a path for a cast, or for what `more` names of it, of which something else may have to be said."""
+        path = self._names.path(*cast.parts, *more, suffix=suffix, is_apart=self.is_apart(cast))
+        self._lines[str(path.relative_to(self._out))] = f"{cast.in_words()}; {said}" if said else cast.in_words()
+        self._paths.append(path)
+        if len(cast.labels) > 1 and "B" not in more:
+            index = self._names.path(*cast.parts, "frames", suffix=".csv", is_apart=self.is_apart(cast))
+            rows = (f"{frame},{label}\n" for frame, label in enumerate(cast.labels))
+            self._paths.append(write_text(index, "frame,reference\n" + "".join(rows)))
+        return path
+
+    def close(self) -> list[Path]:
+        """Write what someone who finds the files has to know, and return all files."""
+        return [*self._paths, write_units(self._out, self._said, self._lines)] if self._paths else []

@@ -1,0 +1,373 @@
+"""People in one world over the same frames, read from the store: what every format of poses writes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from string import ascii_uppercase
+from typing import Any
+
+import numpy as np
+
+from flows.exports.export_format import Export, RestPose
+from flows.exports.own_skeletons import Person, people_of_take, rig_of, take_of
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+from pasdedeux.formats.humanoid import humanoid_motion
+from pasdedeux.formats.own_skeleton import OwnSkeleton
+from pasdedeux.formats.positions_as_motion import motion_from_positions
+from pasdedeux.kinematics import Motion, bone_lengths
+from pasdedeux.people.video import rate_from_times
+from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT, body_height_m
+from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.reconstruction.body import body_from_joints
+from pasdedeux.reconstruction.people import motions_together
+from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
+from pasdedeux.verdict import Level
+from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
+from storage_schema.references import find_rows
+from tasks.curation import IDENTITY, rows_without
+from tasks.facts import MotionFacts, PeopleFacts
+from tasks.stage import verdict_of
+
+MOVING = ("poses", "variants", "motions")
+"""Tables of whole motions."""
+_KEYS = {
+    "draws": ("density", "seed_index", "chain"),
+    "seeds": (),
+    "lifted_pairs": ("sequence_id", "person_id", "partner_id", "method"),
+    "in_betweens": ("sequence_id", "person_id", "partner_id", "method"),
+    "selected_pairs": ("verdict",),
+}
+"""Tables of pairs, each with the columns that tell which pairs are frames of one file."""
+ANNOTATED = ("motions", "lifted_pairs", "in_betweens")
+"""Tables of what was made from annotations."""
+POSED = f"whole {', '.join(MOVING)}; rows of {', '.join(name for name in _KEYS if name != 'selected_pairs')}"
+"""What holds poses, in words."""
+WORLD = "right-handed, Y up"
+CAMERA = "right-handed, x right, y up, z towards the camera"
+_BODY22_NAMES = {theirs: ours for ours, theirs in HUMANOID_NAMES.items()}
+_NOMINAL_HZ = 30.0
+"""Rate of frames that do not follow each other in time: files want one."""
+_FINGER = 0.25
+"""Radius of a bone that the body has no radius for, in lengths of the bone; at most that of a forearm."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A person as programs draw one.
+
+    Args:
+        motion: The motion.
+        radii_m: Radius of the bone that ends in each joint (J,), metres.
+        positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
+        own: On the source's own skeleton: who it is, the motion, and body22 of the variant that it plays.
+    """
+
+    motion: Motion
+    radii_m: Array
+    positions_m: Array | None = None
+    own: tuple[Person, OwnSkeleton, Array | None] | None = None
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was made from annotations, as their camera sees it.
+
+    Args:
+        sequence_id: The sequence.
+        person_ids: Its people, A first.
+        frames: Its frames (frame,).
+        skeleton: Skeleton of the positions.
+        positions_m: Camera axes (frame, person, J, 3), metres; NaN where somebody is not there.
+        is_pair: Whether the places of both to each other are those of the image.
+    """
+
+    sequence_id: str
+    person_ids: tuple[int, ...]
+    frames: Sequence[int]
+    skeleton: Skeleton
+    positions_m: Array
+    is_pair: bool
+
+
+@dataclass(frozen=True)
+class Cast:
+    """People of one world over the same frames, A first.
+
+    Args:
+        parts: Parts of the file's name.
+        skeleton: Skeleton of the positions.
+        positions_m: Positions (frame, person, J, 3), metres.
+        rate_hz: Frames per second.
+        level: Verdict on it.
+        axes: Its axes.
+        said: What else must be known.
+        labels: What each frame is, where frames do not follow each other in time.
+        seen: The same as the camera of a video sees it, where it was made from annotations.
+        ref: The artifact that it is in.
+        make_rigs: Makes its people.
+    """
+
+    parts: tuple[str | int, ...]
+    skeleton: Skeleton
+    positions_m: Array
+    rate_hz: float
+    level: Level
+    axes: str = WORLD
+    said: str = ""
+    labels: Sequence[str] = ()
+    seen: Seen | None = None
+    ref: ArtifactRef | None = None
+    make_rigs: Callable[[RestPose], list[Rig]] | None = field(default=None, repr=False)
+
+    @property
+    def letters(self) -> str:
+        """Return the letters of the people."""
+        return ascii_uppercase[: self.positions_m.shape[1]]
+
+    @cached_property
+    def statures_m(self) -> Array:
+        """Return everybody's stature (person,), metres, by the legs."""
+        return body_height_m(self.skeleton, np.median(bone_lengths(self.skeleton, self.positions_m), axis=0))
+
+    def rigs(self, rest_pose: RestPose = "source") -> list[Rig]:
+        """Return its people."""
+        if self.make_rigs is not None:
+            return self.make_rigs(rest_pose)
+        rigs = []
+        for one, height_m in zip(np.moveaxis(self.positions_m, 1, 0), self.statures_m.tolist(), strict=True):
+            motion = motion_from_positions(self.skeleton, one, self.rate_hz)
+            rigs.append(Rig(motion, bone_radii(motion, height_m), one))
+        return rigs
+
+    def in_words(self) -> str:
+        """Say what someone who finds a file of it has to know."""
+        count = len(self.positions_m)
+        apart = f"{count} frames, which do not follow each other in time"
+        words = apart if self.labels else f"{count} frames at {self.rate_hz:.6g} Hz"
+        return "; ".join(filter(None, (words, f"axes: {self.axes}", self.said)))
+
+
+def holds_poses(reference: Reference) -> bool:
+    """Return whether a reference names poses: of whole motions, or any rows of pairs."""
+    return reference.table in _KEYS or (reference.table in MOVING and reference.row is None)
+
+
+def casts(export: Export) -> Iterator[Cast]:
+    """Yield the casts of an export, of motions one at a time."""
+    if export.reference.table in _KEYS:
+        yield from _pairs(export)
+        return
+    make = {"poses": _take, "variants": _variants, "motions": _reconstructions}[export.reference.table]
+    for ref in export.refs:
+        for cast in make(export.store, ref):
+            if "/".join(map(str, cast.parts)) not in export.left_out:
+                yield cast
+
+
+def bone_radii(motion: Motion, height_m: float, roles: Mapping[str, str] | None = None) -> Array:
+    """Return the radius of the bone that ends in each joint (J,), metres.
+
+    Args:
+        motion: A motion.
+        height_m: The person's stature.
+        roles: Joints of working skeletons by names of the motion's joints; None where they have those names.
+    """
+    names = [(roles or {}).get(name, name) for name in motion.skeleton.joint_names]
+    lengths = np.linalg.norm(motion.rest_offsets_m, axis=-1)
+    thin = RADIUS_PER_HEIGHT["left_wrist"]
+    return np.array(
+        [
+            height_m * RADIUS_PER_HEIGHT[name] if name in RADIUS_PER_HEIGHT else min(_FINGER * length, thin * height_m)
+            for name, length in zip(names, lengths, strict=True)
+        ]
+    )
+
+
+def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np.ndarray]]:
+    """Return which rows (n,) have the same values in some columns, by these values, in the order they come."""
+    places: dict[tuple[Any, ...], list[int]] = {}
+    keys = zip(*(rows[name] for name in columns), strict=True) if columns else [()] * rows.num_rows
+    for place, key in enumerate(keys):
+        places.setdefault(tuple(key), []).append(place)
+    for key, part in places.items():
+        yield key, np.array(part)
+
+
+def _take(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
+    takes = store.read(ref, "takes", columns=["take_id", "rate_hz", "num_persons"])
+    rows = store.read(ref, "poses", columns=["person", "body22_m"])
+    people = np.stack([rows["body22_m"][rows["person"] == one] for one in range(takes.num_rows)], axis=1)
+
+    def rigs(rest_pose: RestPose) -> list[Rig]:
+        return [_own_rig(one, one.own, None, rest_pose) for one in people_of_take(store, ref)]
+
+    yield Cast(
+        (str(takes["take_id"][0]),),
+        BODY22,
+        people.astype(np.float64),
+        float(takes["rate_hz"][0]),
+        _level(store, ref),
+        ref=ref,
+        make_rigs=rigs,
+    )
+
+
+def _variants(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
+    people = people_of_take(store, take_of(store, ref))
+    quality = store.read(ref, "variant_quality", columns=["take_id", "variant_id", "bone_scale", "verdict"])
+    rows = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "body22_m"])
+    places = {key: part[0] for key, part in groups(quality, "take_id", "variant_id")}
+    for key, part in groups(rows, "take_id", "variant_id"):
+        each = [rows["body22_m"][part[rows["person"][part] == person]] for person in range(len(people))]
+        num_frames = people[0].own.motion.num_frames
+        if {len(one) for one in each} != {num_frames}:
+            raise InputError(f"variant {key[1]} of take {key[0]} does not have the {num_frames} frames of its take")
+        positions, place = np.stack(each, axis=1).astype(np.float64), places[key]
+        scale = np.asarray(quality["bone_scale"][place]).reshape(len(people), -1)
+
+        def rigs(rest_pose: RestPose, positions_m: Array = positions, scales: Array = scale) -> list[Rig]:
+            found = zip(people, np.moveaxis(positions_m, 1, 0), scales, strict=True)
+            return [_own_rig(one, one.own.retargeted(to_m, by), to_m, rest_pose) for one, to_m, by in found]
+
+        yield Cast(
+            key,
+            BODY22,
+            positions,
+            people[0].own.motion.rate_hz,
+            Level(quality["verdict"][place]),
+            ref=ref,
+            make_rigs=rigs,
+        )
+
+
+def _own_rig(person: Person, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose) -> Rig:
+    drawn = rig_of(own, rest_pose)
+    names = zip(drawn.body.joint_names(drawn.motion.skeleton), BODY22.joint_names, strict=True)
+    lengths = np.median(bone_lengths(BODY22, own.body.of(own.motion)), axis=0)
+    radii = bone_radii(drawn.motion, float(body_height_m(BODY22, lengths)), dict(names))
+    return Rig(drawn.motion, radii, own=(person, own, wanted_m))
+
+
+def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
+    """Yield the people of each video and method, upright on one floor."""
+    rows = store.read(ref, "motions")
+    # From the axes of a camera that looks down to a world in which people stand upright.
+    camera = DatabaseCamera(math.radians(MotionFacts.of(store.manifest(ref)).pitch_deg))
+    for (sequence_id, method), part in groups(rows, "sequence_id", "method"):
+        ids = np.unique(rows["person_id"][part]).tolist()
+        people = []
+        for own in (part[rows["person_id"][part] == one] for one in ids):
+            found = body_from_joints(rows["body22_m"][own], rows["body22_unitquat"][own])
+            upright = found.turned(camera.camera_from_upright_rotmat.T)
+            people.append((int(rows["frame"][own[0]]), upright, rows["is_bridged"][own]))
+        rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
+        together = motions_together(people, rate_hz=rate_hz)
+        motions = [humanoid_motion(one.motion) for one in together]
+        positions = np.stack([one.motion.world()[0] for one in together], axis=1)
+        heights = body_height_m(BODY22, np.median(bone_lengths(BODY22, positions), axis=0))
+        first = together[0].first_frame
+        seen_m = np.full((len(positions), len(ids), OP14.num_joints, 3), np.nan)
+        seen_m[rows["frame"][part] - first, np.searchsorted(ids, rows["person_id"][part])] = rows["op14_m"][part]
+
+        def rigs(_: RestPose, motions: list[Motion] = motions, heights: Array = heights) -> list[Rig]:
+            both = zip(motions, heights.tolist(), strict=True)
+            return [Rig(one, bone_radii(one, height_m, _BODY22_NAMES)) for one, height_m in both]
+
+        who = ", ".join(f"{letter} is person {one}" for letter, one in zip(ascii_uppercase, ids, strict=False))
+        yield Cast(
+            (sequence_id, method),
+            BODY22,
+            positions,
+            rate_hz,
+            _level(store, ref),
+            said=f"{who} of the sequence; the first is frame {first} of the video; floor at y = 0, +Z to the camera",
+            seen=Seen(sequence_id, tuple(ids), range(first, first + len(positions)), OP14, seen_m, is_pair=False),
+            ref=ref,
+            make_rigs=rigs,
+        )
+
+
+def _pairs(export: Export) -> Iterator[Cast]:
+    """Yield pairs of one moment: those of one chain, sequence or set of seeds are frames of one cast."""
+    table, row = export.reference.table, export.reference.row
+    found: dict[tuple[Any, ...], list[tuple[ArtifactRef | None, TableData, np.ndarray, Sequence[str]]]] = {}
+    for ref, rows, labels in _rows_of_pairs(export):
+        for key, part in groups(rows, *_KEYS[table]):
+            found.setdefault(key, []).append((ref, rows, part, [labels[at] for at in part]))
+    if table in ANNOTATED and row is None:  # stills, each a sequence of its own
+        for key in [key for key, parts in found.items() if sum(len(part) for _, _, part, _ in parts) == 1]:
+            (one,) = found.pop(key)
+            assert one[0] is not None
+            found.setdefault((export.store.manifest(one[0]).partition, "stills", key[-1]), []).append(one)
+    levels = _chain_levels(export) if table == "draws" else {}
+    for key, parts in found.items():
+        ref = parts[0][0]
+        frames = [int(one) for _, rows, part, _ in parts for one in rows["frame"][part]] if table in ANNOTATED else []
+        is_moving = len(frames) > 1 and bool((np.diff(frames) == 1).all())
+        judged = [_level(export.store, one) for one, *_ in parts if one is not None]
+        level = Level(key[0]) if ref is None else max(judged, key=lambda one: one.rank)
+        positions = np.concatenate([rows["pair17_m"][part] for _, rows, part, _ in parts]).astype(np.float64)
+        is_video = table in ANNOTATED and "stills" not in key
+        seen = Seen(key[0], (int(key[1]), int(key[2])), frames, PAIR17, positions, is_pair=True) if is_video else None
+        yield Cast(
+            (table, *key) if row is None else (_name_of_row(export, parts[0][3][0]),),
+            PAIR17,
+            positions,
+            _annotated_hz(export.store, ref) if ref is not None and is_moving else _NOMINAL_HZ,
+            levels.get(key, level),
+            axes=f"{CAMERA}; the middle of the pair is the origin" if table in ANNOTATED else WORLD,
+            labels=() if is_moving else [label for *_, labels in parts for label in labels],
+            seen=seen,
+            ref=ref,
+        )
+
+
+def _name_of_row(export: Export, label: str) -> str:
+    """Return the name of the file of one pair: of a seed by its index, as studies name it."""
+    if export.reference.table == "seeds":
+        (rows,) = export.batches()
+        return f"seed{rows['seed_index'][0]}"
+    table, key, row = re.split("[@#]", label)
+    return f"{table.removesuffix('s')}-{key[:12]}-{row}"
+
+
+def _rows_of_pairs(export: Export) -> Iterator[tuple[ArtifactRef | None, TableData, Sequence[str]]]:
+    """Yield pairs by artifact, each with its reference; those that were selected come from many."""
+    table = export.reference.table
+    if export.selected is not None:
+        yield None, export.selected, [str(one) for one in export.selected["reference"]]
+        return
+    frames = ["frame"] if table in ANNOTATED else []
+    columns = dict.fromkeys([*_KEYS[table], *IDENTITY[table], "pair17_m", *frames])
+    for ref, rows in find_rows(export.reference, export.store):
+        read = export.store.read(ref, table, columns=list(columns), rows=rows)
+        kept = rows_without(read, export.left_out)
+        yield ref, TableData(read.table, read.rows.take(kept)), [f"{table}@{ref.key}#{rows.start + at}" for at in kept]
+
+
+def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:
+    """Return the verdicts on the chains that draws are of, where the reference names these, too."""
+    levels: dict[tuple[Any, ...], Level] = {}
+    with suppress(UnknownReference):
+        for ref in resolve(replace(export.reference, table="chain_info", row=None), export.store):
+            rows = export.store.read(ref, "chain_info", columns=[*_KEYS["draws"], "verdict"])
+            levels |= {key: Level(rows["verdict"][part[0]]) for key, part in groups(rows, *_KEYS["draws"])}
+    return levels
+
+
+def _annotated_hz(store: Store, ref: ArtifactRef) -> float:
+    """Return the rate of the annotations that something was made from."""
+    read = next(one for one in map(store.manifest, store.manifest(ref).inputs) if "annotations" in one.tables)
+    return PeopleFacts.of(read).rate_hz or _NOMINAL_HZ
+
+
+def _level(store: Store, ref: ArtifactRef) -> Level:
+    verdict = verdict_of(store.manifest(ref))
+    return Level.NOT_JUDGED if verdict is None else verdict.level

@@ -1,0 +1,156 @@
+"""What was made from 2D poses, drawn on its footage: a video for each sequence and method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.exports.cast_files import CastFiles
+from flows.exports.casts import ANNOTATED, Cast, Seen, casts, holds_poses
+from flows.exports.export_format import VERDICT, Export, ExportFormat
+from pasdedeux.arrays import Array, Flags
+from pasdedeux.errors import InputError
+from storage_schema import Store
+
+_GREY, _BACKGROUND = (150, 150, 150), 30
+_COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))
+"""Blue, green, red; person A first."""
+_MARGIN_PX, _LARGEST_PX = 40, 4096
+_SAID = (
+    "MP4 files show the annotation in grey and the result in colours, person A in red and B in blue, laid on the "
+    "annotation by scale and shift: they show poses and who is where, not how far off a person is placed."
+)
+
+
+def _write(export: Export, out: Path) -> Iterable[Path]:
+    """Write a video for each sequence and method, on blank frames where no footage is named."""
+    files = CastFiles(export, out, _SAID)
+    for cast in casts(export):
+        if cast.seen is not None:
+            _draw(export, cast, cast.seen, files.path(cast, suffix=".mp4"))
+    if not (written := files.close()):
+        raise InputError(f"'{export.text}' holds stills only: there is no video to draw on")
+    return written
+
+
+FORMAT = ExportFormat(
+    _write,
+    lambda reference: reference.table in ANNOTATED and holds_poses(reference),
+    ", ".join(ANNOTATED),
+    options=VERDICT | {"footage"},
+)
+
+
+def _draw(export: Export, cast: Cast, seen: Seen, path: Path) -> None:
+    """Write the video of one cast."""
+    import cv2  # here: a quarter of a second that other formats do not need
+
+    given_px, is_given, size = _annotation(export.store, cast, seen)
+    with _footage(export.footage, size) as frames:
+        first = frames(seen.frames[0])
+        height, width = (length - length % 2 for length in first.shape[:2])
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), cast.rate_hz, (width, height))
+        if not video.isOpened():
+            raise InputError(f"{path.name}: no video of {width} x {height} can be written here")
+        thick = max(2, height // 240)
+        for at, frame in enumerate(seen.frames):
+            image = np.ascontiguousarray(frames(frame)[:height, :width])
+            found_px = _laid_on(seen.positions_m[at], given_px[at], is_given[at], together=seen.is_pair)
+            for person in range(len(found_px)):
+                grey = np.where(is_given[at, person][:, None], given_px[at, person], np.nan)
+                _bones(image, grey, seen, _GREY, thick)
+                _bones(image, found_px[person], seen, _COLOURS[person % len(_COLOURS)], thick)
+            video.write(image)
+        video.release()
+
+
+def _bones(image: Any, points_px: Array, seen: Seen, colour: tuple[int, int, int], thick: int) -> None:
+    """Draw the bones whose ends are known."""
+    import cv2
+
+    for parent, child in seen.skeleton.bones:
+        ends = points_px[[parent, child]]
+        if np.isfinite(ends).all() and np.abs(ends).max() < 1e5:
+            start, stop = (tuple(map(int, np.round(end))) for end in ends)
+            cv2.line(image, start, stop, colour, thick, cv2.LINE_AA)
+
+
+def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: bool) -> Array:
+    """Return people (P, J, 3), camera axes, in pixels (P, J, 2): scaled and shifted to what is given.
+
+    A pair is laid on as a whole, people of a video one by one; NaN where fewer than two joints are given.
+    """
+    flat = people_m[..., :2] * (1.0, -1.0)
+    laid = np.full(flat.shape, np.nan)
+    for who in [slice(None)] if together else [slice(at, at + 1) for at in range(len(flat))]:
+        is_both = is_given[who] & np.isfinite(flat[who]).all(axis=-1)
+        if is_both.sum() > 1:
+            start, end = flat[who][is_both], given_px[who][is_both]
+            middle, to = start.mean(axis=0), end.mean(axis=0)
+            scale = np.sum((start - middle) * (end - to)) / max(float(np.sum((start - middle) ** 2)), 1e-12)
+            laid[who] = to + scale * (flat[who] - middle)
+    return laid
+
+
+def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tuple[int, int]]:
+    """Return the annotation of a cast (frame, P, J, 2) in pixels, which of it is given, and the size of its images."""
+    assert cast.ref is not None
+    ref = next(one for one in store.manifest(cast.ref).inputs if "annotations" in store.manifest(one).tables)
+    name = seen.skeleton.name
+    columns = ["sequence_id", "frame", "person_id", f"{name}_px", f"{name}_confidence"]
+    rows = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
+    place = {frame: at for at, frame in enumerate(seen.frames)}
+    who = {person_id: at for at, person_id in enumerate(seen.person_ids)}
+    given = np.full((len(place), len(who), seen.skeleton.num_joints, 2), np.nan)
+    is_sure = np.zeros(given.shape[:-1], dtype=bool)
+    size = (0, 0)
+    for row in np.flatnonzero(np.asarray(rows["sequence_id"]) == seen.sequence_id).tolist():
+        at, person = place.get(int(rows["frame"][row])), who.get(int(rows["person_id"][row]))
+        if at is not None and person is not None:
+            given[at, person] = rows[f"{name}_px"][row]
+            is_sure[at, person] = rows[f"{name}_confidence"][row] > 0
+        if not rows.is_null("image_width_px")[row]:
+            size = int(rows["image_width_px"][row]), int(rows["image_height_px"][row])
+    is_given = is_sure & np.isfinite(given).all(axis=-1)
+    if not all(size) and is_given.any():
+        size = tuple(np.clip(given[is_given].max(axis=0) + _MARGIN_PX, 2, _LARGEST_PX).astype(int).tolist())
+    return given, is_given, (max(size[0], 64), max(size[1], 64))
+
+
+@contextmanager
+def _footage(path: Path | None, size: tuple[int, int]) -> Iterator[Any]:
+    """Return what gives the image (height, width, 3) of a frame: of a video, or blank.
+
+    Raises:
+        InputError: The video cannot be opened, or has no such frame.
+    """
+    import cv2
+
+    if path is None:
+        yield lambda _: np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
+        return
+    if not path.is_file():
+        raise InputError(f"footage {path} does not exist")
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        raise InputError(f"footage {path.name} is no video that can be read here")
+    place = -1
+
+    def image_of(frame: int) -> Any:
+        nonlocal place
+        if frame != place + 1:
+            video.set(cv2.CAP_PROP_POS_FRAMES, frame)
+        is_read, image = video.read()
+        if not is_read:
+            raise InputError(f"footage {path.name} has no frame {frame}: it is not the video of these annotations")
+        place = frame
+        return image
+
+    try:
+        yield image_of
+    finally:
+        video.release()

@@ -1,0 +1,157 @@
+"""Bodies as capsules: instances of two small meshes, a rod for each bone and a ball at each of its ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from flows.viewing.scene import People
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
+from pasdedeux.interaction.contacts import find_contacts
+from pasdedeux.interaction.surfaces import surface_gaps
+from pasdedeux.plausibility.capsules import capsule_model
+from pasdedeux.skeletons import Skeleton
+
+THROUGH_M = 0.01
+"""Surfaces deeper within each other than this are shown as penetrating: less is cloth and flesh."""
+MOST_MARKS = 24
+"""Contacts and penetrations shown in a frame, of either."""
+_NOWHERE_M = -100.0
+_STICK_M = 0.015
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Where rods (along z, of radius and length 1) and balls (of radius 1) are: positions, turns and sizes."""
+
+    rods_m: Array
+    rods_wxyz: Array
+    rods_scale: Array
+    balls_m: Array
+    balls_scale: Array
+
+
+def capsules(ends_m: Array, radii_m: Array) -> Instances:
+    """Return the instances of capsules with these ends (n, 2, 3) and radii (n,), metres; of NaN ends nothing is seen.
+
+    >>> capsules(np.array([[[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]]]), np.array([0.1])).rods_scale.tolist()
+    [[0.10000000149011612, 0.10000000149011612, 2.0]]
+    """
+    is_there = np.asarray(np.isfinite(ends_m).all(axis=(1, 2)))
+    ends = np.where(is_there[:, None, None], ends_m, _NOWHERE_M)
+    radii = np.where(is_there, radii_m, 0.0)
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=-1)
+    unit = along / np.maximum(length, 1e-9)[:, None]
+    # The shortest turn from z; from z to -z about x.
+    wxyz = np.stack([1.0 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=-1)
+    wxyz[np.linalg.norm(wxyz, axis=-1) < 1e-6] = [0.0, 1.0, 0.0, 0.0]
+    return Instances(
+        rods_m=ends.mean(axis=1).astype(np.float32),
+        rods_wxyz=(wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)).astype(np.float32),
+        rods_scale=np.stack([radii, radii, length], axis=-1).astype(np.float32),
+        balls_m=ends.reshape(-1, 3).astype(np.float32),
+        balls_scale=np.repeat(radii, 2).astype(np.float32),
+    )
+
+
+class Bodies:
+    """Everybody's capsules over time, and objects after them.
+
+    Args:
+        people: Who.
+        ends_m: Axes of objects (frame, object, 2, 3) with their radii (object,), metres.
+        is_thin: Sticks of one width, as 2D poses are drawn.
+    """
+
+    def __init__(
+        self, people: People, ends_m: Array | None = None, radii_m: Array | None = None, *, is_thin: bool = False
+    ) -> None:
+        self._people, self._ends_m = people, ends_m
+        self._bones = np.array(people.skeleton.bones)
+        self.radii_m = _radii(people)
+        radii = np.full_like(self.radii_m, _STICK_M) if is_thin else self.radii_m
+        self._radii = np.concatenate([radii[:, self._bones[:, 1]].ravel(), [] if radii_m is None else radii_m])
+
+    def at(self, frame: int) -> Instances:
+        """Return where the capsules are in a frame."""
+        return self.of(self._people.frame(frame), frame)
+
+    def of(self, positions_m: Array, frame: int = 0) -> Instances:
+        """Return the same of other positions (person, joint, 3)."""
+        ends = positions_m[:, self._bones].reshape(-1, 2, 3)
+        return capsules(ends if self._ends_m is None else np.concatenate([ends, self._ends_m[frame]]), self._radii)
+
+    def colours(self, grey: tuple[int, int, int] | None = None) -> Array:
+        """Return the colour of each capsule (n, 3), 0 to 255: left limbs darker; all of them grey where asked."""
+        shades = np.array([shade_of(name) for name in self._people.skeleton.joint_names])[self._bones[:, 1]]
+        people = [np.outer(shades, grey or rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)])) for p in range(self._num)]
+        rest = np.full((len(self._radii) - self._num * len(shades), 3), 119.0)
+        return np.concatenate([*people, rest]).astype(np.uint8)
+
+    @property
+    def _num(self) -> int:
+        return int(self._people.positions_m.shape[1])
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return the three numbers of a colour.
+
+    >>> rgb("#c1440e")
+    (193, 68, 14)
+    """
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def _radii(people: People) -> Array:
+    """Return radii (person, joint), metres, from the frames in which everybody is there; a usual body's where none."""
+    model = capsule_model(people.skeleton)
+    whole = people.positions_m[np.isfinite(people.positions_m).all(axis=(1, 2, 3))]
+    if not len(whole) or not np.ptp(whole[..., 2]):
+        return np.broadcast_to(model.radii_m(1.7), people.positions_m.shape[1:3])
+    return model.radii_of(np.asarray(whole[:: max(1, len(whole) // 64)], dtype=np.float64))
+
+
+def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, Array]:
+    """Return where people touch (n, 3) and where bodies pass through each other (m, 3), metres.
+
+    Contacts are those of the augmentation in this frame by itself; penetration is deeper than `THROUGH_M`.
+
+    Args:
+        skeleton: Whose joints.
+        people_m: A frame (person, joint, 3), metres; who is not there does not count.
+        radii_m: Radii (person, joint), metres.
+    """
+    there = np.isfinite(people_m).all(axis=(1, 2))
+    people, radii = people_m[there], radii_m[there]
+    if len(people) < 2:
+        return np.empty((0, 3)), np.empty((0, 3))
+    found = find_contacts(people[None], radii, skeleton, rate_hz=1.0)
+    held = found.is_held[0]
+    parts = found.shares[0, held][..., None] * people.reshape(-1, 3)[found.points[0, held]]
+    touching = 0.5 * (parts[:, :2].sum(axis=1) - parts[:, 2:].sum(axis=1))
+    deep: list[Array] = []
+    for one, other in combinations(range(len(people)), 2):
+        gaps = surface_gaps(people[[one, other]], radii[[one, other]], skeleton)
+        a, b = np.nonzero(gaps.gap_m < -THROUGH_M)
+        for person, bones, share in ((one, a, gaps.share[a, b, 0]), (other, b, gaps.share[a, b, 1])):
+            child = gaps.bones[bones]
+            start = people[person, np.array(skeleton.parents)[child]]
+            deep.append(start + share[:, None] * (people[person, child] - start))
+    middles = [0.5 * (x + y) for x, y in zip(deep[::2], deep[1::2], strict=True)]
+    return touching[:MOST_MARKS], np.concatenate(middles)[:MOST_MARKS]
+
+
+def marker_balls(points_m: Sequence[Array], radius_m: float) -> tuple[Any, Any]:
+    """Return places and sizes of a fixed number of balls for each of these points (n, 3), unused ones without size."""
+    places = np.full((MOST_MARKS * len(points_m), 3), _NOWHERE_M, dtype=np.float32)
+    sizes = np.zeros(len(places), dtype=np.float32)
+    for number, points in enumerate(points_m):
+        rows = slice(number * MOST_MARKS, number * MOST_MARKS + len(points))
+        places[rows], sizes[rows] = points, radius_m
+    return places, sizes

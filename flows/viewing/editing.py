@@ -1,0 +1,278 @@
+"""Pairs that somebody changes: joints are dragged, the pair is saved as a seed, and chains start from it."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.viewing.kinds import IMAGE_HEIGHT_M, KINDS
+from flows.viewing.shelf import Part
+from flows.viewing.viewer import Viewer
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+from pasdedeux.fitting.dragging import pull_joint
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.pair_file import write_pair_json
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.plausibility.ranges import ANGLES
+from pasdedeux.skeletons import PAIR17
+from storage_schema import ArtifactRef
+from tasks.curation import POSITIONS
+from tasks.lifting import lift_again
+from tasks.priors import read_limits
+from tasks.seeds.files import pair_in_store
+
+_LOOK_S = 1.0
+_PERSONS = ("A", "B")
+_TOO_FAR = 6
+
+
+class Editor:
+    """The part of the panel in which pairs are changed, and chains started.
+
+    Args:
+        viewer: What it belongs to.
+        out: Folder for the files that are saved.
+        num_workers: Workers of a restart; those of `pasdedeux restart` where None.
+    """
+
+    def __init__(self, viewer: Viewer, out: Path, num_workers: int | None = None) -> None:
+        self.viewer, self.out, self._num_workers = viewer, out, num_workers
+        self.process: subprocess.Popen[str] | None = None
+        self._thread: threading.Thread | None = None
+        gui, scene = viewer.server.gui, viewer.server.scene
+        with gui.add_folder("Change and restart", expand_by_default=False) as self._folder:
+            self._is_on = gui.add_checkbox("change this pair", initial_value=False)
+            self._person = gui.add_dropdown("person", _PERSONS)
+            self._joint = gui.add_dropdown("joint", PAIR17.joint_names, initial_value="left_wrist")
+            self._limits = gui.add_text("joint limits", "", disabled=True)
+            self._save = gui.add_button("Save as seed")
+            self._lift = gui.add_button("Lift again")
+            self._restart = gui.add_button("Restart chains from here")
+            self._progress = gui.add_text("restart", "", disabled=True)
+        self._hand = scene.add_transform_controls(
+            "/hand", scale=0.3, disable_rotations=True, depth_test=False, visible=False
+        )
+        self._hand.on_update(viewer.safely(lambda _: self.drag(np.array(self._hand.position))))
+        self._is_on.on_update(viewer.safely(lambda _: self._begin()))
+        for handle in (self._person, self._joint):
+            handle.on_update(viewer.safely(lambda _: self.show_hand()))
+        self._save.on_click(viewer.safely(lambda _: viewer.tell(f"saved: {self.save()}")))
+        self._lift.on_click(viewer.safely(lambda _: self.lift()))
+        self._restart.on_click(viewer.safely(lambda _: self.restart()))
+        viewer.on_moment.append(self.show_hand)
+        self.show_hand()
+
+    @property
+    def is_image(self) -> bool:
+        """What is changed are 2D joints."""
+        return self.viewer.part.table == "annotations"
+
+    def _begin(self) -> None:
+        """Show 2D poses as such while they are changed."""
+        viewer = self.viewer
+        viewer.wants_flat = bool(self._is_on.value)
+        if viewer.scene.flat is not None:
+            viewer.show_item(viewer.index, viewer.scene.row_of(viewer.frame))
+        self.show_hand()
+
+    def show_hand(self) -> None:
+        """Show what can be done with what is shown, and the handle at the joint that is chosen."""
+        viewer = self.viewer
+        can_change = (KINDS[viewer.part.table].is_each or self.is_image) and self.pose.shape[0] == len(_PERSONS)
+        is_on = can_change and bool(self._is_on.value) and self.pose.shape[1] == PAIR17.num_joints
+        is_on = is_on and self.is_image is (viewer.scene.flat is not None)
+        self._folder.visible = can_change
+        self._save.label = "Save the 2D poses" if self.is_image else "Save as seed"
+        self._lift.visible, self._restart.visible = self.is_image, viewer.part.table == "draws"
+        self._lift.label = "Lift again" if viewer.scene.flat is not None else "Back to the 2D poses"
+        self._save.visible = not self.is_image or is_on
+        self._hand.visible = is_on
+        if not is_on:
+            return
+        if viewer.is_playing:
+            viewer.play(is_playing=False)
+        self._place = _PERSONS.index(self._person.value), PAIR17.index(self._joint.value)
+        at = self.pose[self._place]
+        self._hand.position = np.where(np.isfinite(at), at, 0.0)
+        self.show_limits()
+
+    @property
+    def pose(self) -> Array:
+        """The pair as it is now (person, joint, 3), metres."""
+        viewer = self.viewer
+        return viewer.scene.people.frame(viewer.frame) if viewer.pose is None else viewer.pose
+
+    def drag(self, target_m: Array) -> None:
+        """Bring the chosen joint to a place: of a pair with exact bones, of 2D poses by itself."""
+        if not self._hand.visible:
+            return
+        person, joint = self._place
+        pose = self.pose.copy()
+        if self.is_image:
+            pose[person, joint] = [*target_m[:2], 0.0]
+        else:
+            pose = pull_joint(PAIR17, pose, person, joint, target_m)
+        self.viewer.pose = pose
+        self.viewer.show_frame()
+        self.show_limits()
+
+    def show_limits(self) -> None:
+        """Name the angles that are out of range."""
+        if self.is_image:
+            self._limits.value = ""
+            return
+        refs = self.viewer.shelf.having("joint_limits")
+        limits = read_limits(self.viewer.shelf.store, refs) if refs else JointLimits.published()
+        bad = [
+            f"{_PERSONS[person]} {ANGLES[angle].joint} {ANGLES[angle].angle}"
+            for person, angle in np.argwhere(limits.invalid_angles(self.pose))
+        ]
+        more = f" and {len(bad) - _TOO_FAR} more" if len(bad) > _TOO_FAR else ""
+        self._limits.value = f"{', '.join(bad[:_TOO_FAR])}{more} out of range" if bad else "all angles in range"
+
+    # What is saved.
+
+    def save(self) -> Path:
+        """Write what is shown, changed or not, as a file that a study can name; gives its path."""
+        if self.is_image:
+            path = self._save_image()
+        else:
+            viewer = self.viewer
+            ref, row = viewer.item.row(viewer.scene.row_of(viewer.frame))
+            found = pair_in_store(viewer.shelf.store, viewer.part.table, ref, row)
+            is_changed = viewer.pose is not None
+            said = f"{found.made_from}{', joints moved by hand' if is_changed else ''}"
+            pair = replace(found, pair_m=self.pose if is_changed else found.pair_m, made_from=said)
+            path = self._write(f"{viewer.part.table}-{ref.key[:12]}-{row}", ".json", write_pair_json(pair))
+        return path
+
+    def _write(self, name: str, suffix: str, text: str) -> Path:
+        """Write a file whose name tells its content: what was saved before stays."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        path = self.out / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:6]}{suffix}"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    # Chains.
+
+    def restart(self) -> None:
+        """Start chains from what is shown in a process of their own; it goes on whatever the browser does."""
+        viewer = self.viewer
+        if self.process is not None and self.process.poll() is None:
+            raise InputError("a restart is running; wait for its end")
+        ref, row = viewer.item.row(viewer.scene.row_of(viewer.frame))
+        words = ["restart", f"draws@{ref.content_digest[:16]}#{row}", "--out", str(self.out)]
+        if viewer.pose is not None:
+            words += ["--edited", str(self.save())]
+        words += ["--store", str(viewer.shelf.store)]
+        words += [] if self._num_workers is None else ["--workers", str(self._num_workers)]
+        before = set(viewer.shelf.store.folders("chains"))
+        self._progress.value = "starting"
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "flows.console", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        self._thread = threading.Thread(target=self._follow, args=(before,), daemon=True)
+        self._thread.start()
+        threading.Thread(target=self._show_progress, daemon=True).start()
+
+    def _show_progress(self) -> None:
+        """Say what the process says, line by line."""
+        assert self.process is not None
+        assert self.process.stdout is not None
+        last = ""
+        for line in self.process.stdout:
+            last = line.strip() or last
+            self._progress.value = last
+        code = self.process.wait()
+        self.process.stdout.close()
+        self._progress.value = f"done: {last}" if code == 0 else f"failed: {last}"
+
+    def _follow(self, before: set[Path]) -> None:
+        """Offer new draws while they come."""
+        assert self.process is not None
+        while True:
+            is_over = self.process.poll() is not None
+            new = sorted(set(self.viewer.shelf.store.folders("chains")) - before)
+            self._offer([one.ref for path in new if (one := self.viewer.shelf.store.find("chains", path.name))])
+            if is_over:
+                return
+            threading.Event().wait(_LOOK_S)
+
+    def _offer(self, refs: list[ArtifactRef]) -> None:
+        """Put draws on the shelf: a part for each partition, with those that are there so far."""
+        viewer = self.viewer
+        with viewer.lock:
+            found: dict[str, list[ArtifactRef]] = {}
+            for ref in refs:
+                manifest = viewer.shelf.store.manifest(ref)
+                if "draws" in manifest.tables:
+                    found.setdefault(f"restart {manifest.partition}", []).append(ref)
+            parts = {part.name: part for part in viewer.shelf.parts if part.table == "draws"}
+            new = [Part("draws", name, tuple(own)) for name, own in found.items()]
+            if changed := [part for part in new if parts.get(part.name) != part]:
+                names = {part.name for part in changed}
+                kept = [one for one in viewer.shelf.parts if not (one.table == "draws" and one.name in names)]
+                viewer.shelf.parts = [*kept, *changed]
+                viewer.parts_changed()
+
+    # 2D poses.
+
+    def lift(self) -> None:
+        """Lift the 2D poses of this frame again, as they are now, and show them with the pair of before."""
+        viewer, shelf = self.viewer, self.viewer.shelf
+        if viewer.scene.flat is None:
+            viewer.show_item(viewer.index, viewer.scene.row_of(viewer.frame))
+            return
+        viewer.wants_flat = True
+        if viewer.scene.people is not viewer.scene.flat:
+            viewer.show_item(viewer.index, viewer.scene.row_of(viewer.frame))
+        row = viewer.scene.row_of(viewer.frame)
+        ref, _ = viewer.item.row(row)
+        views = [one for one in shelf.having("views") if ref in shelf.store.manifest(one).inputs]
+        if not views:
+            raise InputError("lifting needs views of these annotations; this study has none")
+        place = viewer.item.read(shelf.store, "annotations", ["sequence_id", "frame"])
+        moment = str(place["sequence_id"][row]), int(place["frame"][row])
+        at_hand = [*shelf.having("draws"), *shelf.having("seeds")]
+        before, after = lift_again(shelf.store, ref, views[0], at_hand, moment, self.image_px())
+        viewer.show_beside(after, before)
+        moved = 100.0 * float(np.linalg.norm(after - before, axis=-1).mean())
+        viewer.tell(f"lifted again: joints moved {moved:.1f} cm on average; grey is the pair of before")
+
+    def image_px(self) -> Array:
+        """Return the 2D poses as they are now (person, joint, 2), pixels."""
+        width, height = self.viewer.scene.images(self.viewer.frame)[0].size_px
+        return np.asarray(self.pose[..., :2] * [1.0, -1.0] * height / IMAGE_HEIGHT_M + [width / 2, height])
+
+    def _save_image(self) -> Path:
+        """Write all 2D poses of the item, those of this frame as they are now, as CSV."""
+        viewer = self.viewer
+        names = ["sequence_id", "frame", "person_id", POSITIONS["annotations"], "pair17_confidence"]
+        data: Any = viewer.item.read(viewer.shelf.store, "annotations", names)
+        points = np.array(data["pair17_px"], dtype=np.float64)
+        own = viewer.scene.frame_of_row == viewer.frame
+        points[own] = self.image_px()[np.argsort(np.argsort(data["person_id"][own]))]
+        confidence = np.where(np.isfinite(points).all(axis=-1), np.maximum(data["pair17_confidence"], 1e-3), 0.0)
+        sequences = tuple(name.replace("/", ".") for name in data["sequence_id"])
+        frames = AnnotatedFrames(
+            layout=PAIR17.name,
+            sequence_id=sequences,
+            frame=np.asarray(data["frame"], dtype=np.int64),
+            person_id=np.asarray(data["person_id"], dtype=np.int64),
+            keypoints_px=points,
+            confidence=confidence,
+            image_size_px=dict.fromkeys(sequences, viewer.scene.images(viewer.frame)[0].size_px),
+            rate_hz=viewer.scene.rate_hz,
+        )
+        return self._write(
+            f"annotations-{viewer.item.names[0].replace('/', '.')}", ".csv", write_annotation_csv(frames)
+        )

@@ -1,0 +1,360 @@
+"""How the rows of each table that has people become a scene: one function and one line for each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from flows.viewing.scene import Flat, Grid, People, Scene
+from flows.viewing.shelf import GROUPS, SINGLE_IMAGES, Item, Part, Shelf, plain
+from pasdedeux.arrays import Array, Integers
+from pasdedeux.cameras.frames import project_pair
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.completion.retrieval import nearest_images
+from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.skeletons import BODY22, PAIR17
+from storage_schema import ArtifactRef, Store
+from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_seen_pairs
+from tasks.curation import IDENTITY, POSITIONS, content_of, names_of
+from tasks.evaluation.ground_truth import GroundTruth, rate_of
+from tasks.facts import MotionFacts, SequenceFacts
+from tasks.takes import read_motion
+
+IMAGE_HEIGHT_M = 2.0
+"""An image without a camera stands in the room, this high."""
+_NUM_NEAREST = 3
+_LEVELS = {"pass": 0, "warn": 1, "fail": 2}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A table with people.
+
+    Args:
+        scene: Makes the scene of an item.
+        quality: Table with figures of each item, and the columns that name the item there; empty without one.
+        is_each: Each frame is a thing of its own that is accepted or rejected: draws, seeds, lifted pairs.
+    """
+
+    scene: Callable[[Shelf, Part, Item], Scene]
+    quality: str = ""
+    is_each: bool = False
+
+
+def _take(shelf: Shelf, part: Part, item: Item) -> Scene:
+    data = item.read(shelf.store, "poses", ["person", "frame", "time_s", "body22_m"])
+    grid = Grid.of(data["frame"], data["person"])
+    ends = radii = None
+    if refs := [ref for ref, _ in item.pieces if "objects" in shelf.store.manifest(ref).tables]:
+        rows = shelf.store.read(refs[0], "objects", columns=["object", "ends_m", "radius_m"])
+        count = len(set(rows["object"]))
+        ends = np.swapaxes(rows["ends_m"].reshape(count, -1, 2, 3), 0, 1)
+        radii = rows["radius_m"].reshape(count, -1)[:, 0]
+    people = People(BODY22, grid.fill(data["body22_m"]))
+    return Scene(people, grid.frame_of_row, rate_of(data["time_s"]), ends_m=ends, radii_m=radii)
+
+
+def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
+    store, (take_id, variant_id) = shelf.store, item.names
+    data = item.read(store, "variants", ["frame", "person", "time_s", "body22_m"])
+    grid = Grid.of(data["frame"], data["person"])
+    ref = item.pieces[0][0]
+    found = store.read(ref, "variant_frames")
+    own = np.flatnonzero((found["take_id"] == take_id) & (found["variant_id"] == variant_id))
+    names = [column.name for column in found.table.columns if column.name.endswith(("_m", "_rad", "_ratio"))]
+    names.sort(key=lambda name: name != "contact_drift_m")  # it comes first
+    taken = next(one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables)
+    return Scene(
+        People(BODY22, grid.fill(data["body22_m"])),
+        grid.frame_of_row,
+        rate_of(data["time_s"]),
+        behind=People(BODY22, read_motion(store, taken, "body22_m")["body22_m"]),
+        behind_name="source",
+        curves={name.replace("_", " "): np.asarray(found[name], dtype=np.float64)[own] for name in names},
+        levels=np.array([_LEVELS.get(str(word), 0) for word in found["verdict"][own]], dtype=np.int64),
+    )
+
+
+def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
+    store, sequence_id = shelf.store, item.names[0]
+    columns = ["person_id", "frame", "time_s", "body22_m", "score_m", "match_take_id", "match_frame", "yaw_rad"]
+    data = item.read(store, "motions", columns)
+    grid = Grid.of(data["frame"], data["person_id"])
+    shown = grid.fill(data["body22_m"])
+    matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
+    seen = _Seen.of(shelf, sequence_id)
+    truth = seen.truth(grid.frames, grid.persons, "body22_m")
+    # From the axes of a camera that looks down to a world in which people stand upright.
+    pitch_deg = MotionFacts.of(store.manifest(item.pieces[0][0])).pitch_deg
+    camera_from_upright = DatabaseCamera(math.radians(pitch_deg)).camera_from_upright_rotmat
+    shown = shown @ camera_from_upright.astype(np.float32)
+    if truth is not None:  # on the floor, and the mid-hips of the first frame together
+        truth = truth @ camera_from_upright
+        away = np.nanmean(truth[0, :, BODY22.root] - shown[0, :, BODY22.root], axis=0)
+        truth = truth - [away[0], np.nanmin(truth[..., 1]) - np.nanmin(shown[..., 1]), away[2]]
+    return Scene(
+        People(BODY22, shown),
+        grid.frame_of_row,
+        rate_of(data["time_s"]),
+        behind=None if truth is None else People(BODY22, truth),
+        behind_name="as captured",
+        curves={"distance to the match (m)": np.nanmean(grid.fill(data["score_m"]), axis=1)},
+        say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
+        images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
+        facts=(
+            f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
+            f'people_file = "people.csv" in [[ingest.annotations]]',
+        ),
+    )
+
+
+def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
+    columns = ["sequence_id", "frame", "person_id", "time_s", "pair17_px", "image_width_px", "image_height_px"]
+    columns += ["take_id", "take_frame"]
+    data = item.read(shelf.store, "annotations", columns)
+    moments = np.unique(np.stack([data["sequence_id"].astype(str), data["frame"].astype(str)]), axis=1)
+    numbers = {moment: at for at, moment in enumerate(zip(*moments.tolist(), strict=True))}
+    is_single = item.names[0] == SINGLE_IMAGES
+    where = [numbers[name, str(frame)] for name, frame in zip(data["sequence_id"], data["frame"], strict=True)]
+    grid = Grid.of(np.array(where) if is_single else data["frame"], data["person_id"])
+    image_px = grid.fill(data["pair17_px"])
+    size = _size(data["image_width_px"][0], data["image_height_px"][0], image_px)
+    names, frames = grid.first(data["sequence_id"]), grid.first(data["frame"])
+    seen = _Seen.of(shelf, str(data["sequence_id"][0]))
+    truth = None if is_single else seen.truth(grid.frames, grid.persons, "body22_m", in_world=True)
+    placed = (image_px - [size[0] / 2, size[1]]) * [1.0, -1.0] * IMAGE_HEIGHT_M / size[1]
+    image = People(PAIR17, np.insert(placed, 2, 0.0, axis=-1))
+
+    def images(frame: int) -> list[Flat]:
+        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}")]
+
+    return Scene(
+        image if truth is None else People(BODY22, truth),
+        grid.frame_of_row,
+        None if is_single else rate_of(data["time_s"]),
+        flat=image,
+        camera=None if truth is None else seen.camera,
+        images=images,
+        say=lambda frame: [f"{int(np.isfinite(image_px[frame]).all(axis=-1).sum())} joints seen"],
+        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone",),
+    )
+
+
+def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[Any, People, Integers]:
+    data = item.read(shelf.store, part.table, ["pair17_m", *columns])
+    return data, People(PAIR17, np.asarray(data["pair17_m"], dtype=np.float32)), np.arange(data.num_rows)
+
+
+def _seeds(shelf: Shelf, part: Part, item: Item) -> Scene:
+    data, people, rows = _pairs(shelf, part, item, ["seed_index", "take_id", "sequence_id", "made_from", "log_prior"])
+
+    def say(frame: int) -> list[str]:
+        origin = data["take_id"][frame] or data["sequence_id"][frame] or data["made_from"][frame]
+        return [f"seed {data['seed_index'][frame]} of {plain(origin)}"]
+
+    return Scene(people, rows, curves={"log prior": data["log_prior"]}, say=say, has_floor=False)
+
+
+def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
+    terms = ["log_density", "log_prior", "log_likelihood"]
+    names = [*terms, "sequence_id", "sequence_frame", "view", "dissimilarity_m", "num_accepted"]
+    data, people, rows = _pairs(shelf, part, item, names)
+    others = [one for one in shelf.items(part) if one.names[:2] == item.names[:2] and one != item]
+    chains = []
+    for one in others:
+        curve = np.full(len(rows), np.nan)
+        values = one.read(shelf.store, "draws", ["log_density"])["log_density"][: len(rows)]
+        curve[: len(values)] = values
+        chains.append(curve)
+
+    def say(frame: int) -> list[str]:
+        lines = [f"{data['num_accepted'][frame]} accepted steps since the draw before"]
+        matched = data["sequence_id"][frame]
+        if matched is not None:
+            d_i = 100.0 * float(data["dissimilarity_m"][frame])
+            lines.append(f"matches {matched} frame {plain(data['sequence_frame'][frame])}, d_I {d_i:.2f} cm")
+        return lines
+
+    def images(frame: int) -> list[Flat]:
+        if data["sequence_id"][frame] is None:
+            return []
+        pair = people.frame(frame)
+        flats = [_image_of(project_pair(pair, data["view"][frame]), "this draw, seen from its view")]
+        evidence = _evidence(shelf.store, item.pieces[0][0])
+        if not evidence:
+            return flats
+        seen = np.stack([one.image_m for one in evidence])
+        views = np.stack([one.directions[0] for one in evidence])
+        which, d_i = nearest_images(pair, seen, views, count=_NUM_NEAREST)
+        at = (data["sequence_id"][frame], int(data["sequence_frame"][frame]))
+        matched = [one for one in evidence if one.place[:2] == at][:1]
+        flats += [_image_of(one.image_m, f"matched: {one.place.sequence_id}") for one in matched]
+        titles = [f"{evidence[k].place.sequence_id}, {100 * d:.1f} cm" for k, d in zip(which, d_i, strict=True)]
+        return [*flats, *(_image_of(evidence[k].image_m, title) for k, title in zip(which, titles, strict=True))]
+
+    curves = {name.replace("_", " "): data[name] for name in terms}
+    return Scene(people, rows, curves=curves, others=chains, say=say, images=images, has_floor=False)
+
+
+def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
+    columns = [*Place._fields, "residual_m", "expected_error_m", "num_joints_seen", "draw"]
+    data, people, rows = _pairs(shelf, part, item, columns)
+    places = [place_of(data, row) for row in range(data.num_rows)]
+    truths = np.full(people.positions_m.shape, np.nan)
+    for row, place in enumerate(places):
+        seen = _Seen.of(shelf, place.sequence_id)
+        found = seen.truth(np.array([place.frame]), np.array([place.person_id, place.partner_id]), "pair17_m")
+        if found is not None:
+            truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
+
+    def say(frame: int) -> list[str]:
+        return [
+            " ".join(map(str, places[frame])),
+            f"residual {100 * data['residual_m'][frame]:.1f} cm, {data['num_joints_seen'][frame]} of 34 joints seen",
+            f"expected error {100 * data['expected_error_m'][frame]:.1f} cm",
+        ]
+
+    return Scene(
+        people,
+        rows,
+        behind=People(PAIR17, truths) if np.isfinite(truths).any() else None,
+        behind_name="as captured",
+        curves={"expected error (m)": data["expected_error_m"], "residual (m)": data["residual_m"]},
+        say=say,
+        images=lambda frame: _Seen.of(shelf, places[frame].sequence_id).flats(
+            places[frame].frame, places[frame].sequence_id
+        ),
+        has_floor=False,
+    )
+
+
+def _between(shelf: Shelf, part: Part, item: Item) -> Scene:
+    data, people, rows = _pairs(shelf, part, item, ["frame"])
+    return Scene(people, rows, say=lambda frame: [f"frame {data['frame'][frame]}"], has_floor=False)
+
+
+KINDS: Mapping[str, Kind] = {
+    "variants": Kind(_variant, "variant_quality"),
+    "poses": Kind(_take, "take_quality"),
+    "motions": Kind(_motion),
+    "lifted_pairs": Kind(_lifted, is_each=True),
+    "draws": Kind(_draws, "chain_info", is_each=True),
+    "seeds": Kind(_seeds, is_each=True),
+    "annotations": Kind(_sequence),
+    "in_betweens": Kind(_between),
+}
+
+
+def thing_of(shelf: Shelf, part: Part, item: Item, row: int) -> tuple[str, str]:
+    """Return name and content of what is accepted or rejected at a row of an item: the row's own, or all of it."""
+    ref, at = item.row(row)
+    own = Item(item.names, ((ref, np.array([at])),), item.label) if KINDS[part.table].is_each else item
+    data = own.read(shelf.store, part.table, [*IDENTITY[part.table], POSITIONS[part.table]])
+    return str(names_of(data)[0]), content_of(data[POSITIONS[part.table]])
+
+
+def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
+    """Return the figures of each item of a part by the item's names; of several people the last one's stand."""
+    table = KINDS[part.table].quality
+    if not table:
+        return {}
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    for ref in shelf.having(table, part.name):
+        data = shelf.store.read(ref, table)
+        for number in range(data.num_rows):
+            row = data.row(number)
+            found[tuple(str(row[name]) for name in GROUPS[part.table])] = row
+    return found
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What was seen of a sequence: annotated people by place, the camera of virtual video, the take behind it."""
+
+    store: Store
+    ref: ArtifactRef | None
+    sequence_id: str
+
+    @classmethod
+    def of(cls, shelf: Shelf, sequence_id: str) -> _Seen:
+        for ref in shelf.having("annotations"):
+            if sequence_id in SequenceFacts.of(shelf.store.manifest(ref)).sequence_ids:
+                return cls(shelf.store, ref, sequence_id)
+        return cls(shelf.store, None, sequence_id)
+
+    @property
+    def camera(self) -> PinholeCamera | None:
+        return None if self.ref is None else _truth(self.store, self.ref, "body22_m").cameras.get(self.sequence_id)
+
+    def truth(self, frames: Integers, persons: Integers, column: str, *, in_world: bool = False) -> Array | None:
+        """Return who was captured (frame, person, joint, 3), in camera axes or the world's; None where unknown."""
+        if self.ref is None or not SequenceFacts.of(self.store.manifest(self.ref)).is_virtual:
+            return None
+        truth = _truth(self.store, self.ref, column)
+        takes = [truth.frames.get((self.sequence_id, int(frame)), ("", 0)) for frame in frames]
+        camera = truth.cameras.get(self.sequence_id)
+        known = [truth.takes.get(take) for take, _ in takes]
+        if camera is None or any(one is None or max(persons) >= one.shape[1] for one in known):
+            return None
+        world = np.stack([one[at][persons] for one, (_, at) in zip(known, takes, strict=True) if one is not None])
+        return world if in_world else world @ camera.camera_from_world_rotmat.T
+
+    def flats(self, frame: int, title: str) -> list[Flat]:
+        """Return the 2D poses of a frame; none where it was not annotated."""
+        if self.ref is None:
+            return []
+        by_place = _people(self.store, self.ref)
+        people = {
+            who: px
+            for place, own in by_place.items()
+            if place[:2] == (self.sequence_id, frame)
+            for who, px in own.items()
+        }
+        if not people:
+            return []
+        points = np.stack([people[who] for who in sorted(people)])
+        size = self.camera.image_size_px if self.camera is not None else _size(np.nan, np.nan, points)
+        return [Flat(PAIR17, points, size, f"{title} frame {frame}")]
+
+
+@lru_cache(maxsize=4)
+def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
+    takes = [one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables]
+    return GroundTruth.read(store, takes, [ref], column=column)
+
+
+@lru_cache(maxsize=4)
+def _people(store: Store, ref: ArtifactRef) -> Mapping[Place, Mapping[int, Array]]:
+    return read_people(store, [ref], is_between=True, with_held_out=True)
+
+
+@lru_cache(maxsize=4)
+def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
+    """Return the annotated pairs that a chain was sampled with."""
+    inputs = [store.manifest(one) for one in store.manifest(ref).inputs]
+    found: list[SeenPair] = []
+    for views in (one for one in inputs if "views" in one.tables):
+        for annotated in (one.ref for one in inputs if "annotations" in one.tables and one.ref in views.inputs):
+            found += read_seen_pairs(store, annotated, views.ref, num_hypotheses=1)[0].values()
+    return found
+
+
+def _image_of(image_m: Array, title: str) -> Flat:
+    """Return an image in metres (person, joint, 2), y up, as pixels."""
+    points = image_m * [400.0, -400.0]
+    return Flat(PAIR17, points - np.nanmin(points, axis=(0, 1)) + 40.0, _size(np.nan, np.nan, points), title)
+
+
+def _size(width: float, height: float, points_px: Array) -> tuple[int, int]:
+    """Return the size of an image; one that is unknown holds everything that was seen."""
+    if np.isfinite([width, height]).all():
+        return int(width), int(height)
+    if not np.isfinite(points_px).any():
+        return 640, 480
+    low, high = (take(points_px, axis=tuple(range(points_px.ndim - 1))) for take in (np.nanmin, np.nanmax))
+    return int(high[0] - min(low[0], 0.0)) + 80, int(high[1] - min(low[1], 0.0)) + 80

@@ -1,0 +1,111 @@
+"""What the viewer shows at once: people over time, what stands behind them, and what is known of each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.arrays import Array, Integers
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.skeletons import Skeleton
+
+
+@dataclass(frozen=True)
+class People:
+    """People over time: positions (frame, person, joint, 3), metres, Y up, NaN where somebody is not there."""
+
+    skeleton: Skeleton
+    positions_m: Array
+
+    def frame(self, number: int) -> Array:
+        """Return one frame (person, joint, 3) in double precision."""
+        return np.asarray(self.positions_m[number], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Flat:
+    """2D poses of a frame (person, joint, 2), y down, NaN: missing, in an image of this size, and what it is called."""
+
+    skeleton: Skeleton
+    points_px: Array
+    size_px: tuple[int, int]
+    title: str
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One item of the store, ready to be shown.
+
+    Args:
+        people: Who is shown.
+        frame_of_row: The frame that each row of the item is of (row,).
+        rate_hz: Frames per second; None where frames do not follow each other in time.
+        flat: The 2D poses that `people` were seen as, standing in the room.
+        behind: What is compared with: the source of a variant, the capture behind a reconstruction.
+        behind_name: What that is.
+        ends_m: Ends of the axes of objects (frame, object, 2, 3), metres, with `radii_m` (object,).
+        camera: Camera that saw it.
+        curves: Figures over the frames (frame,), by name.
+        others: The first of these figures for other chains of the same seed (frame,), NaN where they end.
+        levels: Verdict of each frame: 0 passes, 1 warns, 2 fails.
+        facts: What is known of the item, a line each.
+        say: Gives what is known of a frame, a line each.
+        images: Gives the 2D pictures that belong to a frame.
+        has_floor: The floor is at y = 0; else it is drawn under the lowest joint.
+    """
+
+    people: People
+    frame_of_row: Integers
+    rate_hz: float | None = None
+    flat: People | None = None
+    behind: People | None = None
+    behind_name: str = ""
+    ends_m: Array | None = None
+    radii_m: Array | None = None
+    camera: PinholeCamera | None = None
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    others: Sequence[Array] = ()
+    levels: Integers | None = None
+    facts: tuple[str, ...] = ()
+    say: Callable[[int], list[str]] = lambda frame: []
+    images: Callable[[int], list[Flat]] = lambda frame: []
+    has_floor: bool = True
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return len(self.people.positions_m)
+
+    def row_of(self, frame: int) -> int:
+        """Return the first row of the item that is of a frame."""
+        return int(np.flatnonzero(self.frame_of_row == frame)[0])
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Rows as frames and people: which frame and person each row is (row,)."""
+
+    frames: Integers
+    persons: Integers
+    frame_of_row: Integers
+    person_of_row: Integers
+
+    @classmethod
+    def of(cls, frames: Any, persons: Any) -> Grid:
+        """Sort rows, given their frames and people, into a grid."""
+        numbers, at = np.unique(np.asarray(frames), return_inverse=True)
+        people, who = np.unique(np.asarray(persons), return_inverse=True)
+        return cls(numbers, people, at, who)
+
+    def fill(self, values: Array) -> Array:
+        """Return values (row, ...) as (frame, person, ...), NaN where there is no row."""
+        filled = np.full((len(self.frames), len(self.persons), *values.shape[1:]), np.nan, dtype=np.float32)
+        filled[self.frame_of_row, self.person_of_row] = values
+        return filled
+
+    def first(self, values: Any) -> Any:
+        """Return the value of the first row of each frame (frame, ...)."""
+        return np.asarray(values)[np.unique(self.frame_of_row, return_index=True)[1]]

@@ -1,0 +1,122 @@
+"""The server of the viewer: viser on this machine alone, and nobody else's page may talk to it.
+
+Viser checks neither who asks (Host) nor which page does (Origin), and offers a tunnel through a host of its makers.
+Here a request with a foreign Host or Origin is refused before the handshake, the tunnel is gone, and the page may load
+nothing from elsewhere (Content-Security-Policy), such as the decoder of meshes that its client names.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from pasdedeux.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+_NAMES = (LOOPBACK, "localhost")
+_POLICY = (
+    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; connect-src 'self' data: blob: {sockets}; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+
+
+_TITLE = b"""<title>pasdedeux</title><script>
+document.documentElement.addEventListener("keydown", (event) => {
+  if (event.key.startsWith("Arrow")) event.stopPropagation();
+});</script>"""
+"""Viser turns its camera with the arrow keys, listening at the document; commands listen at the element below it."""
+
+
+def start_server(port: int, on_visit: Callable[[str], None], label: str) -> Any:
+    """Start a `viser.ViserServer` on this machine's loopback.
+
+    Args:
+        port: Port, 0 for any that is free.
+        on_visit: Called with the reference in the address of a page that is opened, `?at=REFERENCE`.
+        label: What stands over its panel.
+
+    Raises:
+        InputError: The port is in use, or viser is not installed.
+    """
+    try:
+        import viser
+        from viser._messages import ShareUrlRequest
+    except ImportError:
+        raise InputError("the viewer needs viser, which is not installed: pip install 'pasdedeux[view]'") from None
+    _refuse_used(port)
+    with _guarded(on_visit), contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
+    server._websock_server.unregister_handler(ShareUrlRequest)
+    return server
+
+
+def _refuse_used(port: int) -> None:
+    """Refuse a port that is in use: viser would take another one and say nothing."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            why = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
+            raise InputError(f"port {port} {why}; --port names another one, 0 takes any that is free") from None
+
+
+@contextlib.contextmanager
+def _guarded(on_visit: Callable[[str], None]) -> Iterator[None]:
+    """Put the checks in front of what a server that is started in this block answers."""
+    import websockets.asyncio.server as sockets
+
+    plain = sockets.serve
+
+    def serve(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+            is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
+            if (why := refusal(host, origin, is_socket=is_socket)) is not None:
+                return connection.respond(403, f"{why}\n")
+            if not is_socket and "Accept-Encoding" in request.headers:
+                del request.headers["Accept-Encoding"]  # the page is changed below
+            response = process_request(connection, request)
+            if response is not None:
+                response.body = response.body.replace(b"<title>Viser</title>", _TITLE, 1)
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
+                response.headers["Content-Security-Policy"] = _POLICY.format(sockets=f"ws://{host}")
+                response.headers["X-Content-Type-Options"] = "nosniff"
+                response.headers["Cache-Control"] = "no-store"
+                address = urlsplit(request.path)
+                if address.path == "/" and (found := parse_qs(address.query).get("at")):
+                    on_visit(found[0])
+            return response
+
+        return plain(*arguments, process_request=answer, **options)
+
+    sockets.serve = serve  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        sockets.serve = plain  # type: ignore[misc]
+
+
+def refusal(host: str, origin: str | None, *, is_socket: bool) -> str | None:
+    """Say why a request is refused, by the host it asks for and the page it comes from; None where it is not.
+
+    >>> refusal("127.0.0.1:8080", None, is_socket=False) is None
+    True
+    >>> refusal("127.0.0.1:8080", "http://elsewhere.example", is_socket=True)
+    'refused: a page of http://elsewhere.example may not talk to this viewer'
+    """
+    try:
+        name = urlsplit(f"//{host}").hostname
+    except ValueError:
+        name = None
+    if name not in _NAMES:
+        return "refused: this viewer answers to 127.0.0.1 and localhost alone"
+    if (is_socket or origin is not None) and origin != f"http://{host}":
+        return f"refused: a page of {origin or 'nowhere'} may not talk to this viewer"
+    return None

@@ -1,0 +1,216 @@
+"""What there is to look at, by manifests alone: parts of a store, the items in one, and where a reference points.
+
+An item is what is played at once, such as a variant, a chain or a take; its rows are read when it is looked at.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from flows.recorded import read_recorded
+from pasdedeux.arrays import Integers
+from pasdedeux.errors import InputError
+from storage_schema import (
+    TABLES,
+    ArtifactRef,
+    Store,
+    TableData,
+    latest_studies,
+    list_runs,
+    parse_reference,
+    read_latest,
+    resolve,
+)
+from storage_schema.references import find_rows
+from storage_schema.table_data import concatenate
+
+GROUPS = {
+    "variants": ("take_id", "variant_id"),
+    "poses": ("take_id",),
+    "motions": ("sequence_id", "method"),
+    "lifted_pairs": ("method",),
+    "draws": ("density", "seed_index", "chain"),
+    "seeds": ("origin",),
+    "annotations": ("sequence_id",),
+    "in_betweens": ("sequence_id", "method"),
+}
+"""Tables that can be looked at, and the columns by which their rows are items."""
+SINGLE_IMAGES = "single images"
+_STILLS = 3
+"""Sequences of fewer frames than this are single images: they make one item."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A partition of a table."""
+
+    table: str
+    name: str
+    refs: tuple[ArtifactRef, ...]
+
+
+@dataclass(frozen=True)
+class Item:
+    """What is played at once: its names, its rows in each artifact that has some, and what it is called."""
+
+    names: tuple[str, ...]
+    pieces: tuple[tuple[ArtifactRef, Integers], ...]
+    label: str
+
+    def row(self, number: int) -> tuple[ArtifactRef, int]:
+        """Return the artifact and the row in it of a row of the item."""
+        for ref, rows in self.pieces:
+            if number < len(rows):
+                return ref, int(rows[number])
+            number -= len(rows)
+        raise IndexError(number)
+
+    def number(self, ref: ArtifactRef, row: int) -> int | None:
+        """Return which row of the item a row of an artifact is; None where it is of another item."""
+        before = 0
+        for own, rows in self.pieces:
+            if own == ref and len(found := np.flatnonzero(rows == row)):
+                return before + int(found[0])
+            before += len(rows)
+        return None
+
+    def read(self, store: Store, table: str, columns: Sequence[str]) -> TableData:
+        """Read columns of its rows, and no others, one after another."""
+        parts = []
+        for ref, rows in self.pieces:
+            data = store.read(ref, table, columns=columns, rows=slice(int(rows[0]), int(rows[-1]) + 1))
+            is_whole = len(rows) == data.num_rows
+            parts.append(data if is_whole else TableData(data.table, data.rows.take(rows - rows[0])))
+        return concatenate(TABLES[table], parts)
+
+
+class Shelf:
+    """What can be looked at of some artifacts.
+
+    Args:
+        store: The store.
+        shown: What was asked for.
+        beside: What else is at hand: the rest of the study.
+        tables: Tables to show, all that can be where none is given.
+    """
+
+    def __init__(
+        self, store: Store, shown: Iterable[ArtifactRef], beside: Iterable[ArtifactRef] = (), tables: Sequence[str] = ()
+    ) -> None:
+        self.store = store
+        self.beside = tuple(dict.fromkeys([*shown, *beside]))
+        found: dict[tuple[str, str], list[ArtifactRef]] = {}
+        for ref in dict.fromkeys(shown):
+            manifest = store.manifest(ref)
+            for table in manifest.tables:
+                if table in (tables or GROUPS) and manifest.tables[table].rows:
+                    found.setdefault((table, manifest.partition), []).append(ref)
+        order = list(GROUPS)
+        places = sorted(found, key=lambda place: order.index(place[0]))
+        self.parts = [Part(*place, tuple(found[place])) for place in places]
+        self.items = lru_cache(maxsize=8)(self._items)
+
+    def _items(self, part: Part) -> list[Item]:
+        """Return the items of a part, from the columns that name them alone."""
+        columns = GROUPS[part.table]
+        found: dict[tuple[str, ...], list[tuple[ArtifactRef, Integers]]] = {}
+        for ref in part.refs:
+            data = self.store.read(ref, part.table, columns=columns)
+            names = np.stack([np.asarray(data[name]).astype(str) for name in columns], axis=-1)
+            unique, which = np.unique(names, axis=0, return_inverse=True)
+            rows = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
+            sizes = [len(one) for one in rows]
+            if part.table == "annotations" and max(sizes) < 2 * _STILLS:
+                unique, rows = np.array([[SINGLE_IMAGES]]), [np.arange(data.num_rows)]
+            for name, own in zip(unique.tolist(), rows, strict=True):
+                found.setdefault(tuple(name), []).append((ref, own))
+        return [Item(names, tuple(pieces), _label(columns, names)) for names, pieces in found.items()]
+
+    def having(self, table: str, partition: str | None = None) -> list[ArtifactRef]:
+        """Return the artifacts at hand with this table, of one partition where one is given."""
+        manifests = map(self.store.manifest, self.beside)
+        return [one.ref for one in manifests if table in one.tables and partition in (None, one.partition)]
+
+    def find(self, text: str) -> tuple[Part, int, int]:
+        """Return part, item and row of the item that a reference with or without a row points to.
+
+        Raises:
+            UnknownReference, InputError: It points to nothing here.
+        """
+        reference = parse_reference(text)
+        ref, rows = find_rows(reference, self.store)[0]
+        for part in self.parts:
+            if part.table == reference.table and ref in part.refs:
+                for index, item in enumerate(self.items(part)):
+                    if (number := item.number(ref, rows.start)) is not None:
+                        return part, index, number
+        raise InputError(f"'{text}' is not among what is shown here")
+
+
+def open_shelf(store: Store, word: str | None) -> Shelf:
+    """Return what a study, a run, a version of a dataset or a reference names; the newest study for no word.
+
+    Raises:
+        InputError: There is nothing to look at.
+        PlanError: A run has not finished.
+        UnknownReference: It names nothing; says what is there.
+    """
+    if word is None:
+        runs = [(last.run_id, name) for name in latest_studies(store) if (last := read_latest(store, name))]
+        if not runs:
+            raise InputError(f"the store {store} holds no study yet: `pasdedeux run` builds one, or name motion files")
+        word = max(runs)[1]
+    if re.fullmatch(r"\w+[:@][^#]*(#.*)?", word) and word.partition("@")[0].partition(":")[0] in TABLES:
+        reference = parse_reference(word)
+        refs = resolve(reference, store)
+        if reference.table not in GROUPS:
+            raise InputError(f"'{word}' has no people to look at; tables with people: {', '.join(GROUPS)}")
+        last = read_latest(store, reference.study) if reference.study else None
+        rest = [ref for stage in last.stages for ref in last.refs(stage)] if last else []
+        return Shelf(store, refs, [ref for ref in rest if store.find(ref.stage, ref.key)], (reference.table,))
+    if "@" in word or word in {folder.run_id for folder in list_runs(store)}:
+        shelf = Shelf(store, [one.ref for one in read_recorded(store, word).artifacts.values()])
+    else:
+        latest = read_latest(store, word)
+        if latest is None:
+            there = ", ".join(latest_studies(store)) or "none"
+            raise InputError(
+                f"'{word}' is no file here, and no study, run or reference of the store {store}; studies: {there}"
+            )
+        refs = [ref for stage in latest.stages for ref in latest.refs(stage)]
+        shelf = Shelf(store, [ref for ref in refs if store.find(ref.stage, ref.key)])
+    if not shelf.parts:
+        raise InputError(f"'{word}' has no people to look at yet; tables with people: {', '.join(GROUPS)}")
+    return shelf
+
+
+def _label(columns: Sequence[str], names: Sequence[str]) -> str:
+    """Return the name of an item; a number says of what it is.
+
+    >>> _label(("density", "seed_index", "chain"), ("ic", "0", "1"))
+    'ic seed 0 chain 1'
+    """
+    words = [
+        f"{column.removesuffix('_index')} {name}" if name.isdigit() else name
+        for column, name in zip(columns, names, strict=True)
+    ]
+    return " ".join(words)
+
+
+def moment_reference(part: Part, item: Item, row: int) -> str:
+    """Return the reference of a row of an item, by the content of its artifact: it outlives runs and keys."""
+    ref, at = item.row(row)
+    return f"{part.table}@{ref.content_digest[:16]}#{at}"
+
+
+def plain(value: Any) -> str:
+    """Return a value as a person reads it."""
+    if isinstance(value, float | np.floating):
+        return "-" if np.isnan(value) else f"{value:.4g}"
+    return "-" if value is None else str(value)

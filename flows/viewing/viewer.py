@@ -1,0 +1,694 @@
+"""The viewer: one session that every browser on it shares, its panel, its keys, and the clock that plays."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import parse_qs, quote, urlsplit
+
+import numpy as np
+
+from flows.viewing.bodies import Bodies, marker_balls, marks
+from flows.viewing.choosing import UNDECIDED, Choosing
+from flows.viewing.images import encode, encode_clip, flat_panels, presence_strip
+from flows.viewing.kinds import KINDS, qualities, thing_of
+from flows.viewing.scene import People, Scene
+from flows.viewing.server import start_server
+from flows.viewing.shelf import Item, Part, Shelf, moment_reference, plain
+from pasdedeux.arrays import Array
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.errors import PasdedeuxError
+from pasdedeux.skeletons import PAIR17
+from storage_schema import StorageError
+from tasks.curation import Decision
+
+TICK_S = 1.0 / 30.0
+STILLS_HZ = 10.0
+"""Frames that do not follow each other in time are played at this rate."""
+_CURVE_POINTS = 300
+_MARK_M = 0.035
+_APART_M = 0.5
+_MOVED_M = 2.0
+"""Cameras follow where people are further than this from those before."""
+_COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
+_GREY = (120, 120, 120)
+_DARKER = 1.7
+"""Exponent of colours: the lights of the room make them paler."""
+_LINES = (("#b58900", 1), ("#8a5a9e", 1), ("#3f7f7f", 1), ("#1f5fa8", 2), ("#c1440e", 2))
+"""Of a figure for other chains, then of this one, and at the last of the moment that is shown."""
+_NUM_OTHERS = len(_LINES) - 2
+_NO_IMAGE = np.zeros((1, 1, 3), dtype=np.uint8)
+_CLIP_S = 4.0
+_CLIP_HZ = 10.0
+COMPARE = ("over", "beside", "hidden")
+ALL, FAILS, WARNS, PASSES = "all", "fail", "warn", "pass"
+STORED_ORDER = "as stored"
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+
+
+class Viewer:
+    """What is shown, and the panel to change it with.
+
+    Args:
+        shelf: What can be looked at.
+        port: Port, 0 for any that is free.
+        at: Reference of the first moment; the first item where none is given.
+        choosing: The file of choices; `curation.txt` here where none is given.
+    """
+
+    def __init__(self, shelf: Shelf, *, port: int = 0, at: str | None = None, choosing: Choosing | None = None) -> None:
+        self.shelf, self.choosing = shelf, choosing or Choosing(Path("curation.txt"))
+        self.lock = threading.RLock()
+        self.part: Part = shelf.parts[0]
+        self.order: list[int] = []
+        self.index = self.frame = 0
+        self.is_playing = False
+        self.pose: Array | None = None
+        """Positions that are shown in place of the scene's, while somebody changes them."""
+        self.on_moment: list[Callable[[], None]] = []
+        self.wants_flat = False
+        """Whether 2D poses are shown as such, where they could be shown as what was captured."""
+        self._figures: dict[tuple[str, ...], dict[str, Any]] = {}
+        self._started = (0.0, 0)
+        self._handles: dict[str, Any] = {}
+        self._middle = np.full(3, np.inf)
+        self._curve: list[Array] | None = None
+        self._num_marks: tuple[int, ...] = (0, 0)
+        self._ended = threading.Event()
+        self._looked = threading.Event()
+        first = shelf.find(at) if at is not None else None
+        self.server = start_server(port, self.visit, "pasdedeux")
+        self._build()
+        self.show_part(first[0] if first else self.part, first[1] if first else 0, first[2] if first else None)
+        self._threads = [threading.Thread(target=run, daemon=True) for run in (self._play, self._look)]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://127.0.0.1:{self.server.get_port()}"
+
+    @property
+    def item(self) -> Item:
+        """The item that is shown."""
+        return self.shelf.items(self.part)[self.index]
+
+    @property
+    def reference(self) -> str:
+        """The reference of the moment that is shown."""
+        return moment_reference(self.part, self.item, self.scene.row_of(self.frame))
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the end of the viewer, at most some time; tells whether it has ended."""
+        return self._ended.wait(seconds)
+
+    def stop(self) -> None:
+        """End the clock and the server."""
+        self._ended.set()
+        self._looked.set()
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+        with suppress(RuntimeError):
+            self.server.stop()
+
+    # What is shown.
+
+    def visit(self, text: str) -> None:
+        """Go to the moment that a reference, or a link to one, points to; says so where it points to nothing."""
+        with self.lock:
+            try:
+                part, index, row = self.shelf.find(parse_qs(urlsplit(text).query).get("at", [text])[0])
+            except (PasdedeuxError, StorageError) as error:
+                self.tell(str(error))
+                return
+            self.show_part(part, index, row)
+
+    def show_part(self, part: Part, index: int = 0, row: int | None = None) -> None:
+        """Show an item of a part at one of its rows."""
+        with self.lock:
+            self.part = part
+            self._figures = qualities(self.shelf, part)
+            numbers = [name for name, value in next(iter(self._figures.values()), {}).items() if _is_number(value)]
+            self._set("part", self._part_label(part))
+            self.gui_sort.options = (STORED_ORDER, *numbers)
+            self.sort(index)
+            self.show_item(index, row)
+
+    def sort(self, kept: int | None = None) -> None:
+        """Put the items into the order, and leave out those, that were asked for; `kept` stays in any case."""
+        items, by = self.shelf.items(self.part), str(self.gui_sort.value)
+        rows = [self._figures.get(item.names, {}) for item in items]
+        wanted = str(self.gui_filter.value)
+        shown = [{ALL, str(row.get("verdict", "")), self._chosen(at)} for at, row in enumerate(rows)]
+        order = [at for at, words in enumerate(shown) if at == kept or wanted in words]
+        if by != STORED_ORDER:
+            order.sort(key=lambda at: -_number(rows[at].get(by)))
+        self.order = order
+        self.gui_item.options = tuple(self._item_label(at) for at in order) or ("none",)
+
+    def show_item(self, index: int, row: int | None = None) -> None:
+        """Read an item, and show it from its beginning or at one of its rows."""
+        with self.lock:
+            self.index, self.pose = index, None
+            scene = KINDS[self.part.table].scene(self.shelf, self.part, self.item)
+            if self.wants_flat and scene.flat is not None:
+                scene = replace(scene, people=scene.flat, camera=None)
+            self._show_scene(scene, row)
+
+    def show_beside(self, pair_m: Array, before_m: Array) -> None:
+        """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
+        row = self.scene.row_of(self.frame)
+        rows = np.where(np.arange(len(self.scene.frame_of_row)) == row, 0, -1)
+        pair, before = (People(PAIR17, one[None]) for one in (pair_m, before_m))
+        images = partial(self.scene.images, self.frame)
+        scene = Scene(pair, rows, behind=before, behind_name="before", images=lambda _: images(), has_floor=False)
+        self._show_scene(scene, row)
+
+    def _show_scene(self, scene: Scene, row: int | None) -> None:
+        with self.lock:
+            self.scene: Scene = scene
+            self.bodies = Bodies(self.scene.people, self.scene.ends_m, self.scene.radii_m, is_thin=self._is_flat)
+            self._behind = None if self.scene.behind is None else Bodies(self.scene.behind)
+            self._set("item", self._item_label(self.index))
+            self._draw_room()
+            self._draw_curve()
+            for name in ("compare", "through"):
+                self._handles[name].visible = {"compare": self._behind, "through": self.scene.camera}[name] is not None
+            self._handles["compare"].label = self.scene.behind_name or "compare"
+            self._handles["facts"].value = "\n".join(self._item_lines())
+            self._handles["failing"].visible = self.scene.levels is not None
+            self._show_scales()
+            self._handles["timeline"].max = max(self.scene.num_frames - 1, 1)
+            self.seek(0 if row is None else int(self.scene.frame_of_row[row]))
+
+    def step_item(self, by: int) -> None:
+        """Go to another item, in the order of the list."""
+        with self.lock:
+            if self.order:
+                at = self.order.index(self.index) if self.index in self.order else 0
+                self.show_item(self.order[(at + by) % len(self.order)])
+
+    def seek(self, frame: int) -> None:
+        """Show a frame; the clock goes on from there."""
+        with self.lock:
+            self.frame = int(np.clip(frame, 0, self.scene.num_frames - 1))
+            self._started = (time.monotonic(), self.frame)
+            self.pose = None
+            self.show_frame()
+            self._looked.set()
+            for changed in self.on_moment:
+                changed()
+
+    def step(self, by: int) -> None:
+        """Stop, and go some frames on."""
+        self.play(False)
+        self.seek(self.frame + by)
+
+    def play(self, is_playing: bool | None = None) -> None:
+        """Play, or stop; the other one of both where nothing is said."""
+        with self.lock:
+            self.is_playing = not self.is_playing if is_playing is None else is_playing
+            self._handles["play"].label = "Stop (space)" if self.is_playing else "Play (space)"
+            if self.is_playing and self.frame == self.scene.num_frames - 1:
+                self.frame = 0
+            self._started = (time.monotonic(), self.frame)
+            self._looked.set()
+
+    def next_failing(self) -> None:
+        """Go to the next frame that fails, or that is a warning where none fails."""
+        with self.lock:
+            levels = self.scene.levels
+            worst = 0 if levels is None else int(levels.max(initial=0))
+            if levels is None or worst == 0:
+                self.tell("no frame of this item fails or is a warning")
+                return
+            bad = np.flatnonzero(levels == worst)
+            self.play(False)
+            self.seek(int(bad[bad > self.frame][0] if (bad > self.frame).any() else bad[0]))
+
+    def decide(self, decision: Decision | Literal["undo"]) -> None:
+        """Accept or reject what is shown, for the reason that stands in the panel, and go on to the next thing."""
+        with self.lock:
+            is_each = KINDS[self.part.table].is_each
+            name, content = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame))
+            reason = str(self._handles["reason"].value)
+            self.tell(self.choosing.decide(decision, self.part.table, name, content, reason))
+            self._handles["reason"].value = ""
+            if is_each and decision != "undo":
+                self.step(1)
+            else:
+                self.sort(self.index)
+                self._set("item", self._item_label(self.index))
+            self._looked.set()
+
+    def tell(self, text: str) -> None:
+        """Say something in one line of the panel."""
+        self._handles["said"].value = text
+
+    def show_frame(self) -> None:
+        """Send the bodies of this frame, what touches and what passes through, and what they are compared with."""
+        scene, frame = self.scene, self.frame
+        at = self.bodies.at(frame) if self.pose is None else self.bodies.of(self.pose, frame)
+        with self.server.atomic():
+            _place(self._rods, at.rods_m, at.rods_wxyz, at.rods_scale)
+            _place(self._balls, at.balls_m, None, at.balls_scale)
+            if self._behind is not None and self._grey is not None and scene.behind is not None:
+                behind = self._behind.at(min(frame, len(scene.behind.positions_m) - 1))
+                _place(self._grey[0], behind.rods_m, behind.rods_wxyz, behind.rods_scale)
+                _place(self._grey[1], behind.balls_m, None, behind.balls_scale)
+            if self._handles["marks"].value and not self._is_flat:
+                shown = scene.people.frame(frame) if self.pose is None else self.pose
+                found = marks(scene.people.skeleton, shown, self.bodies.radii_m)
+            else:
+                found = (np.empty((0, 3)),) * 2
+            _place(self._marks, *_with_none(marker_balls(found, _MARK_M)))
+            self._set("timeline", frame)
+        self._num_marks = tuple(map(len, found))
+
+    # The panel.
+
+    def _build(self) -> None:
+        """Lay out the panel and the keys."""
+        server, gui = self.server, self.server.gui
+        server.scene.set_up_direction("+y")
+        server.on_client_connect(self._aim)
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        put = self._handles
+        put["part"] = gui.add_dropdown("show", tuple(map(self._part_label, self.shelf.parts)))
+        put["item"] = self.gui_item = gui.add_dropdown("item", ("none",))
+        put["play"] = gui.add_button("Play (space)")
+        put["timeline"] = gui.add_slider("frame", 0, 1, 1, initial_value=0)
+        put["facts"] = gui.add_text("about", "", multiline=True, disabled=True)
+        put["picture"] = gui.add_image(flat_panels([]), label=None, visible=False)
+        put["compare"] = gui.add_dropdown("compare", COMPARE)
+        put["failing"] = gui.add_button("Next failing frame (F)")
+        put["through"] = gui.add_button("Look through its camera")
+        put["said"] = gui.add_text("said", "", multiline=True, disabled=True)
+        with gui.add_folder("Playing", expand_by_default=False):
+            put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            put["loop"] = gui.add_checkbox("loop", initial_value=True)
+            put["marks"] = gui.add_checkbox("contacts (green), penetration (red)", initial_value=True)
+        with gui.add_folder("Filter and sort", expand_by_default=False):
+            self.gui_filter = put["filter"] = gui.add_dropdown(
+                "only", (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
+            )
+            self.gui_sort = put["sort"] = gui.add_dropdown("largest first", (STORED_ORDER,))
+        self._scales_folder = gui.add_folder("Scales", visible=False)
+        self._curve_folder = gui.add_folder("Curve")
+        with self._curve_folder:
+            put["strip"] = gui.add_image(_NO_IMAGE, label="who is there, and verdicts", visible=False)
+            put["curve"] = gui.add_dropdown("figure", ("none",))
+            lines = [{"stroke": colour, "width": width, "label": ""} for colour, width in _LINES]
+            self._uplot = gui.add_uplot(
+                (np.arange(2.0),) * (1 + len(lines)),
+                ({"label": "frame"}, *lines),
+                aspect=2.0,
+                scales={"x": {"time": False}},
+                legend={"show": False},
+            )
+        with gui.add_folder("Accept or reject", expand_by_default=False):
+            put["reason"] = gui.add_text("reason", "")
+            for decision, label in (("accept", "Accept (K)"), ("reject", "Reject (X)"), ("undo", "Undo (U)")):
+                put[decision] = gui.add_button(label)
+        with gui.add_folder("Link and save", expand_by_default=False):
+            put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
+            put["image"] = gui.add_button("Save picture")
+            put["clip"] = gui.add_button("Save clip")
+        self._rods = self._balls = self._marks = self._grey = None
+        self._nodes: dict[str, Any] = {}
+        self._rooms: set[str] = set()
+        self._rod, self._ball = _meshes()
+        self._scales: list[Any] = []
+        actions: Mapping[str, Callable[[Any], None]] = {
+            "play": lambda _: self.play(),
+            "failing": lambda _: self.next_failing(),
+            "through": lambda event: self._look_through(event.client),
+            "accept": lambda _: self.decide("accept"),
+            "reject": lambda _: self.decide("reject"),
+            "undo": lambda _: self.decide("undo"),
+            "image": lambda event: self._save(event.client, is_clip=False),
+            "clip": lambda event: self._save(event.client, is_clip=True),
+        }
+        for name, action in actions.items():
+            put[name].on_click(self.safely(action))
+        changes: Mapping[str, Callable[[Any], None]] = {
+            "part": lambda value: self.show_part(self.shelf.parts[self._part_labels.index(value)]),
+            "item": lambda value: self.show_item(self.order[self.gui_item.options.index(value)]),
+            "timeline": lambda value: self.step(int(value) - self.frame),
+            "compare": lambda _: self.show_item(self.index, self.scene.row_of(self.frame)),
+            "speed": lambda _: self.play(self.is_playing),
+            "marks": lambda _: self.show_frame(),
+            "curve": lambda _: self._draw_curve(),
+            "filter": lambda _: self._sorted_again(),
+            "sort": lambda _: self._sorted_again(),
+            "link": self.visit,
+        }
+        for name, change in changes.items():
+            put[name].on_update(self._from_client(change))
+        keys: tuple[tuple[str, str, Callable[[], None]], ...] = (
+            ("Play or stop", "space", self.play),
+            ("One frame back", "arrowleft", lambda: self.step(-1)),
+            ("One frame on", "arrowright", lambda: self.step(1)),
+            ("Item before", "arrowup", lambda: self.step_item(-1)),
+            ("Next item", "arrowdown", lambda: self.step_item(1)),
+            ("First frame", "home", lambda: self.step(-self.scene.num_frames)),
+            ("Last frame", "end", lambda: self.step(self.scene.num_frames)),
+            ("Next failing frame", "F", self.next_failing),
+            ("Accept", "K", lambda: self.decide("accept")),
+            ("Reject", "X", lambda: self.decide("reject")),
+            ("Undo", "U", lambda: self.decide("undo")),
+        )
+        for label, key, action_of in keys:
+            self.add_key(label, key, action_of)
+
+    def add_key(self, label: str, key: str, action: Callable[[], None]) -> None:
+        """Bind a key to an action."""
+        self.server.gui.add_command(label, hotkey=key).on_trigger(self.safely(lambda _: action()))
+
+    def safely(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that says in the panel what went wrong with what the store holds."""
+
+        def run(event: Any) -> None:
+            try:
+                with self.lock:
+                    action(event)
+            except (PasdedeuxError, StorageError, OSError, RuntimeError, TimeoutError) as error:
+                self.tell(str(error) or type(error).__name__)
+
+        return run
+
+    def _from_client(self, change: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback for what somebody changed in a browser; what the program sets is passed over."""
+        return self.safely(lambda event: change(event.target.value) if event.client is not None else None)
+
+    def _set(self, name: str, value: Any) -> None:
+        if self._handles[name].value != value:
+            self._handles[name].value = value
+
+    @property
+    def _part_labels(self) -> list[str]:
+        return [self._part_label(part) for part in self.shelf.parts]
+
+    def _part_label(self, part: Part) -> str:
+        return f"{part.table.replace('_', ' ')}: {part.name}"
+
+    def parts_changed(self) -> None:
+        """Offer the parts that the shelf has now."""
+        self._handles["part"].options = tuple(self._part_labels)
+
+    def _item_label(self, index: int) -> str:
+        item = self.shelf.items(self.part)[index]
+        words = self._figures.get(item.names, {}).get("verdict", PASSES), self._chosen(index)
+        known = [word for word in words if word not in (PASSES, UNDECIDED, "")]
+        return " ".join([item.label, *(f"({word})" for word in known)])
+
+    def _chosen(self, index: int) -> str:
+        """Return what was chosen of an item, in one word; of items whose frames are chosen one by one nothing."""
+        if KINDS[self.part.table].is_each:
+            return ""
+        choice = self.choosing.about(self.part.table, "/".join(self.shelf.items(self.part)[index].names))
+        return UNDECIDED if choice is None else f"{choice.decision}ed"
+
+    def _sorted_again(self) -> None:
+        self.sort()
+        if self.order:
+            self.show_item(self.order[0])
+        else:
+            self.tell("no item is so")
+
+    def _item_lines(self) -> list[str]:
+        """Return what is known of the item: its figures as the store has them."""
+        row = self._figures.get(self.item.names, {})
+        figures = [f"{name.replace('_', ' ')} {plain(value)}" for name, value in row.items() if _is_number(value)]
+        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *figures]
+
+    # The room.
+
+    def _draw_room(self) -> None:
+        """Put floor, bodies and camera of an item into the room."""
+        scene, shown = self.server.scene, self.scene
+        points = shown.people.positions_m
+        low, high = (take(points.reshape(-1, 3), axis=0) for take in (np.nanmin, np.nanmax))
+        floor = 0.0 if shown.has_floor and abs(low[1]) < 1.0 else float(low[1])
+        middle = np.array([np.round((low[0] + high[0]) / 2), floor, np.round((low[2] + high[2]) / 2)])
+        size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
+        grid = scene.add_grid("/floor", size, size, plane="xz", cell_size=1.0, section_size=1.0, position=middle)
+        grid.fade_distance = 1e3
+        start = np.nanmean(points[0].reshape(-1, 3), axis=0)
+        middle = np.array([start[0], floor + 0.9, start[2]])
+        if np.linalg.norm(middle - self._middle) > _MOVED_M:
+            self._middle = middle
+            for client in self.server.get_clients().values():
+                self._aim(client)
+        for name in self._rooms:
+            self._show_node(name, is_shown=False)
+        colours = self.bodies.colours()
+        self._rods, self._balls = self._put_bodies("/people", self.bodies, colours)
+        places, sizes = marker_balls((np.empty((0, 3)),) * 2, _MARK_M)
+        both = np.repeat(np.array(list(_COLOURS.values()), dtype=np.uint8), len(places) // 2, axis=0)
+        self._marks = self._instances("/marks/balls", places, sizes, both)
+        where = str(self._handles["compare"].value)
+        self._grey = None
+        if self._behind is not None and where != "hidden":
+            away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
+            more = {} if where == "beside" else {"opacity": 0.3}
+            self._grey = self._put_bodies(f"/{where}", self._behind, self._behind.colours(_GREY), away, **more)
+        self._show_node("/camera", is_shown=shown.camera is not None)
+        if shown.camera is not None:
+            wxyz, position, fov = _view_of(shown.camera)
+            width, height = shown.camera.image_size_px
+            scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
+
+    def _put_bodies(self, where: str, bodies: Bodies, colours: Array, away: float = 0.0, **more: Any) -> Any:
+        """Show the rods and balls of bodies; those of as many capsules are used again."""
+        here, name = bodies.at(0), f"{where}/{len(colours)}"
+        if name not in self._rooms:
+            self._rooms.add(name)
+            self.server.scene.add_frame(name, show_axes=False)
+        frame = self.server.scene.get_handle_by_name(name)
+        frame.visible, frame.position = True, (away, 0.0, 0.0)
+        return (
+            self._instances(f"{name}/rods", here.rods_m, here.rods_scale, colours, **more),
+            self._instances(f"{name}/balls", here.balls_m, here.balls_scale, np.repeat(colours, 2, 0), **more),
+        )
+
+    def _instances(self, name: str, places: Array, sizes: Array, colours: Any, **more: Any) -> Any:
+        """Show instances of rods or balls: where they are there already, in their place."""
+        pale = (255.0 * (colours / 255.0) ** _DARKER).astype(np.uint8)
+        if (handle := self._nodes.get(name)) is not None:
+            handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
+            return handle
+        mesh = self._ball if name.endswith("balls") else self._rod
+        turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(places), 1))
+        self._nodes[name] = self.server.scene.add_batched_meshes_simple(
+            name, mesh.vertices, mesh.faces, turns, places, batched_scales=sizes, batched_colors=pale, lod="off",
+            cast_shadow=False, receive_shadow=False, **more,
+        )  # fmt: skip
+        return self._nodes[name]
+
+    def _show_node(self, name: str, *, is_shown: bool) -> None:
+        handle = self.server.scene.get_handle_by_name(name)
+        if handle is not None:
+            handle.visible = is_shown
+
+    def _aim(self, client: Any) -> None:
+        """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
+        is_narrow = client.camera.image_width < client.camera.image_height
+        with client.atomic():
+            client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
+            client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
+
+    @property
+    def _is_flat(self) -> bool:
+        """What is shown is an image that stands in the room."""
+        return bool(np.nanmax(np.abs(self.scene.people.positions_m[..., 2]), initial=0.0) == 0.0)
+
+    def _look_through(self, client: Any) -> None:
+        if self.scene.camera is not None and client is not None:
+            wxyz, position, fov = _view_of(self.scene.camera)
+            with client.atomic():
+                client.camera.fov = fov
+                client.camera.wxyz, client.camera.position = wxyz, position
+
+    # Scales of variants.
+
+    def _show_scales(self) -> None:
+        """Offer a slider for each person's uniform scale, through what was built."""
+        known = {item.names: self._figures.get(item.names, {}) for item in self.shelf.items(self.part)}
+        scales = {names: row["uniform_scale"] for names, row in known.items() if "uniform_scale" in row}
+        every = np.nan_to_num(np.array(list(scales.values())), nan=1.0) if scales else np.ones((1, 0))
+        self._scaled_items = list(scales), every
+        varied = [person for person, column in enumerate(every.T) if np.ptp(column)]
+        self._scales_folder.visible = bool(varied)
+        for person in range(len(self._scales), max(varied, default=-1) + 1):
+            with self._scales_folder:
+                slider = self.server.gui.add_slider(f"person {'ABCDEFGHIJ'[person]}", 0.0, 1.0, 0.01, initial_value=0.0)
+            slider.on_update(self._from_client(partial(self._scaled, person)))
+            self._scales.append(slider)
+        for person, slider in enumerate(self._scales):
+            slider.visible = person in varied
+            if person in varied:
+                slider.max, slider.min = float(every[:, person].max()), float(every[:, person].min())
+                slider.value = float(every[self._scaled_items[0].index(self.item.names), person])
+
+    def _scaled(self, person: int, value: float) -> None:
+        """Show the variant nearest to the scales of the sliders, of which one was moved."""
+        known, every = self._scaled_items
+        wanted = every[known.index(self.item.names)].copy()
+        wanted[person] = value
+        weight = np.where(np.arange(len(wanted)) == person, 2.0, 1.0)
+        names = known[int(np.argmin((weight * np.abs(every - wanted)).sum(axis=1)))]
+        index = next(at for at, item in enumerate(self.shelf.items(self.part)) if item.names == names)
+        if index != self.index:
+            self.show_item(index, self.scene.row_of(self.frame))
+
+    # Curves and pictures, which may come a moment later than the bodies.
+
+    def _draw_curve(self) -> None:
+        """Draw a figure over the frames, those of other chains beside it, and who is there."""
+        scene = self.scene
+        there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
+        has_strip = scene.levels is not None or not there.all()
+        self._handles["strip"].visible = has_strip
+        if has_strip:
+            self._handles["strip"].image = presence_strip(there, scene.levels)
+        known = [name for name, curve in scene.curves.items() if np.isfinite(curve).any() and np.ptp(curve) > 0]
+        chosen = self._handles["curve"]
+        if known and tuple(known) != chosen.options:
+            chosen.options = tuple(known)
+        for handle in (chosen, self._uplot):
+            handle.visible = bool(known)
+        self._curve_folder.visible = bool(known) or has_strip
+        self._curve = None
+        if known:
+            at = np.unique(np.linspace(0, scene.num_frames - 1, _CURVE_POINTS).round().astype(int))
+            own = np.asarray(scene.curves[str(chosen.value)], dtype=np.float64)[at]
+            others = [curve[at] for curve in scene.others[:_NUM_OTHERS]] if chosen.value == known[0] else []
+            self._curve = [at.astype(np.float64), *others, *[own] * (1 + _NUM_OTHERS - len(others))]
+            self._uplot.data = (*self._curve, self._cursor())
+
+    def _cursor(self) -> Array:
+        """Return a line across the curve at the frame that is shown, NaN elsewhere."""
+        assert self._curve is not None
+        at, curve = self._curve[0], self._curve[-1]
+        now = min(int(np.searchsorted(at, self.frame)), len(at) - 2)
+        cursor = np.full(len(at), np.nan)
+        cursor[now : now + 2] = np.nanmin(curve), np.nanmax(curve)
+        return cursor
+
+    def _look(self) -> None:
+        """Bring the words, the curve and the pictures after the bodies, at most ten times a second."""
+        while not self._ended.is_set():
+            self._looked.wait()
+            self._looked.clear()
+            if self._ended.is_set():
+                return
+            with suppress(PasdedeuxError, StorageError):
+                self.describe_frame()
+            self._ended.wait(0.1 if not self.is_playing else 0.3)
+
+    def describe_frame(self) -> None:
+        """Say what is known of the frame that is shown: words, curve, pictures, its link."""
+        with self.lock:
+            scene, frame = self.scene, self.frame
+            time_s = "" if scene.rate_hz is None else f", {frame / scene.rate_hz:.2f} s"
+            level = "" if scene.levels is None else f", {(PASSES, WARNS, FAILS)[scene.levels[frame]]}"
+            lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *scene.say(frame)]
+            lines += [f"{name} {plain(curve[frame])}" for name, curve in scene.curves.items()]
+            touch, through = self._num_marks
+            if not self._is_flat and self._handles["marks"].value:
+                lines.append(f"{touch} contacts, {through} penetrations")
+            thing = thing_of(self.shelf, self.part, self.item, scene.row_of(frame))
+            chosen = self.choosing.words(self.part.table, *thing)
+            self._set("facts", "\n".join([*lines, chosen, *self._item_lines()]))
+            self._set("link", f"{self.url}/?at={quote(self.reference, safe='@')}")
+            if self._curve is not None:
+                self._uplot.data = (*self._curve, self._cursor())
+            flats = [] if self.is_playing and scene.rate_hz is None else scene.images(frame)
+            self._handles["picture"].visible = bool(flats)
+            if flats:
+                self._handles["picture"].image = flat_panels(flats)
+
+    def _play(self) -> None:
+        """Follow the clock while it plays: what is too slow leaves frames out, and time is kept."""
+        while not self._ended.wait(TICK_S):
+            if not self.is_playing:
+                continue
+            with self.lock:
+                scene = self.scene
+                began, first = self._started
+                rate = (scene.rate_hz or STILLS_HZ) * float(self._handles["speed"].value)
+                frame = first + int((time.monotonic() - began) * rate)
+                if frame >= scene.num_frames and not self._handles["loop"].value:
+                    self.frame = scene.num_frames - 1
+                    self.show_frame()
+                    self.play(False)
+                elif frame % scene.num_frames != self.frame:
+                    self.frame, self.pose = frame % scene.num_frames, None
+                    self.show_frame()
+                    self._looked.set()
+
+    # Pictures and clips.
+
+    def _save(self, client: Any, *, is_clip: bool) -> None:
+        """Send a browser what it shows, as a picture or as a clip of some seconds."""
+        name = f"{self.part.table}-{'-'.join(self.item.names)}-{self.frame}".replace("/", "-")
+        width, height = client.camera.image_width, client.camera.image_height
+        if not is_clip:
+            image = client.get_render(height, width, timeout=20.0)
+            client.send_file_download(f"{name}.png", encode(image, ".png"), save_immediately=True)
+            return
+        self.play(False)
+        rate = self.scene.rate_hz or STILLS_HZ
+        step = max(1, round(rate / _CLIP_HZ))
+        frames = range(self.frame, min(self.frame + int(_CLIP_S * rate), self.scene.num_frames), step)
+        images = []
+        for frame in frames:
+            self.seek(frame)
+            images.append(client.get_render(height // 2, width // 2, timeout=20.0))
+        client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
+
+
+def _meshes() -> tuple[Any, Any]:
+    """Return a rod (along z, of radius and length 1) and a ball (of radius 1)."""
+    import trimesh
+
+    return (
+        trimesh.creation.cylinder(radius=1.0, height=1.0, sections=20),
+        trimesh.creation.icosphere(subdivisions=2, radius=1.0),
+    )
+
+
+def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:
+    """Move instances."""
+    handle.batched_positions, handle.batched_scales = places, sizes
+    if turns is not None:
+        handle.batched_wxyzs = turns
+
+
+def _with_none(found: tuple[Array, Array]) -> tuple[Array, None, Array]:
+    return found[0], None, found[1]
+
+
+def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:
+    """Return turn (w, x, y, z) and place of a camera that looks along its z, y down, and its vertical field of view."""
+    from scipy.spatial.transform import Rotation
+
+    world_from_camera = camera.camera_from_world_rotmat.T @ np.diag([1.0, -1.0, -1.0])
+    turn = Rotation.from_matrix(world_from_camera).as_quat()
+    return turn[[3, 0, 1, 2]], camera.position_m, float(2 * np.arctan(camera.image_size_px[1] / 2 / camera.focal_px))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+
+
+def _number(value: Any) -> float:
+    return float(value) if value is not None and np.isfinite(value) else -np.inf

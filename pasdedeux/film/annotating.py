@@ -1,0 +1,156 @@
+"""From key frames or detections of a shot to annotations of all its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pasdedeux.arrays import Array, Integers
+from pasdedeux.errors import InputError
+from pasdedeux.film.filling import FilledPoints, fill_points, shorten_limbs
+from pasdedeux.film.tracking import TRACKED_SIZE_PX, Image, Tracks, track_points
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
+from pasdedeux.people.identity import body_size_px
+from pasdedeux.people.resolution import resolve_people
+from pasdedeux.skeletons import OP14
+
+MIN_SEEN = 0.5
+"""A keypoint of no more confidence, such as COCO's labelled but hidden one, is a place, but nothing to be tracked."""
+
+
+@dataclass(frozen=True)
+class AnnotatedShot:
+    """Annotations of all frames of a shot.
+
+    Args:
+        frames: People of the shot, with the status of every keypoint.
+        doubt: Of each row the greatest disagreement over its keypoints (row,), a share of the person's size.
+    """
+
+    frames: AnnotatedFrames
+    doubt: Array
+
+
+def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
+    """Return what key frames or a detector give, with people who have a number over time.
+
+    Detections are resolved and cleaned as ingest does it.  Key frames stay as they are: a person placed them.
+
+    Raises:
+        InputError: Several people have no numbers in key frames, or detections are too far apart to be followed.
+    """
+    given = given.given()
+    alone = np.unique(given.frame, return_counts=True)[1].max(initial=0) <= 1
+    if is_key and (given.has_identities or alone):
+        return replace(given, has_identities=True)
+    if is_key:
+        raise InputError(
+            "its key frames do not number the people (COCO: track_id; CSV: person; CVAT: tracks); from one to "
+            "the next they move too far to be followed"
+        )
+    resolved = resolve_people(given)
+    why = next((one.why_not_followed for one in resolved.sequences if one.why_not_followed), "")
+    if why:
+        raise InputError(why)
+    return replace(resolved.frames, has_identities=True)
+
+
+def annotate_shot(
+    given: AnnotatedFrames, images: Iterable[Image], first_frame: int, num_frames: int, *, is_key: bool
+) -> AnnotatedShot:
+    """Fill in every frame of a shot from what is given of some.
+
+    Args:
+        given: Rows of the shot, with identities and rate.
+        images: BGR images of all frames of the shot.
+        first_frame: Number of the first.
+        num_frames: How many there are.
+        is_key: They are key frames: what a key frame of a person does not show is hidden there.  A detector's missing
+            keypoints may be visible all the same.
+    """
+    assert given.rate_hz is not None
+    names = get_keypoint_layout(given.layout).keypoint_names
+    people = np.unique(given.person_id)
+    shape = (num_frames, len(people), len(names))
+    known, confidence = np.full((*shape, 2), np.nan), np.zeros(shape)
+    kind, is_hidden = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
+    at = (given.frame - first_frame, np.searchsorted(people, given.person_id))
+    known[at], confidence[at] = given.keypoints_px, given.confidence
+    source = KeypointStatus.ANNOTATED if is_key else KeypointStatus.DETECTED
+    kind[at] = np.where(given.confidence > 0, source if given.status is None else given.status, 0)
+    is_hidden[at] = is_key & (given.confidence == 0)
+    op14 = get_keypoint_layout(given.layout).derive(OP14.name, given.keypoints_px, given.confidence)
+    each = body_size_px(op14.positions, op14.confidence)
+    size = np.array([_median(each[given.person_id == person], 0.0) for person in people])
+    size = np.where(size > 0, size, _median(size[size > 0], TRACKED_SIZE_PX))
+    scale = min(1.0, TRACKED_SIZE_PX / float(size.max()))
+    points, sizes = shape[1] * shape[2], np.repeat(size, shape[2])
+    flat = known.reshape(num_frames, points, 2)
+    # Pixel centres: the middle of a pixel of the smaller image is the middle of those it stands for.
+    tracks = track_points(
+        (_grey(image, scale) for image in images),
+        (flat + 0.5) * scale - 0.5,
+        confidence.reshape(num_frames, points) > MIN_SEEN,
+        sizes * scale,
+    )
+    tracks = Tracks(*((one + 0.5) / scale - 0.5 for one in (tracks.forward, tracks.backward)))
+    filled = fill_points(
+        flat,
+        confidence.reshape(num_frames, points),
+        kind.reshape(num_frames, points),
+        tracks,
+        sizes,
+        rate_hz=given.rate_hz,
+        is_hidden=is_hidden.reshape(num_frames, points),
+    )
+    return _rows(given, replace(filled, px=shorten_limbs(filled, names)), first_frame, people)
+
+
+def _rows(given: AnnotatedFrames, filled: FilledPoints, first_frame: int, people: Integers) -> AnnotatedShot:
+    shape = (len(filled.px), len(people), -1)
+    confidence = filled.confidence.reshape(shape)
+    frame, person = np.nonzero((confidence > 0).any(axis=-1))
+    frames = replace(
+        given,
+        sequence_id=(given.sequence_id[0],) * len(frame),
+        frame=first_frame + frame,
+        person_id=people[person],
+        keypoints_px=filled.px.reshape(*shape, 2)[frame, person],
+        confidence=confidence[frame, person],
+        status=filled.status.reshape(shape)[frame, person],
+        has_identities=True,
+    )
+    return AnnotatedShot(frames, filled.doubt.reshape(shape)[frame, person].max(axis=1))
+
+
+def _grey(image: Image, scale: float) -> Image:
+    import cv2  # here: a quarter of a second that others need not wait for
+
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    if scale == 1.0:
+        return np.asarray(grey)
+    return np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+
+
+def _median(values: Array, otherwise: float) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else otherwise
+
+
+def frames_to_correct(shot: AnnotatedShot, count: int, *, min_gap: int = 5) -> list[int]:
+    """Return the frames whose correction helps most, most first: where tracks and known places disagree most.
+
+    Frames of which one corrects the other are named once.
+    """
+    number, at = np.unique(shot.frames.frame, return_inverse=True)
+    doubt = np.zeros(len(number))
+    np.maximum.at(doubt, at, shot.doubt)
+    chosen: list[int] = []
+    for index in np.argsort(-doubt, kind="stable").tolist():
+        if len(chosen) == count or doubt[index] <= 0:
+            break
+        if all(abs(int(number[index]) - one) >= min_gap for one in chosen):
+            chosen.append(int(number[index]))
+    return chosen

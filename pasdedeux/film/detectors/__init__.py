@@ -1,0 +1,39 @@
+"""Detectors of people: one line for each kind of network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pasdedeux.errors import InputError
+from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, load_network
+from pasdedeux.film.detectors.rtmo import RTMO
+from pasdedeux.film.detectors.rtmpose import RTMPOSE
+from pasdedeux.film.detectors.yolox import YOLOX
+
+__all__ = ["DETECTORS", "Detector", "DetectorKind", "load_detector"]
+
+DETECTORS: tuple[DetectorKind, ...] = (RTMO, YOLOX, RTMPOSE)
+
+
+def load_detector(files: Sequence[bytes]) -> Detector:
+    """Return the detector that ONNX files are: one network, or one of boxes and one of the person in a box.
+
+    Raises:
+        InputError: A file is no network, of no known kind, or they do not belong together.
+    """
+    boxes: Detector | None = None
+    chosen: list[tuple[DetectorKind, Network]] = []
+    for data in files:
+        network = load_network(data)
+        kind = next((one for one in DETECTORS if one.outputs <= set(network.outputs)), None)
+        if kind is None:
+            known = "; ".join(f"{one.name} ({', '.join(sorted(one.outputs))})" for one in DETECTORS)
+            raise InputError(f"the network's outputs {', '.join(network.outputs)} are of no known kind: {known}")
+        if kind.is_boxes:
+            boxes = kind.make(network, None)
+        else:
+            chosen.append((kind, network))
+    if len(chosen) != 1:
+        raise InputError(f"{len(chosen)} networks of keypoints; one is needed, and perhaps one of boxes beside it")
+    ((kind, network),) = chosen
+    return kind.make(network, boxes)

@@ -1,0 +1,109 @@
+"""What a detector of people is: networks in ONNX files that are told by their outputs, and an adapter for each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+from pasdedeux.film.tracking import Image
+
+
+class Detector(Protocol):
+    """Finds people in the images of a film, one after the other."""
+
+    def detect(self, image: Image) -> list[Array]:
+        """Return the people of a BGR image: for each a table (K, 3) of x, y in its pixels, and confidence."""
+        ...
+
+
+@dataclass(frozen=True)
+class Network:
+    """A loaded network.
+
+    Args:
+        outputs: Names of its outputs.
+        input_px: Width and height of its images.
+        run: Maps an image (1, 3, height, width), float32, to outputs by name.
+    """
+
+    outputs: tuple[str, ...]
+    input_px: tuple[int, int]
+    run: Callable[[np.ndarray], Mapping[str, np.ndarray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectorKind:
+    """A kind of network, in a file of its own with a line in the registry.
+
+    Args:
+        name: Its name.
+        outputs: Outputs that tell it from others.
+        make: Makes the detector from its network; `boxes` is a detector of boxes, where one was given.
+        is_boxes: Its people are boxes, two corners (2, 3), for a network that needs them.
+    """
+
+    name: str
+    outputs: frozenset[str]
+    make: Callable[[Network, Detector | None], Detector]
+    is_boxes: bool = False
+
+
+def load_network(data: bytes) -> Network:
+    """Load an ONNX file, on one thread: workers are many.
+
+    Raises:
+        InputError: onnxruntime is not installed, or this is no network of images.
+    """
+    try:
+        import onnxruntime
+    except ImportError:
+        raise InputError("a detector needs onnxruntime: pip install 'pasdedeux[detect]'") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # noqa: BLE001 - onnxruntime has a class of its own for each cause
+        raise InputError(f"this is no ONNX network that can be loaded: {str(error).splitlines()[0][:200]}") from None
+    (first, *_) = session.get_inputs()
+    shape: Sequence[Any] = first.shape
+    if len(shape) != 4 or not all(isinstance(side, int) and side > 0 for side in shape[2:]):
+        raise InputError(
+            f"its input has the shape {list(shape)}; an image (1, 3, height, width) of fixed size is needed"
+        )
+    names = tuple(one.name for one in session.get_outputs())
+
+    def run(tensor: np.ndarray) -> Mapping[str, np.ndarray]:
+        return dict(zip(names, session.run(names, {first.name: tensor.astype(np.float32)}), strict=True))
+
+    return Network(names, (shape[3], shape[2]), run)
+
+
+def letterbox(image: Image, size_px: tuple[int, int]) -> tuple[np.ndarray, float]:
+    """Return an image (1, 3, height, width) made to fit at the top left, grey below and right, and its scale."""
+    import cv2  # here: a quarter of a second that others need not wait for
+
+    width, height = size_px
+    scale = min(width / image.shape[1], height / image.shape[0])
+    inside = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    padded = np.full((height, width, 3), 114, dtype=np.uint8)
+    padded[: inside[1], : inside[0]] = cv2.resize(image, inside, interpolation=cv2.INTER_LINEAR)
+    return padded.transpose(2, 0, 1)[None].astype(np.float32), scale
+
+
+def output(outputs: Mapping[str, np.ndarray], name: str, num_axes: int, last: int | None = None) -> np.ndarray:
+    """Return an output of this many axes, whose last one has this length.
+
+    Raises:
+        InputError: It has not, so this is not the kind of network that its outputs are named after.
+    """
+    found = np.asarray(outputs[name])
+    if found.ndim != num_axes or (last is not None and found.shape[-1] != last):
+        wanted = f"{num_axes} axes" + (f", the last of {last}" if last else "")
+        raise InputError(f"the network's output '{name}' has the shape {list(found.shape)}; {wanted} are needed")
+    return found

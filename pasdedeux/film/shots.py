@@ -1,0 +1,109 @@
+"""Where the shots of a film begin, and its frames on a constant rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.film.tracking import Image
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+
+_THUMB = (32, 24)
+_MIN_CHANGE = 0.05
+"""Mean change of a thumbnail's pixels, of 1, that a cut exceeds; salsa before a turning camera comes to 0.025."""
+_CHANGE_RATIO = 3.0
+"""A cut changes so many times more than the frames round it."""
+_AROUND = 6
+_MAX_JITTER = 0.5
+"""Time stamps of a constant rate stay within this part of a frame's time of their places."""
+
+
+class ShotFinder:
+    """Finds cuts while the images of a film pass by; of the images thumbnails of the last two are kept."""
+
+    def __init__(self) -> None:
+        self._last: list[Array] = []
+        self._change: list[tuple[float, float]] = []
+
+    def add(self, image: Image) -> None:
+        """Take the next image."""
+        import cv2  # here: a quarter of a second that others need not wait for
+
+        thumb = cv2.resize(image, _THUMB, interpolation=cv2.INTER_AREA).astype(np.float64) / 255.0
+        known = [float(np.abs(thumb - one).mean()) for one in self._last]
+        self._change.append((known[0], known[1]) if len(known) == 2 else (known[0] if known else 0.0, np.inf))
+        self._last = [thumb, *self._last[:1]]
+
+    def starts(self) -> list[int]:
+        """Return the first frame of every shot: 0, and those after hard cuts.
+
+        A cut changes the image far more than the frames round it do, and for good: a flash does not.
+        """
+        step, leap = np.array(self._change).reshape(-1, 2).T
+        found = [0]
+        for frame in np.flatnonzero(step > _MIN_CHANGE).tolist():
+            around = np.r_[step[max(frame - _AROUND, 1) : frame], step[frame + 1 : frame + 1 + _AROUND]]
+            is_for_good = leap[frame : frame + 2].min() > 0.5 * step[frame]
+            if is_for_good and step[frame] > _CHANGE_RATIO * (np.median(around) if len(around) else 0.0):
+                found.append(frame)
+        return found
+
+
+def constant_rate_hz(time_s: Array) -> tuple[float, bool]:
+    """Return the typical rate of time stamps (frame,), at least two and growing, and whether they keep to it."""
+    typical_s = float(np.median(np.diff(time_s)))
+    mean_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    # Containers round time stamps, which the mean is free of.
+    step_s = mean_s if abs(mean_s - typical_s) < 0.02 * typical_s else typical_s
+    places = np.arange(len(time_s)) - (time_s - time_s[0]) / step_s
+    return 1.0 / step_s, bool(np.ptp(places) <= 2.0 * _MAX_JITTER)
+
+
+def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, rate_hz: float) -> AnnotatedFrames:
+    """Return annotations of film of a variable rate at a constant one; frame n is then at n / rate seconds.
+
+    Keypoints lie between those of the film's frames before and after, and are missing where one of them is.
+
+    Args:
+        frames: Rows of one shot, a person's without gaps where they are seen.
+        first_frame: Frame of the film that the first time stamp is of.
+        time_s: Time stamps (frame,) of the shot.
+        rate_hz: The rate.
+    """
+    numbers, people, befores, afters, shares = [], [], [], [], []
+    for person in np.unique(frames.person_id).tolist():
+        rows = np.flatnonzero(frames.person_id == person)
+        own = time_s[frames.frame[rows] - first_frame]
+        wanted = np.arange(np.ceil(own[0] * rate_hz - 1e-6), np.floor(own[-1] * rate_hz + 1e-6) + 1)
+        low_at = np.clip(np.searchsorted(own, wanted / rate_hz + 1e-9) - 1, 0, len(own) - 1)
+        high_at = np.minimum(low_at + 1, len(own) - 1)
+        gap_s = np.maximum(own[high_at] - own[low_at], 1e-9)
+        is_near = frames.frame[rows[high_at]] - frames.frame[rows[low_at]] <= 1
+        numbers.append(wanted[is_near].astype(np.int64))
+        people.append(np.full(np.count_nonzero(is_near), person))
+        befores.append(rows[low_at][is_near])
+        afters.append(rows[high_at][is_near])
+        shares.append(np.clip((wanted / rate_hz - own[low_at]) / gap_s, 0.0, 1.0)[is_near])
+    number, person_id, before, after = (np.concatenate(one) for one in (numbers, people, befores, afters))
+    share = np.concatenate(shares)
+    low, high = frames.keypoints_px[before], frames.keypoints_px[after]
+    nearest = np.where(share < 0.5, before, after)
+    # A frame that lies on the grid needs no other.
+    px = np.where(share[:, None, None] < 1e-6, low, low + share[:, None, None] * (high - low))
+    is_seen = np.isfinite(px).all(axis=-1)
+    return replace(
+        frames,
+        sequence_id=(frames.sequence_id[0],) * len(number) if len(number) else (),
+        frame=number,
+        person_id=person_id,
+        keypoints_px=px,
+        confidence=np.where(
+            is_seen,
+            np.maximum(frames.confidence[nearest], np.minimum(frames.confidence[before], frames.confidence[after])),
+            0.0,
+        ),
+        status=None if frames.status is None else frames.status[nearest],
+        rate_hz=rate_hz,
+    )

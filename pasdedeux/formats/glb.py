@@ -1,0 +1,195 @@
+"""Writing binary glTF: skinned people made of capsules, animated, all in one scene.
+
+An own writer, because what is written is one buffer and a tree of plain JSON: pygltflib 1.16 would build the same tree
+of its classes in as many lines and pack the buffer no more than this does.  The tests read files back with it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import conjugate, rotate, rotmat_from_unitquat, swing_between
+
+_FLOAT, _UINT, _USHORT = 5126, 5125, 5123
+_COLOURS = ((0.82, 0.33, 0.27), (0.25, 0.47, 0.75), (0.35, 0.62, 0.35), (0.75, 0.6, 0.25))
+_SIDES, _RINGS = 10, 3
+"""Points round a capsule, and rings of each of its half spheres."""
+_SHORTEST_M = 1e-3
+_SWAP_M = 1e-4
+"""Bones that differ from their rest by more move their joint, beside turning it."""
+
+
+@dataclass(frozen=True)
+class GlbPerson:
+    """A person of a scene.
+
+    Args:
+        name: Name of the figure.
+        motion: The motion.
+        radii_m: Radius of the bone that ends in each joint (J,), metres.
+        positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
+    """
+
+    name: str
+    motion: Motion
+    radii_m: Array
+    positions_m: Array | None = None
+
+
+class _Buffer:
+    """The one buffer of a file, and the accessors into it."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, values: Array, kind: str, *, is_bounded: bool = False) -> int:
+        """Add rows of values and return the number of their accessor."""
+        code = {"f": _FLOAT, "u": _UINT if values.dtype.itemsize == 4 else _USHORT}[values.dtype.kind]
+        self.data += bytes(-len(self.data) % 4)
+        self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes})
+        self.data += np.ascontiguousarray(values).tobytes()
+        one = {"bufferView": len(self.views) - 1, "componentType": code, "count": len(values), "type": kind}
+        if is_bounded:
+            flat = values.reshape(len(values), -1)
+            one |= {"min": flat.min(axis=0).tolist(), "max": flat.max(axis=0).tolist()}
+        self.accessors.append(one)
+        return len(self.accessors) - 1
+
+
+def write_glb(people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[str, Any]) -> bytes:
+    """Return people who move in one world as binary glTF: metres, Y up, each a skin over its own joints.
+
+    Args:
+        people: The people, all with as many frames and one rate.
+        copyright_text: Licence and credit.
+        facts: What else must be known, for the `extras` of the asset.
+    """
+    buffer, nodes = _Buffer(), list[dict[str, Any]]()
+    rate_hz = people[0].motion.rate_hz
+    times = buffer.add(
+        np.arange(people[0].motion.num_frames, dtype="<f4") / np.float32(rate_hz), "SCALAR", is_bounded=True
+    )
+    meshes, skins, samplers, channels = (list[dict[str, Any]]() for _ in range(4))
+    roots: list[int] = []
+    for number, person in enumerate(people):
+        motion, skeleton, first = person.motion, person.motion.skeleton, len(nodes)
+        rest = motion.rest_positions_m()
+        moved = _translations(person)
+        for joint, name in enumerate(skeleton.joint_names):
+            node: dict[str, Any] = {
+                "name": name,
+                "translation": moved[0, joint].tolist(),
+                "rotation": motion.local_unitquat[0, joint].tolist(),
+            }
+            if below := [first + child for child in skeleton.children(joint)]:
+                node["children"] = below
+            nodes.append(node)
+            tracks: list[tuple[str, str, Array]] = [("rotation", "VEC4", motion.local_unitquat[:, joint])]
+            if joint == skeleton.root or np.abs(moved[:, joint] - moved[0, joint]).max() > _SWAP_M:
+                tracks.append(("translation", "VEC3", moved[:, joint]))
+            for path, kind, values in tracks:
+                channels.append({"sampler": len(samplers), "target": {"node": first + joint, "path": path}})
+                samplers.append({"input": times, "output": buffer.add(values.astype("<f4"), kind)})
+        bind = np.tile(np.eye(4, dtype="<f4"), (skeleton.num_joints, 1, 1))
+        bind[:, 3, :3] = -rest  # column by column
+        meshes.append({"name": person.name, "primitives": [_skin(buffer, person, rest, number % len(_COLOURS))]})
+        skins.append(
+            {
+                "name": person.name,
+                "joints": list(range(first, first + skeleton.num_joints)),
+                "skeleton": first + skeleton.root,
+                "inverseBindMatrices": buffer.add(bind.reshape(-1, 16), "MAT4"),
+            }
+        )
+        nodes.append({"name": f"{person.name} body", "mesh": number, "skin": number})
+        nodes.append({"name": person.name, "children": [first + skeleton.root, len(nodes) - 1]})
+        roots.append(len(nodes) - 1)
+    tree = {
+        "asset": {"version": "2.0", "generator": "pasdedeux", "copyright": copyright_text, "extras": facts},
+        "scene": 0,
+        "scenes": [{"nodes": roots}],
+        "nodes": nodes,
+        "meshes": meshes,
+        "skins": skins,
+        "materials": [
+            {"name": f"colour {at}", "pbrMetallicRoughness": {"baseColorFactor": [*rgb, 1.0], "metallicFactor": 0.0}}
+            for at, rgb in enumerate(_COLOURS)
+        ],
+        "animations": [{"name": "motion", "samplers": samplers, "channels": channels}],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": len(buffer.data)}],
+    }
+    text = json.dumps(tree, ensure_ascii=False, separators=(",", ":")).encode()
+    chunks = [(b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\0", bytes(buffer.data) + bytes(-len(buffer.data) % 4))]
+    body = b"".join(struct.pack("<I4s", len(data), name) + data for name, data in chunks)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def _translations(person: GlbPerson) -> Array:
+    """Return where each joint is in its parent's frame (frame, J, 3)."""
+    motion, skeleton = person.motion, person.motion.skeleton
+    moved = np.tile(motion.rest_offsets_m, (motion.num_frames, 1, 1))
+    moved[:, skeleton.root] = motion.root_translation_m
+    if person.positions_m is not None:
+        world = motion.world()[1]
+        for parent, child in skeleton.bones:
+            bone = person.positions_m[:, child] - person.positions_m[:, parent]
+            moved[:, child] = rotate(conjugate(world[:, parent]), bone)
+    return moved
+
+
+def _skin(buffer: _Buffer, person: GlbPerson, rest: Array, material: int) -> dict[str, Any]:
+    """Add a capsule round every bone, which moves with the joint that the bone starts in."""
+    points, normals, faces = (list[Array]() for _ in range(3))
+    joints: list[int] = []
+    unit, triangles = _capsule()
+    for parent, child in person.motion.skeleton.bones:
+        bone, radius = rest[child] - rest[parent], float(person.radii_m[child])
+        length = float(np.linalg.norm(bone))
+        if length < _SHORTEST_M or radius <= 0:
+            continue
+        turn = rotmat_from_unitquat(swing_between(np.array([0.0, 1.0, 0.0]), bone))
+        along = np.where(unit[:, 3:] > 0, [0.0, length, 0.0], 0.0)
+        faces.append(triangles + len(joints))
+        points.append((radius * unit[:, :3] + along) @ turn.T + rest[parent])
+        normals.append(unit[:, :3] @ turn.T)
+        joints += [parent] * len(unit)
+    bound = np.zeros((len(joints), 4), dtype="<u2")
+    bound[:, 0] = joints
+    places = np.concatenate(points).astype("<f4")
+    attributes = {
+        "POSITION": buffer.add(places, "VEC3", is_bounded=True),
+        "NORMAL": buffer.add(np.concatenate(normals).astype("<f4"), "VEC3"),
+        "JOINTS_0": buffer.add(bound, "VEC4"),
+        "WEIGHTS_0": buffer.add(np.tile(np.array([1, 0, 0, 0], dtype="<f4"), (len(joints), 1)), "VEC4"),
+    }
+    indices = buffer.add(np.concatenate(faces).astype("<u4").reshape(-1), "SCALAR")
+    return {"attributes": attributes, "indices": indices, "material": material}
+
+
+def _capsule() -> tuple[Array, Array]:
+    """Return points (n, 4) of the unit sphere, cut at its equator (the last number is the end it is of), and faces."""
+    heights = np.concatenate([np.linspace(-0.5, 0.0, _RINGS + 1), np.linspace(0.0, 0.5, _RINGS + 1)]) * np.pi
+    ends = np.repeat([0.0, 1.0], _RINGS + 1)
+    around = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
+    rings = [
+        np.stack(
+            [np.cos(h) * np.cos(around), np.full(_SIDES, np.sin(h)), np.cos(h) * np.sin(around), np.full(_SIDES, e)], -1
+        )
+        for h, e in zip(heights, ends, strict=True)
+    ]
+    low = np.arange((len(rings) - 1) * _SIDES)
+    beside = low - low % _SIDES + (low + 1) % _SIDES
+    faces = np.stack([low, low + _SIDES, beside, beside, low + _SIDES, beside + _SIDES], axis=-1).reshape(-1, 3)
+    return np.concatenate(rings), faces

@@ -1,0 +1,390 @@
+"""Parameters of SMPL-like bodies as motion and back: SMPL, SMPL-H and SMPL-X as AMASS, InterHuman and others have them.
+
+A pose is a rotation vector for each joint of the body model, a translation of its root, and betas, which shape the body
+(Loper et al. 2015, "SMPL: a skinned multi-person linear model", eq. 8 to 10).  The model is the user's own file, an npz
+with `J_regressor`, `v_template`, `shapedirs` and `kintree_table`: it gives the joints at rest that betas mean.  body22
+is their 22 body joints, here under the names of body22, whose toes they call feet.  Nothing else of the model is read,
+and no pickle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.annotated_frames import RATE_HZ
+from pasdedeux.formats.file_format import FileStart, MotionFormat
+from pasdedeux.formats.guess import guess_up_axis
+from pasdedeux.formats.npz import get_array, read_npz
+from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
+from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
+from pasdedeux.kinematics import (
+    Motion,
+    best_rotation,
+    bone_directions,
+    bone_lengths,
+    forward_kinematics,
+    local_rotations,
+)
+from pasdedeux.kinematics.rotations import (
+    conjugate,
+    identity_unitquat,
+    multiply,
+    rotate,
+    rotvec_from_unitquat,
+    unitquat_from_rotmat,
+    unitquat_from_rotvec,
+)
+from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.skeletons.skeleton import by_joint
+
+_TRUNK = ("spine1", "spine2", "spine3")
+BODY = (
+    "pelvis",
+    *(joint for at, part in enumerate(("hip", "knee", "ankle")) for joint in (*by_joint("left", part), _TRUNK[at])),
+    *by_joint("left", "toe"),
+    "neck",
+    *by_joint("left", "collar"),
+    "head",
+    *by_joint("left", "shoulder", "elbow", "wrist"),
+)
+"""The 22 body joints in the order of the parameters."""
+_FINGERS = tuple(
+    f"{side}_{finger}{knuckle}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for knuckle in (1, 2, 3)
+)
+JOINTS = {
+    "SMPL": (*BODY, "left_hand", "right_hand"),
+    "SMPL-H": (*BODY, *_FINGERS),
+    "SMPL-X": (*BODY, "jaw", "left_eye", "right_eye", *_FINGERS),
+}
+"""Joints of each kind of model, in the order of its parameters."""
+_KIND_OF_COUNT = {len(joints): kind for kind, joints in JOINTS.items()}
+_SHAPES = {400: 300, 20: 10}
+"""Of the directions of SMPL-X, those of shape come first, then those of the face."""
+_MODEL = ("J_regressor", "v_template", "shapedirs", "kintree_table")
+_ALIASES = {
+    "poses": ("poses",),
+    "root": ("root_orient", "global_orient"),
+    "body": ("pose_body", "body_pose"),
+    "hands": ("pose_hand",),
+    "left": ("pose_lhand", "left_hand_pose"),
+    "right": ("pose_rhand", "right_hand_pose"),
+    "trans": ("trans", "transl"),
+    "betas": ("betas",),
+    "rate": ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps", "rate_hz"),
+}
+"""What data sets call the same thing; jaw and eyes, which move no joint of the body, are not read apart."""
+_NAMES = frozenset(name for names in _ALIASES.values() for name in names)
+_HOLD = 1e-4
+"""Weight of betas of 1, beside 1 for a metre of bone, in their fit: bones decide wherever they can."""
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """Where the joints of a body model lie at rest.
+
+    Args:
+        skeleton: Its joints, those of the body under the names of body22.
+        joints_m: Places without betas (J, 3), metres, Y up, facing +Z.
+        shape_m: What a unit of each of B betas moves them by (J, 3, B), metres.
+    """
+
+    skeleton: Skeleton
+    joints_m: Array
+    shape_m: Array
+
+    @property
+    def kind(self) -> str:
+        """SMPL, SMPL-H or SMPL-X."""
+        return _KIND_OF_COUNT[self.skeleton.num_joints]
+
+    def rest_m(self, betas: Array) -> Array:
+        """Return the joints (J, 3) of a body, metres; InputError where it has more betas than the model."""
+        count = self.shape_m.shape[-1]
+        if np.any(betas[count:]):
+            raise InputError(f"the parameters have {len(betas)} betas, the body model has {count}: it is another one")
+        return np.asarray(self.joints_m + self.shape_m[..., : len(betas)] @ betas[:count])
+
+    def fit_betas(self, lengths_m: Mapping[str, float]) -> tuple[Array, dict[str, float]]:
+        """Return the betas (B,) whose bones have these lengths best, and by how much each bone is longer, metres.
+
+        Least squares over the bones that end in these joints, by Gauss-Newton; betas that no bone tells stay 0.
+        """
+        bones = self.skeleton.indices(lengths_m)
+        parents = [self.skeleton.parents[joint] for joint in bones]
+        wanted, betas = np.array(list(lengths_m.values())), np.zeros(self.shape_m.shape[-1])
+        slope = self.shape_m[bones] - self.shape_m[parents]
+        for _ in range(20):
+            bone = (self.joints_m[bones] - self.joints_m[parents]) + slope @ betas
+            length = np.linalg.norm(bone, axis=-1)
+            rows = np.einsum("kx,kxb->kb", bone / np.maximum(length, 1e-9)[:, None], slope)
+            matrix = np.concatenate([rows, _HOLD * np.eye(len(betas))])
+            step = np.linalg.lstsq(matrix, np.concatenate([wanted - length, -_HOLD * betas]), rcond=None)[0]
+            betas = betas + step
+        found = bone_lengths(self.skeleton, self.rest_m(betas))[bones]
+        return betas, dict(zip(lengths_m, (found - wanted).tolist(), strict=True))
+
+
+@lru_cache(maxsize=2)
+def read_body_model(data: bytes) -> BodyModel:
+    """Read the joints of a body model; of an npz that holds more, such as objects, only what is needed is opened.
+
+    Raises:
+        FormatError: It is no npz, lacks an array, or its arrays do not fit each other or any kind of model.
+    """
+    arrays = read_npz(data, "body model", _MODEL.__contains__)
+    template = get_array(arrays, "v_template", "f", (None, 3)).astype(np.float64)
+    regressor = get_array(arrays, "J_regressor", "f", (None, len(template))).astype(np.float64)
+    count = len(regressor)
+    if count not in _KIND_OF_COUNT:
+        known = ", ".join(f"{kind} {number}" for number, kind in _KIND_OF_COUNT.items())
+        raise FormatError(f"array 'J_regressor' has {count} joints; allowed: {known}")
+    directions = get_array(arrays, "shapedirs", "f", (len(template), 3, None))
+    directions = directions[..., : _SHAPES.get(directions.shape[-1], directions.shape[-1])].astype(np.float64)
+    table = get_array(arrays, "kintree_table", "iu", (2, count))[0].astype(np.int64)
+    parents = tuple(-1 if not 0 <= parent < count else parent for parent in table.tolist())
+    names = JOINTS[_KIND_OF_COUNT[count]]
+    joints, shape = regressor @ template, np.einsum("jv,vxb->jxb", regressor, directions)
+    if not (np.isfinite(joints).all() and np.isfinite(shape).all()):
+        raise FormatError("array 'v_template', 'shapedirs' or 'J_regressor' is not finite")
+    return BodyModel(Skeleton(_KIND_OF_COUNT[count], names, parents), joints, shape)
+
+
+def read_smpl(data: bytes, companion: bytes = b"", *, person: int = 0) -> SourceMotion:
+    """Read the parameters of one person; of a file of two their arrays are `person1_trans`, `person2_trans`, ...
+
+    The rest pose stands along the axis along which the body stands in the file, Y or Z, so that both are turned alike.
+
+    Raises:
+        FormatError: An array is missing or has another shape, a value is not finite (the frame is named), or the body
+            model is of another kind.
+    """
+    model = read_body_model(companion)
+    arrays = _arrays_of(read_npz(data, "archive of body parameters", _is_parameter), person)
+    rotvecs = _rotvecs(arrays, model)
+    trans = get_array(arrays, "trans", "f", (len(rotvecs), 3)).astype(np.float64)
+    for frame in np.flatnonzero(
+        ~(np.abs(np.c_[rotvecs.reshape(len(rotvecs), -1), trans]) <= MAX_MAGNITUDE).all(axis=-1)
+    ):
+        raise FormatError(f"frame {frame}: a parameter is not finite or absurdly large")
+    rest = model.rest_m(_betas(arrays, len(rotvecs)))
+    parents = [max(parent, 0) for parent in model.skeleton.parents]
+    offsets = rest - rest[parents]
+    rate_hz = None
+    if "rate" in arrays:
+        rate_hz = check_range(float(get_array(arrays, "rate", "fiu", ())), "the frame rate", *RATE_HZ)
+    source = SourceMotion(
+        skeleton=model.skeleton,
+        rest_offsets=offsets,
+        root_translation=trans + rest[0],
+        local_unitquat=unitquat_from_rotvec(rotvecs),
+        rate_hz=rate_hz,
+        metres_per_unit=1.0,
+    )
+    return _standing_in_file(source)
+
+
+def _standing_in_file(source: SourceMotion) -> SourceMotion:
+    """Return the same motion from a rest pose that stands along the file's up axis, not along Y as the model does."""
+    axis = guess_up_axis(source).axis
+    if axis == "y":
+        return source
+    upright = upright_from_file(axis)
+    down = np.broadcast_to(conjugate(upright), source.local_unitquat.shape)
+    local = multiply(source.local_unitquat, np.broadcast_to(upright, source.local_unitquat.shape))
+    local[:, 1:] = multiply(down[:, 1:], local[:, 1:])
+    return replace(
+        source,
+        rest_offsets=rotate(np.broadcast_to(conjugate(upright), (len(source.rest_offsets), 4)), source.rest_offsets),
+        local_unitquat=local,
+    )
+
+
+def _base(name: str) -> tuple[int, str]:
+    """Return the person, from 0, and the bare name of an array: `person2_trans` is `trans` of 1; alone it is of 0."""
+    for person in (0, 1):
+        if name.startswith(f"person{person + 1}_"):
+            return person, name[len("person1_") :]
+    return 0, name
+
+
+def _is_parameter(name: str) -> bool:
+    return _base(name)[1] in _NAMES
+
+
+def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
+    """Return the arrays of one person under the names of `_ALIASES`; the rate is everybody's."""
+    found: dict[str, Any] = {}
+    for name, values in arrays.items():
+        who, bare = _base(name)
+        key = next(key for key, names in _ALIASES.items() if bare in names)
+        if who == person or key == "rate":
+            found[key] = values
+    if "trans" not in found and person:
+        raise FormatError(f"person {person}: it holds 1 person; the take names it more often")
+    return found
+
+
+def _rotvecs(arrays: Mapping[str, Any], model: BodyModel) -> Array:
+    """Return the rotation vectors (frame, J, 3) of a model's joints; those that are not stated do not turn."""
+    count = model.skeleton.num_joints
+    if "poses" in arrays:
+        poses = get_array(arrays, "poses", "f", (None, None)).astype(np.float64)
+        stated = _KIND_OF_COUNT.get(poses.shape[1] // 3, "") if poses.shape[1] % 3 == 0 else ""
+        if stated != model.kind:
+            what = f"of {stated}" if stated else "of no known kind"
+            raise FormatError(
+                f"array 'poses' has {poses.shape[1]} numbers a frame, parameters {what}; the body model is "
+                f"{model.kind}, which has {3 * count}"
+            )
+        return _frames(poses, "poses").reshape(-1, count, 3)
+    root = _frames(get_array(arrays, "root", "f", (None, 3)), "root_orient")
+    body = _flat(arrays, "body", len(root))
+    if body.shape[1] not in (3 * (len(BODY) - 1), 3 * (len(JOINTS["SMPL"]) - 1)):
+        raise FormatError(f"array 'pose_body' has {body.shape[1]} numbers a frame; allowed: 63, and 69 of SMPL")
+    if body.shape[1] > 63 and model.kind != "SMPL":
+        raise FormatError(
+            f"array 'pose_body' has {body.shape[1]} numbers a frame, as SMPL; the body model is {model.kind}"
+        )
+    rotvecs = np.zeros((len(root), count, 3))
+    rotvecs[:, 0] = root
+    rotvecs[:, 1 : 1 + body.shape[1] // 3] = body.reshape(len(root), -1, 3)
+    hands = [_flat(arrays, key, len(root)) for key in ("hands", "left", "right") if key in arrays]
+    if hands:
+        turned = np.concatenate(hands, axis=1)
+        if model.kind == "SMPL" or turned.shape[1] != 3 * len(_FINGERS):
+            raise FormatError(
+                f"array 'pose_hand' (or both hands together) has {turned.shape[1]} numbers a frame; {model.kind} has "
+                f"{0 if model.kind == 'SMPL' else 3 * len(_FINGERS)}"
+            )
+        rotvecs[:, -len(_FINGERS) :] = turned.reshape(len(root), -1, 3)
+    return rotvecs
+
+
+def _flat(arrays: Mapping[str, Any], key: str, num_frames: int) -> Array:
+    """Return rotation vectors as (frame, n), given as such or as (frame, joint, 3)."""
+    values = arrays.get(key)
+    shape = (num_frames, None) if values is None or values.ndim != 3 else (num_frames, None, 3)
+    return get_array(arrays, key, "f", shape).astype(np.float64).reshape(num_frames, -1)
+
+
+def _frames(values: Array, name: str) -> Array:
+    check_range(len(values), f"the number of frames of array '{name}'", 1, np.inf)
+    return np.asarray(values, dtype=np.float64)
+
+
+def _betas(arrays: Mapping[str, Any], num_frames: int) -> Array:
+    """Return betas (n,), also where they stand once a frame: then their median."""
+    given = arrays.get("betas")
+    rows = 1 if given is not None and given.ndim == 2 and len(given) == 1 else num_frames
+    values = get_array(arrays, "betas", "f", (None,) if given is None or given.ndim == 1 else (rows, None))
+    betas = np.asarray(np.median(np.atleast_2d(values), axis=0), dtype=np.float64)
+    if not (np.abs(betas) <= MAX_MAGNITUDE).all():
+        raise FormatError("array 'betas' is not finite or absurdly large")
+    return betas
+
+
+def _is_smpl(start: FileStart) -> bool:
+    names = {_base(name)[1] for name in start.array_names}
+    return bool(names & {"trans", "transl"}) and bool(names & {"poses", "root_orient", "global_orient"})
+
+
+def model_names(name: str) -> Sequence[str]:
+    """Return where the body model of a file of this name may lie."""
+    return ("body_model.npz", "../body_model.npz", "../../body_model.npz")
+
+
+SMPL = MotionFormat(
+    name="smpl",
+    recognised_by="npz archive with 'trans' and 'poses' or 'root_orient', as AMASS and Inter-X",
+    suffixes=(".npz",),
+    recognises=_is_smpl,
+    read=read_smpl,
+    companion="body model",
+    companion_names=model_names,
+    is_companion=lambda start: set(_MODEL) <= start.array_names,
+    others=(partial(read_smpl, person=1),),
+)
+"""Parameters of SMPL, SMPL-H and SMPL-X: metres; the rate is stated by some."""
+
+
+@dataclass(frozen=True)
+class SmplMotion:
+    """A motion as parameters of a body model.
+
+    Args:
+        rotvecs: Rotation vectors of the model's joints (frame, J, 3).
+        trans_m: Translation (frame, 3), metres.
+        betas: Shape (B,), a fit to the lengths of the bones.
+        misfit_m: By how much each bone is longer than it should be, metres.
+        away_m: How far the 22 joints of the body lie from where they should (frame, 22), metres.
+    """
+
+    rotvecs: Array
+    trans_m: Array
+    betas: Array
+    misfit_m: Mapping[str, float]
+    away_m: Array
+
+
+def smpl_of_motion(model: BodyModel, motion: Motion, body22_m: Array, *, up_axis: str) -> SmplMotion:
+    """Return the parameters of a motion on a model's own joints, Y up, whose rest pose may stand along another axis.
+
+    Args:
+        model: The body model.
+        motion: The motion; its bones may have other lengths than the model gives any body.
+        body22_m: Where the joints of the body are (frame, 22, 3), metres.
+        up_axis: Axis that points up in the parameters.
+    """
+    betas, misfit = _fit(model, body22_m)
+    rest = model.rest_m(betas)
+    theirs = bone_directions(model.skeleton, rest)[1:]
+    turn = unitquat_from_rotmat(best_rotation(theirs, bone_directions(motion.skeleton, motion.rest_positions_m())[1:]))
+    turns = np.broadcast_to(turn, motion.local_unitquat.shape)
+    local = multiply(motion.local_unitquat, turns)
+    local[:, 1:] = multiply(conjugate(turns[:, 1:]), local[:, 1:])
+    return _parameters(model, betas, misfit, local, body22_m, up_axis)
+
+
+def smpl_of_body22(model: BodyModel, body22_m: Array, world_unitquat: Array) -> SmplMotion:
+    """Return the parameters of a body22: swing from its bones, twist from its rotations; hands and face do not turn.
+
+    Args:
+        model: The body model.
+        body22_m: Positions (frame, 22, 3), metres, Y up.
+        world_unitquat: World rotations from a standing T-pose (frame, 22, 4).
+    """
+    betas, misfit = _fit(model, body22_m)
+    rest = model.rest_m(betas)
+    order = model.skeleton.indices(BODY22.joint_names)
+    local = identity_unitquat(len(body22_m), model.skeleton.num_joints)
+    local[:, order] = local_rotations(BODY22, rest[order], body22_m, world_unitquat)
+    return _parameters(model, betas, misfit, local, body22_m, "y")
+
+
+def _fit(model: BodyModel, body22_m: Array) -> tuple[Array, dict[str, float]]:
+    lengths = np.median(bone_lengths(BODY22, body22_m), axis=0)
+    return model.fit_betas({BODY22.joint_names[joint]: float(lengths[joint]) for _, joint in BODY22.bones})
+
+
+def _parameters(
+    model: BodyModel, betas: Array, misfit: dict[str, float], local: Array, body22_m: Array, up_axis: str
+) -> SmplMotion:
+    """Return the parameters of local rotations (frame, J, 4), Y up, with the pelvis where it should be."""
+    rest = model.rest_m(betas)
+    offsets = rest - rest[[max(parent, 0) for parent in model.skeleton.parents]]
+    pelvis = body22_m[:, BODY22.root]
+    found, _ = forward_kinematics(model.skeleton, offsets, pelvis, local)
+    away_m = np.linalg.norm(found[:, model.skeleton.indices(BODY22.joint_names)] - body22_m, axis=-1)
+    down = np.broadcast_to(conjugate(upright_from_file(up_axis)), (len(local), 4))
+    local[:, 0] = multiply(down, local[:, 0])
+    return SmplMotion(rotvec_from_unitquat(local), rotate(down, pelvis) - rest[0], betas, misfit, away_m)

@@ -1,0 +1,160 @@
+"""What a person accepted or rejected: a small text file, a line a choice, that a study names.
+
+A choice is about one thing with one content: `reject variants waltz/A-uniform-0.80 3fa9c1d2e4b5 feet slide`.  It
+survives a rebuild that gives the same content; of other content nobody has said anything yet.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
+from storage_schema import TABLES, TableData
+
+Decision = Literal["accept", "reject"]
+DECISIONS: tuple[Decision, ...] = ("accept", "reject")
+IDENTITY: Mapping[str, tuple[str, ...]] = {
+    "variants": ("take_id", "variant_id"),
+    "poses": ("take_id",),
+    "motions": ("sequence_id", "method"),
+    "lifted_pairs": ("sequence_id", "frame", "person_id", "partner_id", "method"),
+    "draws": ("density", "seed_index", "chain", "draw"),
+    "seeds": ("seed_index",),
+    "annotations": ("sequence_id",),
+    "in_betweens": ("sequence_id", "method"),
+}
+"""Tables that choices are about, and the columns that name a thing there."""
+POSITIONS: Mapping[str, str] = {
+    **dict.fromkeys(("variants", "poses", "motions"), "body22_m"),
+    **dict.fromkeys(("lifted_pairs", "draws", "seeds", "in_betweens"), "pair17_m"),
+    "annotations": "pair17_px",
+}
+"""The column that is the content of such a thing."""
+_DIGITS = 12
+_HEADER = "# decision table name content reason\n"
+
+
+class CurationSettings(Settings):
+    """The `[curation]` section: what a person accepted or rejected."""
+
+    file: Path | None = Field(None, description="Text file of choices, as `view` and `curate` write it")
+    choices: dict[str, str] = Field({}, description="What it says, by what each choice is about; read from the file")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One choice; the content is the beginning of a sha256 over positions."""
+
+    decision: Decision
+    table: str
+    name: str
+    content: str
+    reason: str = ""
+
+    @property
+    def about(self) -> str:
+        """Return what it is about, content aside."""
+        return f"{self.table} {self.name}"
+
+    @property
+    def line(self) -> str:
+        """Return it as a line of the file."""
+        return " ".join(f"{self.decision} {self.about} {self.content} {self.reason}".split())
+
+
+def content_of(values: Any) -> str:
+    """Return the digest of positions (row, ...), in single precision as stored."""
+    data = np.ascontiguousarray(values, dtype="<f4").tobytes()
+    return hashlib.sha256(data).hexdigest()[:_DIGITS]
+
+
+def read_choices(path: Path) -> dict[str, Choice]:
+    """Return the choices of a file by what they are about; none where there is no file.
+
+    Raises:
+        InputError: A line is none: names the file and the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return {}
+    except UnicodeDecodeError:
+        raise InputError(f"{path.name}: this is no text file of choices") from None
+    found: dict[str, Choice] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        decision, table, name, content, reason = [*line.split(maxsplit=4), *[""] * 5][:5]
+        if decision not in DECISIONS or table not in IDENTITY or len(content) != _DIGITS:
+            raise InputError(
+                f"{path.name}, line {number}: a choice is '{'|'.join(DECISIONS)} TABLE NAME CONTENT [REASON]' with a "
+                f"content of {_DIGITS} digits and a table of {', '.join(IDENTITY)}; found '{line[:60]}'"
+            )
+        choice = Choice(decision, table, name, content, reason)
+        found[choice.about] = choice
+    return found
+
+
+def write_choices(path: Path, choices: Iterable[Choice]) -> None:
+    """Write a file of choices, in order: two files of the same choices are the same."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_name(f".{path.name}.new")
+    new.write_text(_HEADER + "".join(sorted(f"{one.line}\n" for one in choices)), encoding="utf-8")
+    new.replace(path)
+
+
+def as_settings(choices: Mapping[str, Choice]) -> dict[str, str]:
+    """Return choices as a study has them."""
+    return {about: f"{one.decision} {one.content} {one.reason}".rstrip() for about, one in sorted(choices.items())}
+
+
+def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
+    """Return the content of each thing of a table that was rejected, by its name."""
+    found = {about.partition(" ")[2]: said.split() for about, said in settings.items() if about.split()[0] == table}
+    return {name: said[1] for name, said in found.items() if said[0] == "reject"}
+
+
+def names_of(data: TableData) -> np.ndarray:
+    """Return the name of what each row is of (row,)."""
+    columns = (np.asarray(data[name]).astype(str) for name in IDENTITY[data.table.name])
+    return np.array(["/".join(one) for one in zip(*columns, strict=True)])
+
+
+def rejected_names(
+    rejected: Mapping[str, str], table: str, batches: Callable[[list[str]], Iterable[TableData]]
+) -> Collection[str]:
+    """Return the names of what is rejected and has the content that was looked at; what is not named is not read far.
+
+    Args:
+        rejected: What `rejections` gave.
+        table: Table of it.
+        batches: Reads columns of the rows.
+    """
+    if not rejected:
+        return ()
+    parts: dict[str, list[Any]] = {}
+    for data in batches([*IDENTITY[table], POSITIONS[table]]):
+        names = names_of(data)
+        for name in rejected.keys() & set(names.tolist()):
+            parts.setdefault(name, []).append(data[POSITIONS[table]][names == name])
+    return {name for name, values in parts.items() if content_of(np.concatenate(values)) == rejected[name]}
+
+
+def without(data: TableData, names: Collection[str]) -> TableData:
+    """Return the rows that are of nothing with one of these names."""
+    if not names or data.table.name not in IDENTITY:
+        return data
+    return TableData(TABLES[data.table.name], data.rows.take(rows_without(data, names)))
+
+
+def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
+    """Return which rows (n,) are of nothing with one of these names."""
+    return np.flatnonzero(~np.isin(names_of(data), list(names))) if names else np.arange(data.num_rows)

@@ -1,0 +1,195 @@
+"""Film read as a stream: images, time stamps, shots; nothing holds all of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.film.shots import ShotFinder, constant_rate_hz
+from pasdedeux.formats.detections import places_of_names
+from tasks.ingest.cameras import IMAGE_SUFFIXES, VIDEO_SUFFIXES
+from tasks.stage import SourceFile
+
+Image = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Film:
+    """What a film is, after it was read once from beginning to end.
+
+    Args:
+        files: The film, or its images in order.
+        first_number: Number of the first frame: 0, of images the one in its name.
+        image_size_px: Width and height, upright.
+        rate_hz: Typical rate; None for images.
+        is_constant: Whether the time stamps keep to it.
+        starts: First frame of each shot.
+        num_frames: Its length.
+        num_lost: Frames that the header states and that cannot be read.
+    """
+
+    files: tuple[SourceFile, ...]
+    first_number: int
+    image_size_px: tuple[int, int]
+    rate_hz: float | None
+    is_constant: bool
+    starts: tuple[int, ...]
+    num_frames: int
+    num_lost: int
+
+
+@dataclass(frozen=True)
+class FilmFrame:
+    """One image (height, width, 3), BGR, upright, and its time; NaN where nothing says it."""
+
+    image: Image
+    time_s: float
+
+
+def is_film(path: Path) -> bool:
+    """Tell whether a path is a film, or a folder of images and of no films."""
+    if not path.is_dir():
+        return path.suffix.lower() in VIDEO_SUFFIXES
+    suffixes = {item.suffix.lower() for item in path.iterdir()}
+    return bool(suffixes & IMAGE_SUFFIXES) and not suffixes & VIDEO_SUFFIXES
+
+
+def open_film(path: Path) -> Film:
+    """Read a film once, from beginning to end.
+
+    Raises:
+        InputError: There is nothing, or nothing that can be read; images differ in size, or one between them is
+            missing.
+    """
+    if not path.exists():
+        raise InputError(f"film {path} does not exist")
+    paths = [path]
+    first_number = 0
+    if path.is_dir():
+        paths = sorted(item for item in path.iterdir() if item.suffix.lower() in IMAGE_SUFFIXES)
+        if not paths:
+            raise InputError(f"folder {path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))})")
+        places = places_of_names(item.name for item in paths)
+        if len({video for video, _ in places.values()}) > 1:
+            raise InputError(
+                f"folder {path} holds the images of several films by their names; give each its own folder"
+            )
+        paths = sorted(paths, key=lambda item: places[item.name][1])
+        numbers = [places[item.name][1] for item in paths]
+        first_number = numbers[0]
+        gap = next((number for at, number in enumerate(numbers) if number != first_number + at), None)
+        if gap is not None:
+            raise InputError(f"folder {path}: the image before {gap} is missing; images are numbered without gaps")
+    files = tuple(SourceFile(path=str(one), sha256=digest_of(one)) for one in paths)
+    return _scanned(files, first_number)
+
+
+def digest_of(path: Path) -> str:
+    """Return the sha256 of a file of any size.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"file {path} cannot be read: {error.strerror}") from None
+
+
+def read_film(files: tuple[SourceFile, ...], first: int = 0, stop: int | None = None) -> Iterator[FilmFrame]:
+    """Yield the frames of a film from one on, up to another.
+
+    Raises:
+        InputError: The film cannot be opened, or the size of its images changes.
+    """
+    frames = _read_video(Path(files[0].path), first, stop) if _is_video(files) else _read_images(files[first:stop])
+    size: tuple[int, ...] | None = None
+    for number, frame in enumerate(frames, start=first):
+        size = size or frame.image.shape[1::-1]
+        if frame.image.shape[1::-1] != size:
+            width, height = frame.image.shape[1::-1]
+            name = Path(files[0].path).name if _is_video(files) else Path(files[number].path).name
+            raise InputError(
+                f"{name}: frame {number} is {width} x {height}, those before are {size[0]} x {size[1]} pixels"
+            )
+        yield frame
+
+
+def _is_video(files: tuple[SourceFile, ...]) -> bool:
+    return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
+
+
+def _read_video(path: Path, first: int, stop: int | None) -> Iterator[FilmFrame]:
+    import cv2  # here: a quarter of a second that planning does not need
+
+    capture = _opened(path)
+    try:
+        number = 0
+        # Frames before the first are decoded, not sought: seeking is exact in few codecs.
+        while (stop is None or number < stop) and capture.grab():
+            if number >= first:
+                was_read, image = capture.retrieve()
+                if not was_read:
+                    break
+                yield FilmFrame(image.astype(np.uint8, copy=False), float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0)
+            number += 1
+    finally:
+        capture.release()
+
+
+def _opened(path: Path) -> Any:
+    import cv2  # here: a quarter of a second that planning does not need
+
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise InputError(
+            f"film {path.name} cannot be opened: it is cut off, empty, no video, or of a codec that OpenCV does not "
+            "read; `ffmpeg -i FILM -c:v libx264 out.mp4` makes one that it reads"
+        )
+    return capture
+
+
+def _read_images(files: tuple[SourceFile, ...]) -> Iterator[FilmFrame]:
+    import cv2  # here: a quarter of a second that planning does not need
+
+    for file in files:
+        image = cv2.imread(file.path, cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(f"{Path(file.path).name} is no image that can be read")
+        yield FilmFrame(image.astype(np.uint8, copy=False), math.nan)
+
+
+@lru_cache(maxsize=64)
+def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
+    """Read a film once; remembered, because a study is planned several times in a run."""
+    finder, times = ShotFinder(), []
+    size = (0, 0)
+    for frame in read_film(files):
+        finder.add(frame.image)
+        times.append(frame.time_s)
+        size = (frame.image.shape[1], frame.image.shape[0])
+    name = Path(files[0].path).name
+    if len(times) < 2:
+        raise InputError(f"film {name} has {len(times)} frames that can be read; at least 2 are needed")
+    rate_hz, is_constant, num_lost = None, True, 0
+    if _is_video(files):
+        import cv2  # here: a quarter of a second that planning does not need
+
+        capture = _opened(Path(files[0].path))
+        stated_hz, stated = (float(capture.get(one)) for one in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT))
+        capture.release()
+        num_lost = max(0, round(stated) - len(times)) if 0 < stated < 1e9 else 0
+        rate_hz = stated_hz if 0 < stated_hz <= 1000 else None
+        if (np.diff(times) > 0).all():
+            rate_hz, is_constant = constant_rate_hz(np.array(times))
+    return Film(files, first_number, size, rate_hz, is_constant, tuple(finder.starts()), len(times), num_lost)

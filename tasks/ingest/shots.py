@@ -1,0 +1,255 @@
+"""Shots of films as sources of 2D poses: found and checked before any work, annotated frame by frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.errors import InputError, named
+from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, with_identities
+from pasdedeux.film.detectors import load_detector
+from pasdedeux.film.shots import at_constant_rate
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.detections import Detection, Footage, join_detections
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, read_annotations
+from tasks.ingest.cameras import VIDEO_SUFFIXES, find_cameras, is_named_after
+from tasks.ingest.detector_files import find_network
+from tasks.ingest.films import Film, is_film, open_film, read_film
+from tasks.ingest.parameters import FilmOptions
+from tasks.ingest.shard_parameters import FilmParameters
+from tasks.ingest.sources import load_file, own_layout_of, read_again
+from tasks.stage import SourceFile
+
+ASSUMED_RATE_HZ = 30.0
+"""Of a folder of images whose rate nobody states."""
+_MAX_RATE_RATIO = 1.02
+"""Annotations whose rate differs more from the film's are of another film."""
+
+
+@dataclass(frozen=True)
+class FoundShot:
+    """A shot of a film that was found: parameters and files of its shard."""
+
+    parameters: FilmParameters
+    files: tuple[SourceFile, ...]
+    film: Film
+
+    @property
+    def name(self) -> str:
+        """Name of the film."""
+        return Path(self.files[-1].path).name
+
+
+def find_shots(
+    options: FilmOptions, *, is_held_out: bool = False, take_seconds: float | None = None
+) -> list[FoundShot]:
+    """Find the films of a source and their shots, and check key frames or detections against them.
+
+    Shots of which nothing is given are left out.
+
+    Raises:
+        InputError: A film cannot be read, a file is mangled, or they do not fit each other.
+    """
+    with named(f"video {options.id}"):
+        films = _films_of(options)
+        networks = tuple(find_network(one) for one in options.detect)
+        if networks:
+            load_detector([read_again(file) for file in networks])
+        found = []
+        for name, path, given in films:
+            found += _shots_of(options, name, open_film(path), path, given, networks, is_held_out, take_seconds)
+    if not found:
+        raise InputError(f"video {options.id}: nothing is given of any of its shots")
+    return found
+
+
+def annotate(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedShot:
+    """Return the annotations of all frames of a shot, in the numbers of the film's frames, with their doubts.
+
+    Raises:
+        InputError: A file has changed, or nobody is found.
+    """
+    return _annotated(parameters, files)[0]
+
+
+def read_shot(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
+    """Return the annotations of a shot as ingest takes them: at a constant rate."""
+    shot, times = _annotated(parameters, files)
+    if parameters.is_constant_rate:
+        return shot.frames
+    assert shot.frames.rate_hz is not None
+    first = parameters.first_number + parameters.first_frame
+    return at_constant_rate(shot.frames, first, np.array(times), shot.frames.rate_hz)
+
+
+def shot_images(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Iterator[Any]:
+    """Yield the images of a shot, with their times."""
+    film = files[parameters.num_given + parameters.num_networks :]
+    return read_film(film, parameters.first_frame, parameters.first_frame + parameters.num_frames)
+
+
+@lru_cache(maxsize=4)
+def _annotated(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> tuple[AnnotatedShot, list[float]]:
+    given = _given(parameters, files)
+    first = parameters.first_number + parameters.first_frame
+    inside = (given.frame >= first) & (given.frame < first + parameters.num_frames)
+    given = with_identities(given.rows(inside), is_key=parameters.is_key)
+    times: list[float] = []
+
+    def images() -> Iterator[Any]:
+        for frame in shot_images(parameters, files):
+            times.append(frame.time_s)
+            yield frame.image
+
+    shot = annotate_shot(given, images(), first, parameters.num_frames, is_key=parameters.is_key)
+    return shot, times
+
+
+def _given(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
+    """Return the key frames or detections of a film, at its rate, under the name of the shot."""
+    stated = Footage(parameters.video_size_px, parameters.video_rate_hz, parameters.focal_px, parameters.fov_deg)
+    if parameters.num_networks:
+        frames = _detected(parameters, files)
+        frames = clean_annotations(frames, stated=stated, min_confidence=parameters.min_confidence)
+    else:
+        frames = _read_given(parameters, files[: parameters.num_given], stated)
+    size = frames.image_size_px.get(frames.sequence_id[0])
+    names = (parameters.id,) * frames.num_rows
+    focal = dict.fromkeys((parameters.id,) if frames.focal_px else (), next(iter(frames.focal_px.values()), 0.0))
+    return replace(frames, sequence_id=names, image_size_px={parameters.id: size} if size else {}, focal_px=focal)
+
+
+def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
+    start = parameters.num_given
+    detector = load_detector([read_again(file) for file in files[start : start + parameters.num_networks]])
+    found = []
+    first = parameters.first_number + parameters.first_frame
+    for number, frame in enumerate(shot_images(parameters, files), start=first):
+        if (number - first) % parameters.detect_every == 0:
+            tables = detector.detect(frame.image)
+            found += [Detection(("", number), None, table, f"frame {number}") for table in tables]
+    frames = join_detections(found, sequence_id=parameters.id, layout=parameters.keypoint_layout())
+    return replace(frames, status=np.where(frames.confidence > 0, KeypointStatus.DETECTED, 0))
+
+
+def _read_given(parameters: FilmParameters, files: tuple[SourceFile, ...], stated: Footage) -> AnnotatedFrames:
+    return read_annotations(
+        ANNOTATION_FORMATS[parameters.format],
+        {Path(file.path).name: read_again(file) for file in files},
+        source_id=parameters.id,
+        layout=parameters.keypoint_layout(),
+        stated=stated,
+        min_confidence=parameters.min_confidence,
+        skip_unreadable=parameters.on_unreadable == "skip",
+    )
+
+
+def _films_of(options: FilmOptions) -> list[tuple[str, Path, Path | None]]:
+    """Return name, path and given file of each film of a source."""
+    given = options.keys or options.detections
+    if not options.path.is_dir() or is_film(options.path):
+        return [("", options.path, given)]
+    films = sorted(item for item in options.path.iterdir() if item.suffix.lower() in VIDEO_SUFFIXES)
+    if not films:
+        raise InputError(f"folder {options.path} holds no film ({', '.join(sorted(VIDEO_SUFFIXES))}) and no images")
+    if given is not None and not given.is_dir():
+        raise InputError(f"{options.path} is a folder of films: keys and detections are a folder with a file for each")
+    found = []
+    for film in films:
+        fitting = [item for item in sorted(given.iterdir()) if is_named_after(item.stem, film.stem)] if given else []
+        fitting = [item for item in fitting if item.suffix.lower() not in VIDEO_SUFFIXES]
+        if given is not None and not fitting:
+            raise InputError(f"nothing in {given} is named like the film {film.name}")
+        found.append((re.sub(r"[^A-Za-z0-9_.-]", "_", film.stem), film, fitting[0] if fitting else None))
+    return found
+
+
+def _shots_of(
+    options: FilmOptions,
+    name: str,
+    film: Film,
+    path: Path,
+    given: Path | None,
+    networks: tuple[SourceFile, ...],
+    is_held_out: bool,
+    take_seconds: float | None,
+) -> list[FoundShot]:
+    camera = None
+    if given is not None:
+        cameras = find_cameras(given, options.format)
+        camera = next((one for one in cameras if is_named_after(one.name, path.stem)), cameras[0])
+        if len(cameras) > 1 and not is_named_after(camera.name, path.stem):
+            raise InputError(f"{given} holds several cameras, none of them named like {path.name}")
+    rate_hz = options.rate_hz or film.rate_hz or ASSUMED_RATE_HZ
+    starts = [*(film.starts if options.has_cuts else (0,)), film.num_frames]
+    base = f"{options.id}.{name}" if name else options.id
+    files = tuple(load_file(one).file for one in camera.paths) if camera else ()
+    numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([one.name for one in camera.paths]) if camera else []
+    common = options.model_dump(
+        exclude={"id", "path", "format", "keys", "detections", "detect", "has_cuts", "layout_file"}
+    )
+    shots = []
+    for index, (start, stop) in enumerate(pairwise(starts)):
+        length = stop - start if take_seconds is None else min(stop - start, max(2, round(take_seconds * rate_hz)))
+        parameters = FilmParameters(
+            **common,
+            id=base if len(starts) == 2 else f"{base}.shot{index:02d}",
+            format=camera.format if camera else "auto",
+            is_held_out=is_held_out,
+            frames=tuple(numbers),
+            video_rate_hz=rate_hz,
+            video_size_px=film.image_size_px,
+            people=(),
+            own_layout=own_layout_of(options.layout_file),
+            num_given=len(files),
+            num_networks=len(networks),
+            is_key=options.keys is not None,
+            first_number=film.first_number,
+            first_frame=start,
+            num_frames=length,
+            is_constant_rate=film.is_constant or options.rate_hz is not None,
+        )
+        shots.append(FoundShot(parameters, (*files, *networks, *film.files), film))
+    if camera is None:
+        return shots
+    frames = _check_given(shots[0], given or path, film, rate_hz, options)
+    spans = [(one, film.first_number + one.parameters.first_frame) for one in shots]
+    return [
+        one
+        for one, first in spans
+        if ((frames >= first) & (frames < first + one.parameters.num_frames)).any() and one.parameters.num_frames > 1
+    ]
+
+
+def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> np.ndarray:
+    """Return the frames that are given, after a check against the film."""
+    with named(given.name):
+        parameters = shot.parameters
+        frames = _read_given(parameters, shot.files[: parameters.num_given], Footage())
+        sizes = set(frames.image_size_px.values()) - {film.image_size_px}
+        if sizes:
+            (width, height), (own_width, own_height) = sizes.pop(), film.image_size_px
+            raise InputError(
+                f"it is about images of {width} x {height}, but the film has {own_width} x {own_height} pixels"
+            )
+        if frames.rate_hz and max(frames.rate_hz / rate_hz, rate_hz / frames.rate_hz) > _MAX_RATE_RATIO:
+            raise InputError(
+                f"it is about a film of {frames.rate_hz:g} Hz, but this one has {rate_hz:.6g}; where the film's own is "
+                "wrong, set rate_hz"
+            )
+        last = film.first_number + film.num_frames - 1
+        outside = frames.frame[(frames.frame < film.first_number) | (frames.frame > last)]
+        if len(outside):
+            raise InputError(f"frame {outside[0]} is not in the film, whose frames are {film.first_number} to {last}")
+        if len(set(zip(frames.frame.tolist(), frames.person_id.tolist(), strict=True))) < frames.num_rows:
+            raise InputError(
+                f"it holds {len(set(frames.sequence_id))} sequences with the same frames; give each film its own file"
+            )
+        return frames.frame

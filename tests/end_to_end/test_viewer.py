@@ -1,0 +1,159 @@
+"""The viewer on the small study, in a real browser where there is one: look, play, choose, change, restart."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.viewing.choosing import Choosing
+from flows.viewing.editing import Editor
+from flows.viewing.kinds import KINDS
+from flows.viewing.shelf import open_shelf
+from flows.viewing.viewer import Viewer
+from pasdedeux.formats.annotation_csv import read_annotation_csv
+from pasdedeux.formats.pair_file import read_pair_json
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import PAIR17
+from storage_schema import Store
+from tasks.curation import read_choices
+from tests.builders.browser import Tab, open_page
+from tests.builders.real_study import BuiltStudy
+from tests.builders.toy_runs import wait_until
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def editor(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory, prefect_home: Path) -> Iterator[Editor]:
+    """Return the editor of a viewer on a copy of the small study."""
+    folder = tmp_path_factory.mktemp("viewing")
+    os.environ["PREFECT_HOME"] = str(prefect_home)  # a restart is a process of its own
+    viewer = Viewer(open_shelf(Store(small.copy_store(folder)), "small"), choosing=Choosing(folder / "curation.txt"))
+    yield Editor(viewer, folder / "restarts", num_workers=0)
+    viewer.stop()
+    del os.environ["PREFECT_HOME"]
+
+
+def part_of(viewer: Viewer, table: str) -> None:
+    viewer.show_part(next(part for part in viewer.shelf.parts if part.table == table))
+
+
+def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
+    viewer = editor.viewer
+    assert {part.table for part in viewer.shelf.parts} == set(KINDS)
+    for table in KINDS:
+        part_of(viewer, table)
+        assert np.isfinite(viewer.scene.people.positions_m).any(), table
+        for frame in {0, viewer.scene.num_frames - 1}:
+            viewer.seek(frame)
+            viewer.describe_frame()
+            assert viewer._handles["facts"].value.startswith(f"frame {frame} of "), table
+            viewer.visit(viewer.reference)
+            assert (viewer.part.table, viewer.frame) == (table, frame), "a link leads back"
+
+
+def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "draws")
+    editor._is_on.value = True
+    editor.show_hand()
+    before = editor.pose
+    target = before[0, PAIR17.index("left_wrist")] + np.array([0.05, 0.1, 0.05])
+    editor.drag(target)
+    after = editor.pose
+    np.testing.assert_allclose(bone_lengths(PAIR17, after), bone_lengths(PAIR17, before), atol=1e-9)
+    np.testing.assert_array_equal(after[1], before[1])
+    assert np.linalg.norm(after[0, PAIR17.index("left_wrist")] - target) < 0.01
+    saved = read_pair_json(editor.save().read_bytes())
+    np.testing.assert_allclose(saved.pair_m, after, atol=1e-12)
+    assert saved.made_from.endswith("joints moved by hand")
+    assert saved.takes
+    assert saved.sources
+    editor.drag(np.array([9.0, 9.0, 9.0]))
+    np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
+
+
+def test_a_corrected_2d_joint_is_lifted_again_and_saved_as_csv(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "annotations")
+    editor._is_on.value = True
+    editor._begin()
+    viewer.seek(2)
+    was = editor.image_px()
+    np.testing.assert_allclose(was, viewer.scene.images(2)[0].points_px, atol=1e-3)
+    joint = PAIR17.index("left_wrist")
+    editor.drag(editor.pose[0, joint] + np.array([0.3, 0.0, 0.0]))
+    now = editor.image_px()
+    assert np.abs(now - was)[0, joint, 0] > 10
+    frames = read_annotation_csv(editor.save().read_bytes())
+    own = frames.frame == 2
+    np.testing.assert_allclose(frames.keypoints_px[own][0, joint], now[0, joint], atol=1e-6)
+    np.testing.assert_allclose(frames.keypoints_px[own][1], was[1], atol=1e-2)
+    editor.lift()
+    assert viewer.scene.behind is not None
+    moved = np.linalg.norm(viewer.scene.people.positions_m - viewer.scene.behind.positions_m, axis=-1)
+    assert moved.max() > 0.01
+    editor.lift()
+    assert viewer.scene.flat is not None, "back to the 2D poses"
+    editor._is_on.value = False
+    editor._begin()
+
+
+def wait_for(viewer: Viewer, what: str, is_so: object) -> None:
+    wait_until(is_so, what, limit_s=60.0)  # type: ignore[arg-type]
+
+
+def screenshot(tab: Tab, name: str, folder: Path) -> None:
+    kept = Path(os.environ.get("PASDEDEUX_SCREENSHOTS", folder))
+    kept.mkdir(parents=True, exist_ok=True)
+    assert tab.screenshot(kept / f"{name}.png").stat().st_size > 10_000
+
+
+def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Editor, tmp_path: Path) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "variants")
+    with open_page(viewer.url, tmp_path) as tab:
+        wait_for(
+            viewer, "the page", lambda: viewer.server.get_clients() and tab.run("!!document.querySelector('canvas')")
+        )
+        tab.press("ArrowRight")
+        wait_for(viewer, "a step", lambda: viewer.frame == 1)
+        tab.press(" ")
+        wait_for(viewer, "playing", lambda: viewer.is_playing and viewer.frame > 3)
+        tab.press(" ")
+        wait_for(viewer, "the stop", lambda: not viewer.is_playing)
+        tab.press("End")
+        wait_for(viewer, "the end", lambda: viewer.frame == viewer.scene.num_frames - 1)
+        screenshot(tab, "variants-wide", tmp_path)
+        first = viewer.item.names
+        tab.press("x")
+        wait_for(viewer, "a rejection", lambda: read_choices(viewer.choosing.path))
+        assert read_choices(viewer.choosing.path)["variants " + "/".join(first)].decision == "reject"
+        tab.press("ArrowDown")
+        wait_for(viewer, "the next item", lambda: viewer.item.names != first)
+        tab.press("k")
+        wait_for(viewer, "an acceptance", lambda: len(read_choices(viewer.choosing.path)) == 2)
+        viewer.gui_filter.value = "rejected"
+        viewer._sorted_again()
+        assert [viewer.shelf.items(viewer.part)[at].names for at in viewer.order] == [first]
+        viewer.gui_filter.value = "all"
+        with open_page(f"{viewer.url}/?at={viewer.reference.replace('#', '%23')}", tmp_path, width=400) as narrow:
+            wait_for(viewer, "a second browser", lambda: len(viewer.server.get_clients()) == 2)
+            wait_for(viewer, "its people", lambda: narrow.run("!!document.querySelector('canvas')"))
+            screenshot(narrow, "variants-narrow", tmp_path)
+            assert narrow.errors == []
+        part_of(viewer, "draws")
+        tab.click("Change and restart")
+        tab.click("Restart chains from here")
+        wait_for(viewer, "the restart", lambda: editor.process is not None)
+        assert tab.errors == []
+        hosts = {url.split("/")[2] for url in tab.requests if url.startswith(("http", "ws"))}
+        assert hosts == {viewer.url.split("/")[2]}, "nothing is loaded from elsewhere"
+    assert editor.process is not None
+    wait_until(lambda: editor.process is None or editor.process.poll() is not None, "chains", limit_s=300.0)
+    wait_for(viewer, "their draws", lambda: any(part.name.startswith("restart") for part in viewer.shelf.parts))
+    assert editor.process.returncode == 0, "it went on without a browser"

@@ -1,0 +1,127 @@
+import re
+import struct
+from contextlib import suppress
+
+import ezc3d
+import numpy as np
+import pytest
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.c3d import C3D, read_c3d, read_points, write_c3d
+from pasdedeux.formats.registry import recognise_format
+from pasdedeux.skeletons import BODY22
+from storage_schema import Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
+from tests.builders.source_samples import c3d_points, figure_motion
+
+POSITIONS_M, _ = figure_motion().world()
+NAMES = list(BODY22.joint_names)
+
+
+def made_by_ezc3d(tmp_path, points, labels, *, unit="mm", rate_hz=120.0, gap=None):
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [rate_hz]
+    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+    file["parameters"]["POINT"]["LABELS"]["value"] = labels
+    file["data"]["points"] = np.moveaxis(points, 0, -1).swapaxes(0, 1)
+    residuals = np.zeros((1, len(labels), len(points)))
+    if gap is not None:
+        residuals[0, gap[1], gap[0]] = -1.0
+    file["data"]["meta_points"]["residuals"] = residuals
+    file.write(str(tmp_path / "made.c3d"))
+    return (tmp_path / "made.c3d").read_bytes()
+
+
+def test_what_another_program_wrote_is_read(tmp_path):
+    source = read_c3d(made_by_ezc3d(tmp_path, 1e3 * POSITIONS_M, [f"Anna:{name}" for name in NAMES]))
+    assert (source.rate_hz, source.metres_per_unit, source.num_frames) == (120.0, 1e-3, 12)
+    found, _ = source.to_motion(metres_per_unit=1e-3, rate_hz=120.0).world()
+    np.testing.assert_allclose(found, POSITIONS_M, atol=1e-4)
+
+
+def test_a_file_of_many_points_and_texts_is_read_by_another_program(tmp_path):
+    labels = [f"{letter}:{name}" for letter in "ABCDEFGHIJKLM" for name in NAMES]
+    points = np.tile(POSITIONS_M, (1, 13, 1))
+    data = write_c3d(points, labels, rate_hz=59.94, facts={"CREDIT": "c" * 300})
+    (tmp_path / "own.c3d").write_bytes(data)
+    file = ezc3d.c3d(str(tmp_path / "own.c3d"))
+    point = file["parameters"]["POINT"]
+    assert [*point["LABELS"]["value"], *point["LABELS2"]["value"]] == labels
+    assert point["RATE"]["value"][0] == pytest.approx(59.94)
+    assert "".join(file["parameters"]["PASDEDEUX"]["CREDIT"]["value"]) == "c" * 300
+    np.testing.assert_allclose(file["data"]["points"][:3].transpose(2, 1, 0) / 1e3, points, atol=1e-6)
+    found = read_points(data)
+    assert found.labels == tuple(labels)
+    np.testing.assert_allclose(found.positions / 1e3, points, atol=1e-6)
+
+
+def test_people_are_told_apart_by_what_stands_before_the_colon():
+    data = c3d_points("AB")
+    both = [C3D.read_person(number, data).to_motion(metres_per_unit=1e-3, rate_hz=30.0).world()[0] for number in (0, 1)]
+    np.testing.assert_allclose(both[1] - both[0] - [1.0, 0.0, 0.0], 0.0, atol=1e-5)
+    with pytest.raises(FormatError, match="person 2: it holds 2 people"):
+        C3D.read_person(2, data)
+
+
+def test_integers_are_scaled_as_the_file_says():
+    data = bytearray(write_c3d(POSITIONS_M[:1], NAMES, rate_hz=30.0, facts={}))
+    (first,) = struct.unpack_from("<H", data, 16)
+    struct.pack_into("<f", data, 12, 0.1)
+    at = data.index(b"SCALE") + 5
+    struct.pack_into("<f", data, at + 4, 0.1)
+    whole = np.zeros((22, 4), "<i2")
+    whole[:, :3] = np.round(1e4 * POSITIONS_M[0])
+    data[(first - 1) * 512 :] = whole.tobytes()
+    np.testing.assert_allclose(read_points(bytes(data)).positions[0] / 1e3, POSITIONS_M[0], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("labels", "gap", "sentence"),
+    [
+        (["LASI", "RASI", *NAMES[2:]], None, "no joints of a person (LASI, RASI, "),
+        (NAMES, (7, 21), "frame 7: the point 'right_wrist' is missing"),
+    ],
+)
+def test_markers_and_gaps_are_refused_in_a_sentence(tmp_path, labels, gap, sentence):
+    with pytest.raises(FormatError, match=re.escape(sentence)):
+        read_c3d(made_by_ezc3d(tmp_path, 1e3 * POSITIONS_M, labels, gap=gap))
+
+
+def test_a_file_of_analog_data_alone_is_refused():
+    data = bytearray(c3d_points())
+    at = data.index(b"USED") + 8
+    data[at : at + 2] = bytes(2)
+    with pytest.raises(FormatError, match="holds analog data only"):
+        read_c3d(bytes(data))
+
+
+def test_no_damage_does_more_than_a_format_error():
+    data, rng = c3d_points(), np.random.default_rng(0)
+    for number in range(300):
+        damaged = bytearray(data[: rng.integers(1, len(data))] if number % 3 == 0 else data)
+        for at in rng.integers(0, min(len(damaged), 3000), 4):
+            damaged[at] = rng.integers(256)
+        with suppress(FormatError):
+            read_c3d(bytes(damaged))
+
+
+def test_more_frames_than_can_be_counted_are_refused():
+    with pytest.raises(FormatError, match="65535 frames at most, here are 65536"):
+        write_c3d(np.zeros((65536, 1, 3)), ["a"], rate_hz=30.0, facts={})
+
+
+def test_a_scene_of_somebody_else_is_told_how_to_come_in():
+    for scene in (b"glTF\x02\0\0\0", b'{"asset": {"version": "2.0"}, "nodes": []}'):
+        with pytest.raises(FormatError, match=r"this is a glTF scene.*export its armature as BVH"):
+            recognise_format(scene)
+
+
+def test_a_take_of_both_people_of_one_file_is_who_they_were(tmp_path):
+    (tmp_path / "both.c3d").write_bytes(c3d_points("AB"))
+    take = {"id": "both", "files": [str(tmp_path / "both.c3d")] * 2, "floor": "keep"}
+    section = IngestParameters.model_validate({"rate_hz": 30.0, "takes": [take]})
+    store = Store(tmp_path / "store")
+    ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=1), section)[0], store)
+    found = store.read(ref, "poses")["body22_m"].reshape(2, -1, 22, 3)
+    np.testing.assert_allclose(found, [POSITIONS_M, POSITIONS_M + np.array([1.0, 0.0, 0.0])], atol=1e-5)

@@ -1,0 +1,148 @@
+"""Choices of a person: a text file that outlives rebuilds, and what obeys it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.console.app import run_command_line
+from flows.exports import export_reference
+from flows.reasons import changed_leaves
+from flows.study import load_study, study_from_record
+from flows.study_files import StudyError
+from flows.viewing.choosing import Choosing
+from pasdedeux.errors import InputError
+from storage_schema import ShardRecord, Store, open_table, record_latest
+from tasks.augmentation import AugmentationParameters
+from tasks.augmentation import plan as plan_variants
+from tasks.augmentation import run_shard as solve
+from tasks.curation import Choice, as_settings, content_of, read_choices, rejections, write_choices
+from tasks.graph import load_graph
+from tasks.stage import StageInputs
+from tasks.training.items import StoredVariants
+from tasks.training.parameters import TrainingParameters
+from tasks.training.plan import plan as plan_training
+from tests.builders.ingest_runs import duet_store
+
+NAME = "waltz/A-uniform-0.80"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, StageInputs]:
+    """Return a store with a duet of a second and four variants of it, as a study on record."""
+    store, takes = duet_store(tmp_path_factory.mktemp("curated") / "store")
+    parameters = AugmentationParameters(scales=(0.8, 0.95, 1.05, 1.2), persons=("A",))
+    inputs = StageInputs({"poses": takes, "takes": takes}, seed=1)
+    variants = [store.manifest(solve(one, store)) for one in plan_variants(inputs, parameters)]
+    records = {"ingest": takes, "augmentation": variants}
+    run = {stage: [ShardRecord.of(one, store) for one in made] for stage, made in records.items()}
+    record_latest(store, "short", "20260101T000000-short", run)
+    return store, StageInputs({**inputs.manifests, "variants": variants}, seed=1)
+
+
+def rejected(store: Store, file: Path, *, row: int = 0, reason: str = "feet slide") -> Choice:
+    words = ["curate", "reject", f"variants:short/waltz#{row}", "--reason", reason, "--curation", str(file)]
+    assert run_command_line([*words, "--store", str(store)]) == 0
+    (choice,) = read_choices(file).values()
+    return choice
+
+
+def test_the_file_is_read_back_and_equal_choices_are_equal_files(tmp_path: Path) -> None:
+    choices = [Choice("reject", "variants", "b/x", "0" * 12, "slides  a lot"), Choice("accept", "draws", "a", "1" * 12)]
+    one, other = tmp_path / "one.txt", tmp_path / "deep" / "other.txt"
+    write_choices(one, choices)
+    write_choices(other, reversed(choices))
+    assert one.read_bytes() == other.read_bytes()
+    assert list(read_choices(one).values()) == [
+        choices[1],
+        Choice("reject", "variants", "b/x", "0" * 12, "slides a lot"),
+    ]
+    assert read_choices(tmp_path / "none.txt") == {}
+
+
+@pytest.mark.parametrize(
+    "line", ["refuse variants a/b 000000000000", "reject cakes a 000000000000", "reject variants a"]
+)
+def test_a_line_that_is_no_choice_is_named(tmp_path: Path, line: str) -> None:
+    file = tmp_path / "choices.txt"
+    file.write_text(f"# mine\n\n{line}\n")
+    with pytest.raises(InputError, match=r"choices.txt, line 3: a choice is"):
+        Choosing(file)
+
+
+def test_a_choice_names_take_variant_and_content_and_can_be_taken_back(
+    built: tuple[Store, StageInputs], tmp_path: Path
+) -> None:
+    store, _ = built
+    file = tmp_path / "choices.txt"
+    choice = rejected(store, file, row=3)
+    own = open_table("variants:short", store)
+    first = own["body22_m"][own["variant_id"] == "A-uniform-0.80"]
+    assert choice == Choice("reject", "variants", NAME, content_of(first), "feet slide")
+    assert Choosing(file).words("variants", NAME, "f" * 12).startswith("rejected: feet slide (it had other content")
+    assert run_command_line(["curate", "undo", "variants:short#3", "--curation", str(file), "--store", str(store)]) == 0
+    assert read_choices(file) == {}
+
+
+def test_exports_leave_out_what_is_rejected_but_not_what_was_built_otherwise_since(
+    built: tuple[Store, StageInputs], tmp_path: Path
+) -> None:
+    store, _ = built
+    file = tmp_path / "choices.txt"
+    choice = rejected(store, file)
+
+    def exported(out: str, **more: Path) -> set[str]:
+        export_reference(store, "variants:short", "npz", tmp_path / out, **more)  # type: ignore[arg-type]
+        return set(np.load(tmp_path / out / "variants.npz")["variant_id"].tolist())
+
+    everything = exported("all")
+    assert everything - exported("chosen", curation=file) == {"A-uniform-0.80"}
+    export_reference(store, "variants:short", "bvh", tmp_path / "bvh", curation=file)
+    assert len(list((tmp_path / "bvh").glob("*0.80*.bvh"))) == 0
+    assert len(list((tmp_path / "bvh").glob("*0.95*.bvh"))) == 2
+    write_choices(file, [Choice("reject", "variants", NAME, "f" * 12, choice.reason)])
+    assert exported("rebuilt", curation=file) == everything
+
+
+def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(
+    built: tuple[Store, StageInputs], tmp_path: Path
+) -> None:
+    store, inputs = built
+    choice = rejected(store, tmp_path / "choices.txt")
+    plain = plan_training(inputs, TrainingParameters())
+    elsewhere = as_settings({"x": Choice("reject", "variants", "other_take/A-uniform-0.80", "0" * 12)})
+    assert [one.key for one in plan_training(inputs, TrainingParameters(choices=elsewhere))] == [
+        one.key for one in plain
+    ]
+    chosen = plan_training(inputs, TrainingParameters(choices=as_settings({choice.about: choice})))
+    assert not {one.key for one in plain} & {one.key for one in chosen}
+    takes, made = ([one.ref for one in inputs.of(table)] for table in ("poses", "variants"))
+    names = {name for _, name in StoredVariants(store, takes, made).sound_names("waltz")}
+    kept = StoredVariants(store, takes, made, rejected=rejections(as_settings({choice.about: choice}), "variants"))
+    assert names - {name for _, name in kept.sound_names("waltz")} == {"A-uniform-0.80"}
+
+
+def test_a_study_says_what_its_file_said_and_is_built_again_without_the_file(tmp_path: Path) -> None:
+    choice = Choice("reject", "variants", NAME, "0" * 12, "feet slide")
+    file, study = tmp_path / "choices.txt", tmp_path / "mine.toml"
+    study.write_text('[study]\nname = "mine"\nextends = "duets"\n[curation]\nfile = "choices.txt"\n')
+    with pytest.raises(StudyError, match=r"curation.file: there is no file"):
+        load_study(str(study), load_graph())
+    write_choices(file, [choice])
+    loaded, _ = load_study(str(study), load_graph())
+    said = loaded.resolved()
+    assert said["curation"]["choices"] == {f"variants {NAME}": "reject 000000000000 feet slide"}
+    assert "choices" not in said["training"]
+    bare, _ = load_study("duets", load_graph())
+    assert changed_leaves(bare.resolved()["curation"], said["curation"])[f"choices.variants {NAME}"] == (
+        "",
+        '"reject 000000000000 feet slide"',
+    ), "what `diff` shows"
+    file.unlink()
+    again, _ = study_from_record(said, [], load_graph())
+    assert again.resolved()["curation"]["choices"] == said["curation"]["choices"]
+    file.write_text("nonsense\n")
+    with pytest.raises(StudyError, match=r"choices.txt, line 1"):
+        load_study(str(study), load_graph())

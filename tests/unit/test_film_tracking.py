@@ -1,0 +1,215 @@
+"""Joints tracked between key frames of rendered film, whose truth is known; gaps, what is hidden, cuts, rates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from pasdedeux.errors import InputError
+from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, frames_to_correct, with_identities
+from pasdedeux.film.drawing import contact_sheet, draw_people
+from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.annotation_csv import read_annotation_csv, write_annotation_csv
+from pasdedeux.skeletons import PAIR17
+from tests.builders.rendered_film import Film, duet_bodies, render, salsa_bodies
+
+EVERY = 15
+WRIST = PAIR17.index("left_wrist")
+
+
+@pytest.fixture(scope="module")
+def waltz() -> Film:
+    return render(duet_bodies("waltz", seconds=1.55), yaw_rad=0.2, seed=9)
+
+
+@pytest.fixture(scope="module")
+def salsa(data_dir: Path) -> Film:
+    return render(salsa_bodies(data_dir, "07", slice(300, 346)), yaw_rad=2.0, seed=1)
+
+
+def rows_of(film: Film, frames: list[int], *, hidden: float = 0.5) -> AnnotatedFrames:
+    """Return the true joints of some frames; those that are hidden have a low confidence."""
+    at = [(frame, person) for frame in frames for person in range(film.px.shape[1])]
+    return AnnotatedFrames(
+        "pair17",
+        ("film",) * len(at),
+        np.array([frame for frame, _ in at]),
+        np.array([person for _, person in at]),
+        np.stack([film.px[one] for one in at]),
+        np.stack([np.where(film.is_visible[one], 1.0, hidden) for one in at]),
+        rate_hz=30.0,
+    )
+
+
+def keys_of(film: Film, **options: float) -> AnnotatedFrames:
+    return rows_of(film, sorted({*range(0, len(film.px), EVERY), len(film.px) - 1}), **options)
+
+
+def annotated(film: Film, given: AnnotatedFrames, *, is_key: bool = True) -> AnnotatedShot:
+    return annotate_shot(given, iter(film.images), 0, len(film.images), is_key=is_key)
+
+
+def by_frame(film: Film, frames: AnnotatedFrames) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and statuses (frame, person, joint) as the truth has them."""
+    px, status = np.full(film.px.shape, np.nan), np.zeros(film.px.shape[:-1], dtype=int)
+    px[frames.frame, frames.person_id] = frames.keypoints_px
+    assert frames.status is not None
+    status[frames.frame, frames.person_id] = frames.status
+    return px, status
+
+
+def error_of(film: Film, px: np.ndarray, chosen: np.ndarray) -> float:
+    """Return the mean distance from the truth in body heights."""
+    return float(np.linalg.norm(px - film.px, axis=-1)[chosen].mean()) / film.height_px
+
+
+@pytest.mark.parametrize("name", ["waltz", "salsa"])
+def test_between_key_frames_half_a_second_apart_joints_are_tracked_better_than_they_are_interpolated(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    film: Film = request.getfixturevalue(name)
+    given = keys_of(film)
+    px, status = by_frame(film, annotated(film, given).frames)
+    keys = np.unique(given.frame)
+    is_between = ~np.isin(np.arange(len(px)), keys)[:, None, None] & film.is_visible
+    flat = film.px.reshape(len(px), -1)
+    linear = np.stack([np.interp(np.arange(len(px)), keys, one) for one in flat[keys].T], axis=-1)
+    spline = CubicSpline(keys, flat[keys])(np.arange(len(px)))
+    own, other, smooth = (error_of(film, one.reshape(film.px.shape), is_between) for one in (px, linear, spline))
+    assert own < 0.02
+    assert own < 0.5 * other
+    assert own < smooth
+    assert (status[is_between] > KeypointStatus.MISSING).all()
+    assert (status[is_between] == KeypointStatus.TRACKED).mean() > 0.85
+    assert (status[keys] == KeypointStatus.ANNOTATED).all()
+
+
+def test_less_confident_places_are_less_exact(salsa: Film) -> None:
+    shot = annotated(salsa, keys_of(salsa, hidden=0.0))
+    px, status = by_frame(salsa, shot.frames)
+    confidence = np.zeros(status.shape)
+    confidence[shot.frames.frame, shot.frames.person_id] = shot.frames.confidence
+    filled = salsa.is_visible & np.isin(status, [KeypointStatus.TRACKED, KeypointStatus.INTERPOLATED])
+    doubted, sure = filled & (confidence < 0.8), filled & (confidence > 0.9)
+    assert error_of(salsa, px, doubted) > 1.5 * error_of(salsa, px, sure)
+
+
+def test_a_joint_that_key_frames_say_is_hidden_is_not_dragged_along(waltz: Film) -> None:
+    given = keys_of(waltz)
+    is_late = (given.frame >= EVERY) & (given.person_id == 0)
+    confidence = given.confidence.copy()
+    confidence[np.ix_(is_late, [WRIST])] = 0.0
+    _, status = by_frame(waltz, annotated(waltz, replace(given, confidence=confidence)).frames)
+    track = status[:, 0, WRIST]
+    assert (track[1:5] == KeypointStatus.TRACKED).all()
+    assert (track[10:] == KeypointStatus.MISSING).all()
+
+
+def test_the_gaps_of_a_detector_are_filled_and_its_places_kept(waltz: Film) -> None:
+    rng = np.random.default_rng(3)
+    given = rows_of(waltz, list(range(len(waltz.px))))
+    confidence = np.where(rng.random(given.confidence.shape) < 0.2, 0.0, given.confidence)
+    confidence[np.ix_((given.frame >= 20) & (given.frame < 26), [WRIST])] = 0.0
+    px, status = by_frame(waltz, annotated(waltz, replace(given, confidence=confidence), is_key=False).frames)
+    filled = np.isin(status, [KeypointStatus.TRACKED, KeypointStatus.INTERPOLATED]) & waltz.is_visible
+    assert filled.sum() > 100
+    assert error_of(waltz, px, filled) < 0.01
+    np.testing.assert_allclose(px[status == KeypointStatus.DETECTED], waltz.px[status == KeypointStatus.DETECTED])
+    assert (status[20:26, :, WRIST] > KeypointStatus.MISSING).all()
+
+
+def test_who_is_gone_for_long_is_missing_meanwhile_and_comes_back_as_the_same(waltz: Film) -> None:
+    given = rows_of(waltz, list(range(len(waltz.px))))
+    is_gone = (given.person_id == 1) & (given.frame >= 5) & (given.frame < 40)
+    noise = np.random.default_rng(0).integers(0, 256, (35, *waltz.images[0].shape), dtype=np.uint8)
+    film = replace(waltz, images=[*waltz.images[:5], *noise, *waltz.images[40:]])
+    shot = annotated(film, given.rows(~is_gone), is_key=False)
+    _, status = by_frame(waltz, shot.frames)
+    assert (status[16:29, 1] == KeypointStatus.MISSING).all()
+    assert set(shot.frames.person_id.tolist()) == {0, 1}
+    assert (status[40:, 1] == KeypointStatus.DETECTED).all()
+
+
+def test_key_frames_without_numbers_of_several_people_are_refused_and_one_person_needs_none(waltz: Film) -> None:
+    given = replace(keys_of(waltz), has_identities=False)
+    with pytest.raises(InputError, match="do not number the people"):
+        with_identities(given, is_key=True)
+    assert with_identities(given.rows(given.person_id == 1), is_key=True).has_identities
+
+
+def test_the_frames_to_correct_are_those_of_a_wrong_key_frame(waltz: Film) -> None:
+    given = keys_of(waltz)
+    points = given.keypoints_px.copy()
+    points[np.ix_((given.frame == 2 * EVERY) & (given.person_id == 0), [WRIST])] += 40.0
+    wanted = frames_to_correct(annotated(waltz, replace(given, keypoints_px=points)), 3)
+    assert EVERY < wanted[0] < 3 * EVERY
+    assert all(abs(one - other) >= 5 for one in wanted for other in wanted if one != other)
+
+
+def test_annotations_with_their_statuses_survive_our_csv_and_only_what_was_given_is_tracked_again(waltz: Film) -> None:
+    frames = annotated(waltz, keys_of(waltz, hidden=0.0)).frames
+    again = read_annotation_csv(write_annotation_csv(frames))
+    assert again.status is not None
+    np.testing.assert_array_equal(again.status, frames.status)
+    np.testing.assert_allclose(again.keypoints_px, frames.keypoints_px, atol=0.0051)
+    assert sorted(set(again.given().frame.tolist())) == [0, 15, 30, 45]
+
+
+def test_larger_film_is_tracked_as_well_in_smaller_images() -> None:
+    film = render(duet_bodies("waltz", seconds=0.5, frames=slice(7)), size=(1280, 720), yaw_rad=0.2, blur=1)
+    px, _ = by_frame(film, annotated(film, rows_of(film, [0, len(film.px) - 1])).frames)
+    is_between = film.is_visible.copy()
+    is_between[[0, -1]] = False
+    assert error_of(film, px, is_between) < 0.01
+
+
+def test_shots_begin_at_cuts_and_neither_at_flashes_nor_where_the_camera_turns(waltz: Film, salsa: Film) -> None:
+    images = [*waltz.images[:20], *salsa.images[:20], *waltz.images[20:40]]
+    images[10] = np.full_like(images[10], 250)
+    finder = ShotFinder()
+    for image in images:
+        finder.add(image)
+    assert finder.starts() == [0, 20, 40]
+
+
+def test_rates_follow_from_time_stamps_also_rounded_ones() -> None:
+    assert constant_rate_hz(np.round(np.arange(50) / 29.97, 3)) == (pytest.approx(29.97, rel=1e-3), True)
+    uneven = np.cumsum(np.r_[0.0, np.where(np.arange(49) % 3 == 0, 0.08, 0.04)])
+    rate_hz, is_constant = constant_rate_hz(uneven)
+    assert (round(rate_hz), is_constant) == (25, False)
+
+
+def test_film_of_a_variable_rate_is_annotated_at_a_constant_one() -> None:
+    time_s = np.cumsum(np.r_[0.0, np.where(np.arange(29) % 3 == 0, 0.08, 0.04)])
+    steady = np.stack([100.0 + 50.0 * time_s, 200.0 - 30.0 * time_s], axis=-1)
+    points = np.repeat(steady[:, None], 17, axis=1) + np.arange(17)[:, None]
+    frames = AnnotatedFrames(
+        "coco17", ("s",) * 30, np.arange(100, 130), np.zeros(30, dtype=int), points, np.ones((30, 17)), rate_hz=25.0
+    )
+    found = at_constant_rate(frames, 100, time_s, 25.0)
+    assert found.frame.tolist() == list(range(int(time_s[-1] * 25.0 + 1e-6) + 1))
+    expected = 100.0 + 50.0 * found.frame / 25.0
+    np.testing.assert_allclose(found.keypoints_px[:, 0, 0], expected, atol=1e-9)
+
+
+def test_faces_are_blurred_unless_asked_otherwise_and_people_are_drawn(waltz: Film) -> None:
+    frames = rows_of(waltz, [0])
+    image = waltz.images[0]
+    x, y = waltz.px[0, 0, PAIR17.index("head")].round().astype(int)
+    face = (slice(y - 12, y + 12), slice(x + 5, x + 12))  # beside the line to the neck
+    hidden, shown = draw_people(image, frames, 0), draw_people(image, frames, 0, has_faces=True)
+
+    def detail(part: np.ndarray) -> float:
+        return float(cv2.Laplacian(cv2.cvtColor(part, cv2.COLOR_BGR2GRAY), cv2.CV_64F).std())
+
+    assert detail(hidden[face]) < 0.5 * detail(shown[face])
+    assert (shown != image).any()
+    assert (draw_people(image, frames, 7, has_faces=True) == image).all()
+    sheet = contact_sheet([hidden, shown, image], ["1", "2", "3"], num_columns=2)
+    assert sheet.shape == (480, 640, 3)

@@ -1,0 +1,156 @@
+"""The viewer without a browser: what is drawn where, what references point to, and who is refused."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from flows.console.app import run_command_line
+from flows.viewing.bodies import Bodies, capsules, marks
+from flows.viewing.scene import Grid, People
+from flows.viewing.shelf import Shelf, moment_reference, open_shelf
+from flows.viewing.viewer import Viewer
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.humanoid import t_pose
+from storage_schema import Store, new_run
+from tests.builders.ingest_runs import duet_store
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Return a store with one duet of a second."""
+    return duet_store(tmp_path_factory.mktemp("viewed") / "store")[0]
+
+
+@pytest.fixture(scope="module")
+def viewer(store: Store) -> Iterator[Viewer]:
+    shown = Viewer(open_shelf(store, None))
+    yield shown
+    shown.stop()
+
+
+def test_a_rod_reaches_from_one_end_of_its_capsule_to_the_other() -> None:
+    rng = np.random.default_rng(1)
+    ends = rng.normal(size=(40, 2, 3))
+    ends[0] = [[0, 0, 1], [0, 0, 0]]  # straight down its own axis
+    ends[1, 1] = ends[1, 0]  # a bone without length
+    ends[2] = np.nan
+    found = capsules(ends, np.full(40, 0.1))
+    turns = Rotation.from_quat(found.rods_wxyz[:, [1, 2, 3, 0]])
+    half = turns.apply(np.outer(found.rods_scale[:, 2], [0.0, 0.0, 0.5]))
+    there = np.stack([found.rods_m - half, found.rods_m + half], axis=1)
+    kept = np.arange(40) != 2
+    np.testing.assert_allclose(there[kept], ends[kept], atol=2e-6)
+    assert (found.balls_scale.reshape(40, 2)[2] == 0.0).all(), "who is not there has no size"
+
+
+def test_bodies_that_overlap_are_marked_where_they_do_and_far_ones_nowhere() -> None:
+    person = np.array([t_pose(name) for name in BODY22.joint_names]) * 1.7
+    for away, is_near in ((0.1, True), (5.0, False)):
+        pair = np.stack([person, person + np.array([0.0, 0.0, away])])
+        bodies = Bodies(People(BODY22, pair[None]))
+        _, through = marks(BODY22, pair, bodies.radii_m)
+        assert bool(len(through)) is is_near
+        if is_near:
+            assert np.abs(through[:, 2] - away / 2).max() < 0.1
+
+
+def test_rows_in_any_order_become_frames_of_people_and_who_is_missing_is_not_drawn() -> None:
+    grid = Grid.of(np.array([7, 5, 5]), np.array([3, 3, 1]))
+    assert grid.fill(np.array([70.0, 53.0, 51.0])).tolist()[0] == [51.0, 53.0]
+    assert np.isnan(grid.fill(np.array([70.0, 53.0, 51.0]))[1, 0])
+    assert grid.first(np.array([70.0, 53.0, 51.0])).tolist() == [53.0, 70.0]
+
+
+def test_a_reference_to_a_row_leads_to_its_moment_and_back(store: Store, viewer: Viewer) -> None:
+    data = store.read(viewer.item.pieces[0][0], "poses", columns=["frame", "body22_m", "person"])
+    row = int(np.flatnonzero((data["frame"] == 7) & (data["person"] == 1))[0])
+    viewer.visit(f"poses:short/waltz#{row}")
+    assert viewer.frame == 7
+    np.testing.assert_array_equal(viewer.scene.people.positions_m[7, 1], data["body22_m"][row])
+    link = viewer.reference
+    viewer.seek(0)
+    viewer.visit(f"http://127.0.0.1:1/?at={link.replace('#', '%23')}")
+    assert (viewer.frame, viewer.reference) == (7, link)
+    part, index, number = viewer.shelf.find(link)
+    assert moment_reference(part, viewer.shelf.items(part)[index], number) == link
+    viewer.visit("poses:short#999999")
+    assert (viewer.frame, viewer._handles["said"].value[:20]) == (7, "'poses:short#999999'")
+
+
+def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
+    viewer.seek(0)
+    viewer.step(-1)
+    assert viewer.frame == 0
+    viewer.step(viewer.scene.num_frames)
+    assert viewer.frame == viewer.scene.num_frames - 1
+    viewer.step(-1)
+    assert viewer.frame == viewer.scene.num_frames - 2
+
+
+def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) -> None:
+    port = viewer.server.get_port()
+
+    def status(**headers: str) -> int:
+        with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)) as asked:
+            asked.request("GET", "/", headers=headers)
+            answer = asked.getresponse()
+            policy = answer.getheader("Content-Security-Policy", "")
+            body = answer.read()
+        assert (b"<title>pasdedeux</title>" in body) is (answer.status == 200)
+        assert ("default-src 'self'" in policy) is (answer.status == 200)
+        return answer.status
+
+    assert status() == 200
+    assert status(Host=f"localhost:{port}") == 200
+    assert status(Host="elsewhere.example") == 403
+    assert status(Origin="http://elsewhere.example") == 403
+    address = f"ws://127.0.0.1:{port}/"
+    for origin in ("http://elsewhere.example", f"http://localhost:{port}", "null", None):
+        with pytest.raises(InvalidStatus) as refused, connect(address, origin=origin):  # type: ignore[arg-type]
+            pass
+        assert refused.value.response.status_code == 403
+    with connect(address, origin=f"http://127.0.0.1:{port}", subprotocols=["viser-v1.1.1"]) as page:  # type: ignore[arg-type, list-item]
+        assert page.recv(timeout=20.0)
+    own = next(one for one in socket.getaddrinfo(socket.gethostname(), port, socket.AF_INET))[4]
+    if not own[0].startswith("127."):
+        with pytest.raises(OSError, match="refused"):
+            socket.create_connection(own[:2], timeout=5.0)
+
+
+def test_what_cannot_be_shown_is_refused_in_one_sentence(
+    store: Store, tmp_path: Path, viewer: Viewer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty, text = tmp_path / "empty", tmp_path / "walk.bvh"
+    text.write_text("this is no motion\n")
+    used = str(viewer.server.get_port())
+    for words, said in (
+        (["takes:short"], "has no people to look at"),
+        (["nowhere"], "is no file here, and no study, run or reference"),
+        (["poses:short#99999"], "there is no row 99999"),
+        ([str(text)], "none of the known formats"),
+        (["--store", str(empty)], "holds no study yet"),
+        (["--port", used], f"port {used} is in use"),
+        ([new_run(store, "short").run_id], "is no finished run"),
+        (["--curation", str(text)], "walk.bvh, line 1: a choice is"),
+    ):
+        more = [] if "--store" in words else ["--store", str(store)]
+        assert run_command_line(["view", *words, *more]) == 2, words
+        assert said in capsys.readouterr().err
+    assert not empty.exists(), "looking makes nothing"
+
+
+def test_of_a_reference_only_its_own_rows_are_offered(store: Store) -> None:
+    with pytest.raises(InputError, match="not among what is shown"):
+        Shelf(store, [], tables=("poses",)).find("poses:short#0")
+    assert [part.table for part in open_shelf(store, "poses:short/waltz").parts] == ["poses"]

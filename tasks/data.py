@@ -219,7 +219,7 @@ class Pairs:
         """Return a row for each pair, person and joint: x_m, y_m, z_m."""
         import pandas as pd
 
-        levels = [self.rows, list("AB"), self.joints]
+        levels: list[Any] = [self.rows, list("AB"), self.joints]
         index = pd.MultiIndex.from_product(levels, names=["row", "person", "joint"])
         return pd.DataFrame(self.positions_m.reshape(-1, 3), index=index, columns=["x_m", "y_m", "z_m"])
 

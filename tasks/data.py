@@ -28,6 +28,7 @@ from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store, iter_rows, parse_reference, resolve
+from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.takes import read_take
@@ -194,10 +195,11 @@ class Clip:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Draws: pairs that agree with annotations, (draw, person=2, joint, 3), in no order of time."""
+    """Pairs in no order of time, such as draws, (pair, person=2, joint, 3), and which rows of the table they are."""
 
     name: str
     positions_m: npt.NDArray[np.float64] = field(repr=False)
+    rows: npt.NDArray[np.int64] = field(repr=False)
 
     unit, up_axis, rate_hz = UNIT, UP_AXIS, None
     skeleton: Skeleton = field(default=PAIR17, repr=False)
@@ -214,21 +216,21 @@ class Pairs:
         return len(self.positions_m)
 
     def pandas(self) -> pd.DataFrame:
-        """Return a row for each draw, person and joint: x_m, y_m, z_m."""
+        """Return a row for each pair, person and joint: x_m, y_m, z_m."""
         import pandas as pd
 
-        levels = [range(len(self)), list("AB"), self.joints]
-        index = pd.MultiIndex.from_product(levels, names=["draw", "person", "joint"])
+        levels: list[Any] = [self.rows, list("AB"), self.joints]
+        index = pd.MultiIndex.from_product(levels, names=["row", "person", "joint"])
         return pd.DataFrame(self.positions_m.reshape(-1, 3), index=index, columns=["x_m", "y_m", "z_m"])
 
     @property
     def picture(self) -> Picture:
-        """What the player shows: some draws, evenly spread, one after another."""
+        """What the player shows: some pairs, evenly spread, one after another."""
         at = evenly_spread(len(self), _MAX_SHOWN)
         panel = people_panel(self.name, self.skeleton, self.positions_m[at])
-        labels = [f"#{index}" for index in at]
+        labels = [f"#{self.rows[index]}" for index in at]
         player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels, has_floor=False)
-        return Picture(f"{self.name}{PLAYER}", f"{self.name}: {len(at)} of {len(self):,}, one after another", player)
+        return Picture(f"{self.name}{PLAYER}", f"{self.name}: {len(at)} rows, one after another", player)
 
     def _repr_html_(self) -> str:
         return _framed(self.picture)
@@ -260,16 +262,22 @@ class Data:
         """Return draws."""
         return self.pairs(f"draws:{where}")
 
-    def pairs(self, reference: str) -> Pairs:
-        """Return the pairs of a table that has some, such as `lifted_pairs:study`: draws, seeds, in-betweens, too."""
-        found = [batch["pair17_m"] for batch in iter_rows(reference, self.store, columns=["pair17_m"])]
-        return Pairs(reference, np.concatenate(found).astype(np.float64).reshape(-1, 2, PAIR17.num_joints, 3))
+    def pairs(self, reference: str, *, count: int | None = None) -> Pairs:
+        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread."""
+        total = sum(rows.stop - rows.start for _, rows in find_rows(parse_reference(reference), self.store))
+        wanted = np.asarray(range(total) if count is None else evenly_spread(total, count), dtype=np.int64)
+        found, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], 0
+        for batch in iter_rows(reference, self.store, columns=["pair17_m"]):
+            own = wanted[(wanted >= first) & (wanted < first + batch.num_rows)] - first
+            found.append(np.asarray(batch["pair17_m"][own], dtype=np.float64))
+            first += batch.num_rows
+        return Pairs(reference, np.concatenate(found), wanted)
 
     def pictures(self, reference: str) -> list[Picture]:
         """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
-            return [self.pairs(reference).picture]
+            return [self.pairs(reference, count=_MAX_SHOWN).picture]
         if table == "motions":
             from tasks.evaluation.reconstruction import motion_picture  # here: topics of the evaluation import this
 

@@ -237,12 +237,17 @@ def _shown(made: MethodMotions, sequence_id: str) -> Picture:
     """Show the people of a sequence beside the 2D poses that they were found in."""
     tracks = [one.track for one in made.people]
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
-    found, seen_px = (np.full((len(frames), len(tracks), 14, axes), np.nan) for axes in (3, 2))
+    found, seen_px, projected_px = (np.full((len(frames), len(tracks), 14, axes), np.nan) for axes in (3, 2, 2))
     for number, one in enumerate(made.people):
         at = np.searchsorted(frames, one.track.frames)
         found[at, number], seen_px[at, number] = one.positions_m, one.track.keypoints_px
-    player = reconstruction_player(found, rate_hz=tracks[0].rate_hz, keypoints_px=seen_px)
-    caption = f"{sequence_id}: the 2D poses, and what was reconstructed, five seconds from the middle. Turn it."
+        lens, depth_m = one.track.lens, np.maximum(-one.positions_m[..., 2:], 1e-3)
+        projected_px[at, number] = lens.principal_point_px + lens.focal_px * one.positions_m[..., :2] / depth_m * (
+            1,
+            -1,
+        )
+    player = reconstruction_player(found, rate_hz=tracks[0].rate_hz, keypoints_px=seen_px, projected_px=projected_px)
+    caption = f"{sequence_id}: what was reconstructed, over its 2D poses and turning, five seconds from the middle."
     return Picture(f"{sequence_id}{PLAYER}", caption, player)
 
 

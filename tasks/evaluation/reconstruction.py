@@ -294,7 +294,12 @@ def _shown(
 
 
 def reconstruction_player(
-    found_m: Array, *, rate_hz: float, keypoints_px: Array | None = None, truth_m: Array | None = None
+    found_m: Array,
+    *,
+    rate_hz: float,
+    keypoints_px: Array | None = None,
+    truth_m: Array | None = None,
+    projected_px: Array | None = None,
 ) -> bytes:
     """Show people as they were reconstructed over the ground truth, and the image that they were found in.
 
@@ -305,6 +310,7 @@ def reconstruction_player(
         rate_hz: Frames per second.
         keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
         truth_m: The true motion (frame, person, 14, 3), camera axes, where it is known.
+        projected_px: Where the reconstruction is in the image (frame, person, 14, 2), drawn over its keypoints.
     """
     frames, shown_hz = shown_frames(len(found_m), rate_hz)
     found = about_hips(found_m[frames])
@@ -313,7 +319,13 @@ def reconstruction_player(
         seen = keypoints_px[frames] * [1.0, -1.0]
         size = _height(found) / max(_height(seen), 1e-9)
         middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
-        panels.append(replace(people_panel("image", OP14, np.insert((seen - middle) * size, 2, 0.0, -1)), is_flat=True))
+        image = np.insert((seen - middle) * size, 2, 0.0, -1)
+        if projected_px is None:
+            panel = people_panel("image", OP14, image)
+        else:
+            over = np.insert((projected_px[frames] * [1.0, -1.0] - middle) * size, 2, 0.0, -1)
+            panel = people_panel("over its 2D poses (grey)", OP14, over, truth_m=image)
+        panels.append(replace(panel, is_flat=True))
     truth = None if truth_m is None else about_hips(truth_m[frames])
     if truth is not None:
         for frame, error in zip(frames, 100.0 * np.linalg.norm(found - truth, axis=-1), strict=True):

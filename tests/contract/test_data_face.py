@@ -88,6 +88,11 @@ def test_clips_and_draws_show_themselves_with_the_player_of_the_report(store: St
     data = Data(store)
     draws = data.draws("toy")
     assert len(draws) == len(draws.pandas()) // 34 == 7
+    some = data.pairs("draws:toy", count=3)
+    np.testing.assert_array_equal(some.positions_m, draws.positions_m[some.rows])
+    assert some.rows.tolist() == [0, 3, 6]
+    (one,) = data.pairs("draws:toy#4").positions_m
+    np.testing.assert_array_equal(one, draws.positions_m[4])
     for shown, panels in ((data.takes("toy")[0], 1), (data.variants("toy")[0], 2), (draws, 1)):
         frame = Page(f"<html>{shown._repr_html_()}</html>")
         assert (frame.problems, frame.outside) == ([], [])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -76,7 +77,11 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     assert look == f"look at it: {out / video.name}.html"
     assert (page.problems, page.outside) == ([], [])
     (scene,) = page.scenes
-    assert [panel["is_flat"] for panel in scene["panels"]] == [True, False], "the 2D poses beside the result"
+    assert [panel["is_flat"] for panel in scene["panels"]] == [True, False], "over its 2D, and in 3D"
+    values = np.frombuffer(base64.b64decode(scene["data"]), "<i2").reshape(scene["num_frames"], -1, 3) * scene["unit_m"]
+    seen, *_, over = (figure["start"] for figure in scene["panels"][0]["figures"])
+    apart = np.linalg.norm(values[:, seen + 14 : seen + 28] - values[:, over : over + 14], axis=-1)
+    assert np.median(apart) < 0.05, "the result lies over the 2D poses that it was made from"
 
 
 def test_a_reconstruction_says_how_far_it_is(video: Path, store: Store, tmp_path: Path, monkeypatch: Any) -> None:

@@ -55,6 +55,7 @@ _METHODS = {
     "random_pairs": ("random pairs", "as many draws and grown pairs at random: a baseline"),
     "nearest_annotation": ("nearest annotation", "the most similar image among those used, without any 3D: a baseline"),
     "fitted": ("fitted draws", "mean of the nearest draws, fitted to the image"),
+    "over_time": ("fitted over time", "with other frames of the video as one reconstruction from the draws"),
     "blended": ("blended draws", "the nearest draws, aligned with the visible joints"),
     "blended_10": ("ten blended draws", "the same with the ten nearest draws alone"),
     "median": ("median of draws", "joint-wise median of the nearest draws"),

@@ -99,7 +99,7 @@ _METRICS = {
         "pair_place_error": ("error of the place", "error of the relative position of the two people"),
         "camera_pitch_error": ("error of the camera's pitch", "how far the estimated pitch is from the true one"),
         "image_residual": (
-            "keypoints from the reference",
+            "keypoints from the take",
             "median distance of a film's keypoints from its take's joints",
         ),
         "leave_one_out_d_I": ("leave-one-out distance", "distance of an image that was not used to the nearest draw"),
@@ -143,8 +143,8 @@ _METRICS = {
         "expected_interval_share": ("errors inside 80 %", "share of true errors within their 80 % interval"),
         "diversity": ("diversity", "mean distance of features of two clips; good where it is that of real ones"),
         "multimodality": ("multimodality", "mean distance of features of two motions of one take at the same time"),
-        "clock_offset": ("offset of the clocks", "time of the reference motion when the film begins"),
-        "clock_rate": ("rate of the clocks", "seconds of the reference motion in a second of film"),
+        "clock_offset": ("offset of the clocks", "time of the captured motion when the film begins"),
+        "clock_rate": ("rate of the clocks", "seconds of the captured motion in a second of film"),
         "density": ("density", "mean number of real neighbourhoods that a clip lies in; about 1 for real ones"),
     },
 }

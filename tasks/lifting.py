@@ -19,6 +19,7 @@ from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.errors import InputError
+from pasdedeux.reconstruction.annotated import MIN_FRAMES, as_pair17, lift_over_time
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
@@ -28,9 +29,11 @@ from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pair
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
 from tasks.facts import LiftedFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
+from tasks.projections import ProjectionsParameters
+from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
-LIFTING = StageName("lifting", 7)
+LIFTING = StageName("lifting", 8)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -41,6 +44,8 @@ _NUM_HYPOTHESES = 8
 """Likeliest view hypotheses of an annotation that draws compete in."""
 _NUM_COMPLETING = 100
 """Draws nearest in D_I that joints not seen are taken from."""
+_NUM_OVER_TIME = 60
+"""Annotated frames of a video, evenly spread, that beside those lifted say where the camera is and how large people."""
 _NUM_NAIVE = 1000
 """Samples round each pair of the baseline naive_sampling."""
 
@@ -105,16 +110,18 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     every, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    is_video = annotated.purpose in ("video", "given") and options.between_frames > 0
+    is_video = annotated.purpose in ("video", "given")
     in_time = [place for place in every if is_video and place.sequence_id not in annotated.why_no_video]
-    spans = _spans(in_time, options.num_spans, options.between_frames)
+    spans = _spans(in_time, options.num_spans, options.between_frames) if options.between_frames else []
     places = list(every)
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
     wanted = sorted({*chosen, *(end for span in spans for end in span)})
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
+    over_time = _over_time(store, shard.ref("annotations"), in_time, set(wanted), draws.pairs_m)
     for place in wanted:
-        found, fitted[place] = _lift(every[place], draws, index, lifted_from.get(place[:3], ()))
+        known = lifted_from.get(place[:3], ())
+        found, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
         rows += found
     for name, own in _compared(store, shard.refs("draws"), options.compared).items():
         nearest = [retrieve(own, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
@@ -205,7 +212,33 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     }
 
 
-def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int]) -> tuple[list[Row], np.ndarray]:
+def _over_time(
+    store: Store, annotations: ArtifactRef, places: Sequence[Place], wanted: set[Place], pairs_m: np.ndarray
+) -> dict[Place, np.ndarray]:
+    """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between."""
+    couples: dict[Place, list[Place]] = {}
+    for place in places:
+        couples.setdefault(place._replace(frame=0), []).append(place)
+    found: dict[Place, np.ndarray] = {}
+    for couple, own in couples.items():
+        between = {own[at] for at in evenly_spread(len(own), _NUM_OVER_TIME)}
+        chosen = sorted(between.union(wanted.intersection(own)))
+        if len(own) < MIN_FRAMES or not wanted.intersection(own):
+            continue
+        every = read_tracks(store, annotations, SequenceShard(sequence_id=couple.sequence_id), {"skipped": []})
+        tracks = {track.person_id: track for track in every}
+        if not {couple.person_id, couple.partner_id} <= set(tracks):
+            continue
+        both = [tracks[couple.person_id], tracks[couple.partner_id]]
+        pitches = np.deg2rad(ProjectionsParameters().pitches_deg)
+        made = lift_over_time(pairs_m, both, np.array([place.frame for place in chosen]), pitches.tolist())
+        found |= {} if made is None else dict(zip(chosen, made, strict=True))
+    return found
+
+
+def _lift(
+    one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int], over_time: np.ndarray | None = None
+) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
     found = retrieve(index, one.image_m, one.directions)
     known = {
@@ -226,6 +259,11 @@ def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int]) -
     has_own_draw = bool(np.isin(own, found.nearest.draw).any())
     mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m
     expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
+    if over_time is not None:
+        fitted = as_pair17(over_time, fitted)
+        off = np.nanmean(np.where(one.is_seen[..., None], fitted[..., :2] - one.image_m, np.nan), axis=(0, 1))
+        fitted = fitted - np.array([*off, fitted[..., 2].mean()])
+        rows.append(_row(one, "over_time", fitted, **known))
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))

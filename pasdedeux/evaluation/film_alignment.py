@@ -1,6 +1,6 @@
-"""Real film beside a reference motion of it: whose keypoints are whose, both clocks, and the true camera.
+"""Real film beside a captured take of it: whose keypoints are whose, both clocks, and the true camera.
 
-Nothing of the reconstruction enters: keypoints and reference joints alone are brought together, so that errors
+Nothing of the reconstruction enters: keypoints and the take's joints alone are brought together, so that errors
 afterwards are those of the reconstruction, its camera and places included.
 """
 
@@ -18,15 +18,15 @@ from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.tracks import Lens, Track
 
 MAX_RESIDUAL = 0.05
-"""Median distance of keypoints from the reference's joints, as part of people's height in the image, above which film
-and reference are no pair: 2.2 to 2.7 % with noise of 1.8 % on the own motion of five takes, 5.2 to 9.4 % on others'."""
+"""Median distance of keypoints from the take's joints, as part of people's height in the image, above which film
+and take are no pair: 2.2 to 2.7 % with noise of 1.8 % on the own motion of five takes, 5.2 to 9.4 % on others'."""
 
 _RATES = (1.0, 0.5, 2.0, 5 / 6, 6 / 5)
-"""Seconds of the reference in a second of film that are tried: headers lie by two, and 25 Hz is taken for 30."""
+"""Seconds of the take in a second of film that are tried: headers lie by two, and 25 Hz is taken for 30."""
 _STEP_S = 0.1
 _NUM_TRIED_FRAMES, _NUM_FITTED_FRAMES = 40, 200
 _MAX_TRACKS = 4
-"""Longest tracks among whom the people of the reference are looked for."""
+"""Longest tracks among whom the people of the take are looked for."""
 _NUM_REFINED = 3
 _MIN_POINTS = 30
 _LENS_DEVIATION, _RATE_DEVIATION = 0.35, 0.02
@@ -38,14 +38,14 @@ _OURS_FROM_CV = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class FilmAlignment:
-    """What brings film and reference together.
+    """What brings film and take together.
 
     Args:
-        camera: The camera of the film, in the axes of the reference.
-        person_ids: Person of the film who each person of the reference is.
-        offset_s: Time of the reference at time 0 of the film.
-        rate: Seconds of the reference in a second of film.
-        residual: Median distance of keypoints from the joints of the reference, as part of people's height.
+        camera: The camera of the film, in the axes of the take.
+        person_ids: Person of the film who each person of the take is.
+        offset_s: Time of the take at time 0 of the film.
+        rate: Seconds of the take in a second of film.
+        residual: Median distance of keypoints from the joints of the take, as part of people's height.
     """
 
     camera: PinholeCamera
@@ -58,34 +58,34 @@ class FilmAlignment:
         """Say it."""
         people = ", ".join(f"person {name} is {chr(ord('A') + at)}" for at, name in enumerate(self.person_ids))
         return (
-            f"Film and reference: {people}; the film's time 0 is {self.offset_s:.3f} s of the reference, and a second "
+            f"Film and take: {people}; the film's time 0 is {self.offset_s:.3f} s of the take, and a second "
             f"of it {self.rate:.4f} s; keypoints are {100 * self.residual:.1f} % of people's height from its joints, "
             f"before a camera that looks {np.rad2deg(self.camera.pitch_rad):.1f} degrees down."
         )
 
     def truth_at(self, truth_m: Array, truth_hz: float, times_s: Array) -> Array:
-        """Return the reference (frame, ...) at times (n,) of the film; NaN where it does not reach."""
+        """Return the take (frame, ...) at times (n,) of the film; NaN where it does not reach."""
         return _at(truth_m, (self.offset_s + self.rate * times_s) * truth_hz)
 
 
 def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> FilmAlignment:
-    """Find people, clocks and camera under which the reference's joints lie on the keypoints.
+    """Find people, clocks and camera under which the take's joints lie on the keypoints.
 
     Clocks and people are tried on some frames, with the camera by resection (SQPnP, Terzakis and Lourakis 2020) for
     each; the best are refined together with camera, focal length (unless known), offset and rate.
 
     Args:
-        tracks: People of the film, who may be more than those of the reference.
-        truth_m: The reference in op14 joints (frame, person, 14, 3), metres, y up.
+        tracks: People of the film, who may be more than those of the take.
+        truth_m: The take in op14 joints (frame, person, 14, 3), metres, y up.
         truth_hz: Its frames per second.
 
     Raises:
-        InputError: The film has too few people, or shows another motion than the reference.
+        InputError: The film has too few people, or shows another motion than the take.
     """
     num_people, duration_s = truth_m.shape[1], (len(truth_m) - 1) / truth_hz
     longest = sorted(tracks, key=lambda one: -int((one.confidence > 0).sum()))[:_MAX_TRACKS]
     if len(longest) < num_people:
-        raise InputError(f"the film shows {len(longest)} people, the reference has {num_people}")
+        raise InputError(f"the film shows {len(longest)} people, the take has {num_people}")
     times = np.unique(np.concatenate([one.times_s for one in longest]))
     film = _Film.of(longest, times[np.linspace(0, len(times) - 1, min(_NUM_TRIED_FRAMES, len(times))).astype(int)])
     tried = []
@@ -101,11 +101,11 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
     whole = _Film.of(longest, times[np.linspace(0, len(times) - 1, min(_NUM_FITTED_FRAMES, len(times))).astype(int)])
     refined = [whole.refined(truth_m, truth_hz, *one[1:]) for one in tried[:_NUM_REFINED] if np.isfinite(one[0])]
     if not refined:
-        raise InputError("no clock brings enough joints that the film shows together with the reference")
+        raise InputError("no clock brings enough joints that the film shows together with the take")
     best = min(refined, key=lambda one: one.residual)
     if best.residual > MAX_RESIDUAL:
         raise InputError(
-            "under no camera and clock do the joints of the reference lie on the keypoints (off by "
+            "under no camera and clock do the joints of the take lie on the keypoints (off by "
             f"{100 * best.residual:.0f} % of people's height, allowed {100 * MAX_RESIDUAL:.0f} %): it is another "
             "motion, or its joints are mapped wrongly"
         )

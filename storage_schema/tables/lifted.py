@@ -20,8 +20,8 @@ LIFTED_PAIRS = Table(
         text(
             "method",
             "nearest (the nearest draw), neighbours (mean of near draws), fitted (that, fitted to the joints seen), "
-            "completed (joints not seen from the draws nearest in D_I), or a baseline: mean_pair, lifting, lifting_ik, "
-            "naive_sampling",
+            "completed (joints not seen from the draws nearest in D_I), over_time (with other frames of the video, one "
+            "camera for all), or a baseline: mean_pair, lifting, lifting_ik, naive_sampling",
         ),
         integer("num_joints_seen", "Joints of the two people that were seen, of 34"),
         float64("residual_m", "Root mean square distance of the joints seen from the image", unit="m"),
@@ -29,7 +29,7 @@ LIFTED_PAIRS = Table(
         integer("hypothesis", "View hypothesis under which that draw was seen; null for baselines", is_nullable=True),
         float64(
             "expected_error_m",
-            "Mean joint error to expect, told without the truth; null but for the last of fitted and completed",
+            "Mean joint error to expect, told without the truth; null but for the last of fitted, completed, over_time",
             unit="m",
             is_nullable=True,
         ),

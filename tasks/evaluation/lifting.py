@@ -44,7 +44,7 @@ _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "f
 """What is judged beside the lifted pairs."""
 _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
-_SHOWN = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted")
+_SHOWN = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted", "over_time")
 _NUM_EXAMPLES = 6
 _NUM_NEAREST, _NUM_NEAREST_SHOWN = 3, 5
 """Annotations and draws most like a lifted pair, and how many pairs are shown with them."""
@@ -392,7 +392,7 @@ TOPIC = Topic(
     run=_run,
     settings=LiftedPairsSettings,
     criteria=(
-        Criterion("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("fitted",)),
+        Criterion("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("over_time", "fitted")),
         Criterion("occluded_joint_error_mean", "error of completed joints", "m", "limbs", ("fitted",), _COMPLETED),
         Criterion("in_between_error_mean", "error of frames between", "m", "frames", ("draws",), _BETWEEN),
         Criterion(

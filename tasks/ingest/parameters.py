@@ -326,7 +326,9 @@ class AnnotationCommon(PeopleSettings, Parameters):
         description="One in so many moments (30 frames of a video, or a still) is kept out of seeds and chains, and "
         "scored by its distance to the nearest draw: evidence without ground truth; 0: none",
     )
-    take_id: str | None = Field(None, description="Take of this study that the video shows, if it is one")
+    take_id: str | None = Field(
+        None, description="Take of this study that the video shows; then it is scored against that"
+    )
     licence: str = Field("not stated", description="Licence of the source")
     credit: str = Field("not stated", description="Credit line of the source")
 

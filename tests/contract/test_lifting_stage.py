@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import chains, lifting
@@ -179,6 +180,8 @@ def put_film(
     columns = {name: table[name] for name in table.column_names}
     columns["sequence_id"] = ["film"] * table.num_rows
     columns["frame"] = np.asarray(columns["take_frame"]).astype(int)
+    columns["time_s"] = columns["frame"] / 30.0
+    columns["op14_px"] = np.asarray(columns["pair17_px"])[:, PAIR17.indices(OP14.joint_names)]
     keep = np.flatnonzero(np.asarray(columns["is_key"]) & (columns["frame"] % every == 0))
     columns = {name: [values[row] for row in keep] for name, values in columns.items()}
     known = {**annotations.facts, **facts}
@@ -200,6 +203,11 @@ def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
     assert list(between["method"]) == ["draws", "straight"] * 4
     first = np.asarray(between["first_frame"])
     np.testing.assert_array_equal(np.asarray(between["frame"]), np.repeat(first[0] + 1 + np.arange(4), 2))
+    # One camera saw all of it, so each pair is lifted with the others too, and that is what is expected to err so much.
+    table = store.read(made.ref, "lifted_pairs")
+    method = np.asarray(table["method"])
+    assert (method == "over_time").sum() == (method == "fitted").sum() == made.facts["num_lifted"]
+    np.testing.assert_array_equal(np.isfinite(np.asarray(table["expected_error_m"])), method == "over_time")
 
 
 def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(inputs: Any) -> None:
@@ -212,7 +220,9 @@ def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(i
     assert between.num_rows == 2 * 6
     film, views = put_film(store, tables, {"purpose": "given", "rate_hz": 30.0, "why_no_video": {"film": "stills"}})
     stills = StageInputs({**given.manifests, "annotations": [film], "views": [views]}, seed=1)
-    assert "in_betweens" not in lift(store, stills, max_frames=2)["film31"].tables
+    made = lift(store, stills, max_frames=2)["film31"]
+    assert "in_betweens" not in made.tables
+    assert "over_time" not in set(store.read(made.ref, "lifted_pairs")["method"])
 
 
 def test_without_draws_nothing_is_planned(inputs: Any) -> None:

@@ -1,4 +1,4 @@
-"""The study for film with ground truth, on a rendered film with a clock of its own; and beside a wrong reference."""
+"""The study for film with ground truth, on a rendered film with a clock of its own; and beside the wrong take."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OFFSET_S, FILM_HZ, PITCH_DEG = 0.43, 24.0, 15.0
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with references of two duets as npz, and OpenPose files of one of them, people in any order."""
+    """Return a folder with takes of two duets as npz, and OpenPose files of one of them, people in any order."""
     folder, rng = tmp_path_factory.mktemp("film"), np.random.default_rng(0)
     for name in ("waltz", "hug"):
         duet = make_duet(name, duration_s=3.0)
@@ -55,7 +55,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def build(film: Path, folder: Path, reference: str) -> tuple[Store, TopicFacts, dict[tuple[str, str, str], float]]:
+def build(film: Path, folder: Path, take: str) -> tuple[Store, TopicFacts, dict[tuple[str, str, str], float]]:
     """Build the study over the film with a duet as database; gives notes and scores of its reconstruction."""
     families = tomllib.loads(study_text("everyday", Path()))["ingest"]["pairs"]
     study = folder / "mine.toml"
@@ -68,7 +68,7 @@ def build(film: Path, folder: Path, reference: str) -> tuple[Store, TopicFacts, 
     build_here(
         study,
         folder / "store",
-        f'ingest.takes.0.files=["{film / reference}_A.npz", "{film / reference}_B.npz"]',
+        f'ingest.takes.0.files=["{film / take}_A.npz", "{film / take}_B.npz"]',
         f"ingest.annotations.0.path={film / 'keypoints'}",
         f"ingest.annotations.0.rate_hz={FILM_HZ}",
         "ingest.annotations.0.image_size_px=[1920, 1080]",
@@ -86,7 +86,7 @@ def build(film: Path, folder: Path, reference: str) -> tuple[Store, TopicFacts, 
     return store, TopicFacts.of(manifest), scores
 
 
-def test_a_film_is_scored_against_its_reference_and_not_against_another(film: Path, tmp_path: Path) -> None:
+def test_a_film_is_scored_against_its_take_and_not_against_another(film: Path, tmp_path: Path) -> None:
     _, facts, scores = build(film, tmp_path, "waltz")
     assert scores["clock_offset", "truth", "keypoints"] == pytest.approx(OFFSET_S, abs=0.03)
     assert scores["clock_rate", "truth", "keypoints"] == pytest.approx(1.0, abs=0.02)
@@ -107,4 +107,4 @@ def test_a_film_is_scored_against_its_reference_and_not_against_another(film: Pa
     assert ("pair_place_error", "equal_depth", pair) in scores
     _, facts, scores = build(film, tmp_path, "hug")
     assert not scores
-    assert facts.notes[0].startswith("keypoints: under no camera and clock do the joints of the reference lie on")
+    assert facts.notes[0].startswith("keypoints: under no camera and clock do the joints of the take lie on")

@@ -1,0 +1,53 @@
+"""Annotated frames of one camera lifted together: places that a single frame cannot say; trunks from a lifted pair."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.cameras.virtual_video import look_at_camera
+from pasdedeux.choreography.duets import make_duet
+from pasdedeux.evaluation.lifting import lifted_errors
+from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
+from pasdedeux.projections.sources import op14_from_working
+from pasdedeux.reconstruction.annotated import MIN_FRAMES, as_pair17, lift_over_time
+from pasdedeux.reconstruction.tracks import Lens, Track
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
+
+_BODY22_OF = {"spine": "spine1", "chest": "spine3"}
+
+
+def pairs_of(name: str, **style: object) -> tuple[np.ndarray, np.ndarray]:
+    """Return a duet on pair17 (frame, 2, 17, 3) and on op14, at 6 Hz."""
+    body22 = make_duet(name, **style).positions_m()[::10]
+    joints = [BODY22.index(_BODY22_OF.get(joint, joint)) for joint in PAIR17.joint_names]
+    return body22[:, :, joints], op14_from_working(body22, BODY22)
+
+
+def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
+    truth, op14 = pairs_of("waltz", duration_s=6.0)
+    draws, _ = pairs_of("waltz", duration_s=6.0, heights_m=(1.6, 1.9))
+    camera = look_at_camera(truth.mean(axis=(0, 1, 2)), distance_m=4.5, yaw_rad=0.5, pitch_rad=0.2, focal_px=1300.0)
+    px = camera.project(op14).px + np.random.default_rng(0).normal(0.0, 3.0, (*op14.shape[:3], 2))
+    lens = Lens.assumed(1920, 1080, px)
+    tracks = [Track(px[:, person], np.ones((len(px), 14)), 6.0, lens, person_id=person) for person in (0, 1)]
+    frames = np.arange(0, len(px), 2)
+    found = lift_over_time(draws, tracks, frames, np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    assert found is not None
+    pairs = np.stack([as_pair17(one, draws[0]) for one in found])
+    true = truth[frames] @ camera.camera_from_world_rotmat.T
+    errors = lifted_errors(pairs, true)
+    # People of other sizes dance the same in the draws: poses are near, and so is the distance that images leave open.
+    assert errors["lifted_pair_error"].mean() < 0.12
+    assert errors["person_distance_error"].mean() < 0.08
+    assert lift_over_time(draws, tracks, frames[: MIN_FRAMES - 1], [0.0]) is None
+
+
+def test_trunks_move_with_shoulders_and_hips_at_the_size_of_the_person() -> None:
+    pair = pairs_of("hug", duration_s=1.0)[0][0]
+    turn, shift, size = unitquat_from_rotvec(np.array([0.2, 0.7, -0.4])), np.array([0.3, -0.2, 1.0]), 1.1
+    moved = size * rotate(turn, pair) + shift
+    op14 = np.full((2, OP14.num_joints, 3), np.nan)
+    for joint, name in enumerate(OP14.joint_names):
+        if name not in ("head", "neck"):
+            op14[:, joint] = moved[:, PAIR17.index(name)]
+    np.testing.assert_allclose(as_pair17(op14, pair), moved, atol=1e-9)

@@ -144,7 +144,9 @@ def reconstruct_people(
             camera_height_m=camera_height_m,
         )
         if not pitch.is_given:
-            pitch = replace(pitch, pitch_rad=scene.pitch_rad, deviation_rad=scene.pitch_deviation_rad)
+            # What poses and floor say of it is not independent: half of what they differ by is doubt.
+            doubt = float(np.hypot(scene.pitch_deviation_rad, 0.5 * (scene.pitch_rad - pitch.pitch_rad)))
+            pitch = replace(pitch, pitch_rad=scene.pitch_rad, deviation_rad=doubt)
             camera = replace(camera, pitch_rad=scene.pitch_rad)
     made = []
     for method, found in tried.items():

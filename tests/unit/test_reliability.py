@@ -73,6 +73,9 @@ def test_motion_that_the_database_lacks_is_told_and_has_the_larger_expected_and_
     assert [one.is_lacking for one in judged] == [False, True]
     assert judged[0].verdict.level is Level.PASS
     assert "the database lacks this motion" in judged[1].verdict.reason
+    far = replace(judged[0], left_out_m=judged[0].misfit_m / 1.6).verdict
+    assert far.level is Level.FAIL
+    assert "what would help: takes of such motion in the database, it is farthest at " in far.reason
 
 
 def test_joints_not_seen_are_a_warning_with_their_share(walkers: tuple[Searcher, np.ndarray]) -> None:

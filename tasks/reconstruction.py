@@ -23,7 +23,7 @@ from pasdedeux.reconstruction.reconstruct import (
     ReconstructionOptions,
     Searcher,
 )
-from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
+from pasdedeux.reconstruction.reliability import judge_tracks, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
@@ -42,7 +42,7 @@ from tasks.stage import (
     stream,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 18)
+RECONSTRUCTION = StageName("reconstruction", 19)
 
 MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
@@ -235,11 +235,7 @@ def _reconstruct(
     ]
     rng = stream(seed, "reconstruction", "left_out", sequence_id)
     left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids, rng)
-    doubts = camera_doubt(pitches, pitch)
-    judged = {
-        f"person {one.track.person_id}": judge_person(one, left_out_m, doubts=doubts).verdict
-        for one in (found.methods[-1].people if found.methods else ())
-    }
+    judged = judge_tracks(found, left_out_m, sequence_id=sequence_id, pitches_rad=pitches).verdicts
     judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in found.skipped.items()}
     attachments = {
         f"{sequence_id}_{person_id}.{kind}": data

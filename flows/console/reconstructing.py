@@ -26,14 +26,16 @@ from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
-from pasdedeux.reconstruction.pitch import choose_pitch
+from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
-from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
+from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
 from pasdedeux.settings import first_problem
+from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations
 from tasks.ingest.parameters import AnnotationOptions
@@ -67,7 +69,8 @@ def follow_video(
     if not video.path.is_dir():
         raise InputError(f"{video.path} is not a folder of OpenPose files")
     source, refs = _projections(database, store)
-    (searcher,), _ = _searchers(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
+    (seen,), _ = _databases(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
+    searcher = Searcher.of(seen)
     warm_up(searcher, options)
     rate_hz = video.rate_hz or DEFAULT_RATE_HZ
     people = LivePeople(searcher, rate_hz=rate_hz, image_size_px=video.image_size_px, options=options)
@@ -120,7 +123,7 @@ def reconstruct_video(
     """
     videos = find_annotations(video)
     source, refs = _projections(database, store)
-    searchers, take_ids = _searchers(source, refs, pitch_deg)
+    databases, take_ids = _databases(source, refs, pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
 
     def reconstruct_sequence(resolved: ResolvedPeople, sequence: SequencePeople) -> None:
@@ -129,10 +132,8 @@ def reconstruct_video(
         tracks = _tracks(resolved, sequence.sequence_id, person_ids)
         if not tracks:
             raise InputError("no frame shows enough joints of a person")
-        pitch, searcher = None, searchers[0]
-        if len(searchers) > 1:
-            pitch = choose_pitch(searchers, tracks)
-            searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
+        pitch = choose_camera(databases, tracks)
+        searcher = Searcher.of(replace(databases[0], camera=DatabaseCamera(pitch.pitch_rad)))
         found = reconstruct_people(
             searcher,
             tracks,
@@ -145,9 +146,13 @@ def reconstruct_video(
         )
         if not found.methods:
             raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
-        doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
-        unseen_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
-        _write_sequence(found, sequence, out, units, unseen_m, doubts)
+        judged = judge_tracks(
+            found,
+            left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0)),
+            sequence_id=sequence.sequence_id,
+            pitches_rad=[one.camera.pitch_rad for one in databases],
+        )
+        _write_sequence(found, sequence, out, units, judged)
 
     failed: list[InputError] = []
     num_made = 0
@@ -175,29 +180,32 @@ def _write_sequence(
     sequence: SequencePeople,
     out: Path,
     units: str,
-    unseen_m: float,
-    doubts: Sequence[str],
+    judged: Judged,
 ) -> None:
     """Write files of every person of one sequence, and say how good they are."""
     out.mkdir(parents=True, exist_ok=True)
     names = FileNames(out)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for made in found.methods[-1].people:
         track, motion = made.track, found.motions[made.track.person_id]
         path = write_text(names.path(sequence.sequence_id, track.person_id, suffix=".bvh"), motion.bvh(units))
         path.with_suffix(".npz").write_bytes(write_npz(motion))
-        judged = judge_person(made, unseen_m, doubts=doubts)
+        one = judged.people[track.person_id]
         rows.append(
             (
                 str(path),
                 f"{track.first_frame}-{int(track.frames[-1])}",
-                f"{100 * judged.expected_error_m:.0f} cm",
-                f"{100 * judged.misfit_m:.1f} cm",
-                f"{100 * unseen_m:.1f} cm" if math.isfinite(unseen_m) else "",
-                f"{judged.share_seen:.0%}",
-                f"{judged.share_bridged:.0%}",
-                judged.verdict.level.value + (f": {judged.verdict.reason}" if judged.verdict.reason else ""),
+                one.expected_in_words,
+                f"{100 * one.misfit_m:.1f} cm",
+                f"{100 * one.left_out_m:.1f} cm" if math.isfinite(one.left_out_m) else "",
+                f"{one.share_seen:.0%}",
+                f"{one.share_bridged:.0%}",
+                _in_words(one.verdict),
             )
+        )
+    for (first, second), place in judged.places.items():
+        rows.append(
+            (f"place of {first} and {second}", "", place.expected_in_words, *[""] * 4, _in_words(place.verdict))
         )
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
     write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), units_text(motion, units))
@@ -207,6 +215,10 @@ def _write_sequence(
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was skipped: {reason}", err=True)
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
+
+
+def _in_words(verdict: Verdict) -> str:
+    return verdict.level.value + (f": {verdict.reason}" if verdict.reason else "")
 
 
 def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: Sequence[int]) -> list[Track]:
@@ -266,12 +278,12 @@ def _is_part(store: Store, ref: ArtifactRef) -> bool:
     return "projections" in store.manifest(ref).tables
 
 
-def _searchers(
+def _databases(
     store: Store, refs: list[ArtifactRef], pitch_deg: float | None
-) -> tuple[list[Searcher], npt.NDArray[np.object_]]:
+) -> tuple[list[Database], npt.NDArray[np.object_]]:
     """Return the database as each of its cameras sees it, or as one of this pitch does, and the take of each row."""
     cameras = read_cameras([store.manifest(ref) for ref in refs])
     if pitch_deg is not None:
         cameras = (DatabaseCamera(math.radians(pitch_deg)),)
     level, take_ids, _ = read_database(store, refs)
-    return [Searcher.of(replace(level, camera=camera)) for camera in cameras], take_ids
+    return [replace(level, camera=camera) for camera in cameras], take_ids

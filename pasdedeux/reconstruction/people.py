@@ -33,6 +33,9 @@ from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
+_MAX_CONTRADICTION = 1.2
+"""Statures stated and by the height of the camera that differ by more contradict each other."""
+
 
 @dataclass(frozen=True)
 class MethodMotions:
@@ -61,6 +64,7 @@ class ReconstructedTracks:
         skipped: Why the others could not be reconstructed, by person id.
         pitch: The pitch of the camera, which says where up is.
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
+        doubts: What was stated that contradicts itself.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -68,6 +72,7 @@ class ReconstructedTracks:
     skipped: dict[int, str]
     pitch: PitchEstimate
     scene: SceneEstimate | None
+    doubts: tuple[str, ...] = ()
 
 
 def reconstruct_people(
@@ -115,13 +120,19 @@ def reconstruct_people(
         )
         for method in (methods if matched else ())
     }
-    scene = None
+    scene, doubts = None, list[str]()
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:
         people, known = tried[fitted[-1]], dict(statures_m)
         if camera_height_m is not None:
             for one in people:
-                known.setdefault(one.track.person_id, _stature_m(sized_by_height(one, camera, camera_height_m)))
+                name, by_height_m = one.track.person_id, _stature_m(sized_by_height(one, camera, camera_height_m))
+                stated_m = known.setdefault(name, by_height_m)
+                if max(stated_m, by_height_m) > _MAX_CONTRADICTION * min(stated_m, by_height_m):
+                    doubts.append(
+                        f"person {name} of {stated_m:.2f} m would be {by_height_m:.2f} m tall before a camera "
+                        f"{camera_height_m:.2f} m above the floor: one of both is wrong, or the pitch"
+                    )
         couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
@@ -131,7 +142,9 @@ def reconstruct_people(
             camera_height_m=camera_height_m,
         )
         if not pitch.is_given:
-            pitch = PitchEstimate(pitch.index, scene.pitch_rad, scene.pitch_deviation_rad)
+            # What poses and floor say of it is not independent: half of what they differ by is doubt.
+            doubt = float(np.hypot(scene.pitch_deviation_rad, 0.5 * (scene.pitch_rad - pitch.pitch_rad)))
+            pitch = replace(pitch, pitch_rad=scene.pitch_rad, deviation_rad=doubt)
             camera = replace(camera, pitch_rad=scene.pitch_rad)
     made = []
     for method, found in tried.items():
@@ -145,7 +158,7 @@ def reconstruct_people(
         if has_clean_up and method is list(tried)[-1]:
             cleaned = tuple(clean_reconstructions(found, origin, camera))
             made.append(_embodied(f"{method.value}_clean", cleaned, origin, searcher.database, camera))
-    return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, pitch, scene)
+    return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, pitch, scene, tuple(doubts))
 
 
 def _embodied(

@@ -23,7 +23,8 @@ from pasdedeux.reconstruction.reconstruct import (
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
-_STRIDE = 5
+_STRIDE, _FEW_FRAMES = 5, 8
+"""Every so many frames decide; of a short video as many as make so few."""
 _FLOOR_WEIGHT = 0.05
 """Cost of a metre that standing feet leave the floor by, against a metre of misfit."""
 _MAX_FLOOR_M = 0.1
@@ -132,12 +133,13 @@ def choose_pitch(
     out each person or half of the video in turn moves it by enters the latter.
     """
     options = options or ReconstructionOptions()
+    stride = max(1, min(_STRIDE, max(len(track.keypoints_px) for track in tracks) // _FEW_FRAMES))
     thinned = [
         replace(
             track,
-            keypoints_px=track.keypoints_px[::_STRIDE],
-            confidence=track.confidence[::_STRIDE],
-            rate_hz=track.rate_hz / _STRIDE,
+            keypoints_px=track.keypoints_px[::stride],
+            confidence=track.confidence[::stride],
+            rate_hz=track.rate_hz / stride,
         )
         for track in tracks
     ]

@@ -1,14 +1,18 @@
-"""How good a reconstruction is, without ground truth: for each person a figure, and pass, warn or fail in words.
+"""How good a reconstruction is, without ground truth: of people and of couples a figure, and pass, warn or fail.
 
-The figure is the error to expect.  It comes from how far the fit moved the retrieved poses: where the database holds
-the motion, the image only touches them up; where it does not, or the camera is not where it was taken to be, they have
-to give way.  What is left of the match's distance when the image's noise is taken off is compared with that of the
-database's own motions, each matched against all others: farther than those, the database lacks the motion.
+The figure is the error to expect, with an interval that holds in 80 % of cases.  That of a person comes from how far
+the fit moved the retrieved poses: where the database holds the motion, the image only touches them up; where it does
+not, or the camera is not where it was taken to be, they have to give way; from how badly the pitch is known; and from
+how lively the person moves, because a wrong pose stays wrong while nothing new is seen.  What is left of the match's
+distance when the image's noise is taken off is compared with that of the database's own motions, each matched against
+all others: farther than those, the database lacks the motion.  That of a place, where one of a couple is to the other,
+is the deviation that the scene's estimate states.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,24 +20,34 @@ import numpy.typing as npt
 
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import ProjectionIndex
+from pasdedeux.reconstruction.people import ReconstructedTracks
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, Reconstruction
+from pasdedeux.reconstruction.tracks import broken_doubts
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level, Verdict
 
-ERROR_WITHOUT_CORRECTION_M = 0.04
-ERROR_PER_CORRECTION = 0.6
-"""Mean error of a joint over how far the fit moved it: least squares of the relative error on 124 virtual clips of nine
-takes (salsa, duets, single people, contact) under four databases, noise 1 to 8 px and up to a quarter of the joints
-hidden.  Measured anew with camera, sizes and places as one estimate, on 218 people of 109 such clips: 120 of them, of
-eleven other takes, are over or under 10 cm, with an AUC of 0.81, median 10.2 cm expected and 10.1 found; least
-squares on the other 98 would say 0.032 m and 0.64."""
+_ERROR_M, _PER_CORRECTION, _PER_ACCELERATION, _PER_PITCH = 0.0735, 6.13, -0.46, 3.48
+"""Mean error of a joint: factor, logarithm per metre that the fit moved it, power of the acceleration of the joints
+about the mid-hip, logarithm per radian of the pitch's deviation.  Least squares of the logarithm on 112 people of 63
+clips of 4 s: nine families of takes, each reconstructed without itself."""
+_MIN_ACCELERATION_M_S2, _ACCELERATION_HZ = 0.5, 30.0
+"""Added to the acceleration, and the rate of the frames that it is taken from."""
+_MAX_EXPECTED_M = 0.5
+"""Worse than this nothing was measured."""
+_PERSON_RANGE, _PLACE_RANGE = (0.63, 1.56), (0.48, 2.2)
+"""What errors of people and of places are as parts of the expected, four times in five, in families left out of all."""
 
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.10, 0.20
+DOUBTFUL_PLACE_M, BAD_PLACE_M = 0.20, 0.40
+FAR = 1.5
+"""Times the misfit of the database's own motions: farther from it, nothing is to be believed."""
 POOR_SHARE_SEEN, USELESS_SHARE_SEEN = 0.7, 0.4
 """Share of the 14 joints that are seen: below the first a person is doubted, below the second useless."""
 DOUBTFUL_PITCH_RAD = float(np.deg2rad(5.0))
 """A pitch of a larger standard deviation is doubted: it leans people and tilts the floor."""
+MIN_LENGTH_S = 0.5
+"""Shorter videos deserve a warning: everything in them errs alike."""
 MAX_BRIDGED = 0.2
 """A motion of which more is interpolated deserves a warning."""
 LEFT_OUT_PERCENTILE = 95.0
@@ -56,6 +70,7 @@ class Reliability:
         share_seen: Share of the joints that were seen.
         share_bridged: Share of the frames that are interpolated.
         doubts: Further reasons for a warning, such as those about the camera.
+        farthest_s: Time of the video at which the database is farthest from the image.
     """
 
     expected_error_m: float
@@ -64,6 +79,7 @@ class Reliability:
     share_seen: float
     share_bridged: float
     doubts: tuple[str, ...] = ()
+    farthest_s: float = float("nan")
 
     @property
     def is_lacking(self) -> bool:
@@ -71,46 +87,146 @@ class Reliability:
         return self.misfit_m > self.left_out_m
 
     @property
+    def expected_in_words(self) -> str:
+        """Say the expected error and its interval."""
+        return _with_interval(self.expected_error_m, _PERSON_RANGE)
+
+    @property
     def verdict(self) -> Verdict:
-        """Pass, warn or fail, and why."""
+        """Pass, warn or fail, and why; of a failure what would help."""
         reasons = []
+        is_far = self.expected_error_m > BAD_ERROR_M or self.misfit_m > FAR * self.left_out_m
         if self.expected_error_m > DOUBTFUL_ERROR_M:
-            reasons.append("the fit had to move the poses of the database far")
+            reasons.append(f"an error of {self.expected_in_words} is expected")
         if self.is_lacking:
             reasons.append(
                 f"the database lacks this motion: {100 * self.misfit_m:.1f} cm from the nearest projections, its own "
                 f"left-out clips at most {100 * self.left_out_m:.1f}"
             )
+        if is_far:
+            where = f", it is farthest at {self.farthest_s:.1f} s" if math.isfinite(self.farthest_s) else ""
+            reasons.append(f"what would help: takes of such motion in the database{where}, or key frames in 3D")
         if self.share_seen < POOR_SHARE_SEEN:
             reasons.append(f"{self.share_seen:.0%} of the joints are seen")
         if self.share_bridged > MAX_BRIDGED:
             reasons.append(f"{self.share_bridged:.0%} of the frames show too little and are interpolated")
-        is_bad = self.expected_error_m > BAD_ERROR_M or self.share_seen < USELESS_SHARE_SEEN
+        is_bad = is_far or self.share_seen < USELESS_SHARE_SEEN
         reasons += self.doubts
         level = Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS
         figure = ("expected error", self.expected_error_m, "m")
         return Verdict(level, "; ".join(reasons), *figure, thing="people")
 
 
-def judge_person(found: Reconstruction, left_out_m: float = float("nan"), *, doubts: Sequence[str] = ()) -> Reliability:
+@dataclass(frozen=True)
+class Place:
+    """Quality of where one person is to the other, estimated without ground truth.
+
+    Args:
+        expected_error_m: Expected length by which the vector between the mid-hips is off, mean over frames.
+        is_lens_known: Whether the focal length was stated.
+    """
+
+    expected_error_m: float
+    is_lens_known: bool
+
+    @property
+    def expected_in_words(self) -> str:
+        """Say the expected error and its interval."""
+        return _with_interval(self.expected_error_m, _PLACE_RANGE)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Pass, warn or fail, and what would help."""
+        level, reason = Level.PASS, ""
+        if self.expected_error_m > DOUBTFUL_PLACE_M:
+            level = Level.FAIL if self.expected_error_m > BAD_PLACE_M else Level.WARN
+            known = "statures" if self.is_lens_known else "a stated lens (focal_px or fov_deg), statures"
+            reason = (
+                f"the place of the two is badly known: {self.expected_in_words}; what would help: {known}, or takes of "
+                "such couples in the database"
+            )
+        return Verdict(level, reason, "expected error of place", self.expected_error_m, "m", thing="couples")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """People of a sequence by id, and couples by both ids."""
+
+    people: Mapping[int, Reliability]
+    places: Mapping[tuple[int, int], Place]
+
+    @property
+    def verdicts(self) -> dict[str, Verdict]:
+        """All verdicts, by what they are about."""
+        people = {f"person {name}": one.verdict for name, one in self.people.items()}
+        return people | {f"place of {a} and {b}": one.verdict for (a, b), one in self.places.items()}
+
+
+def judge_tracks(
+    found: ReconstructedTracks,
+    left_out_m: float = float("nan"),
+    *,
+    sequence_id: str = "",
+    pitches_rad: Sequence[float] = (),
+) -> Judged:
+    """Judge everybody of a sequence, by its last method, and where each is to the partner.
+
+    Args:
+        found: What was made of the sequence.
+        left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
+        sequence_id: Its name, for the table of people.
+        pitches_rad: Pitches of the cameras that were tried.
+    """
+    if not found.methods:
+        return Judged({}, {})
+    made = found.methods[-1].people
+    broken = broken_doubts(sequence_id, [one.track for one in made])
+    doubts = (*found.doubts, *camera_doubt(pitches_rad, found.pitch))
+    if (longest := max(len(one.track.frames) / one.track.rate_hz for one in made)) < MIN_LENGTH_S:
+        doubts = (f"{longest:.1f} s are too short to tell camera and places from", *doubts)
+    people, places = {}, {}
+    for one in made:
+        name = one.track.person_id
+        own = (*doubts, *((broken[name],) if name in broken else ()))
+        people[name] = judge_person(one, left_out_m, pitch_deviation_rad=found.pitch.deviation_rad, doubts=own)
+    between = {} if found.scene is None else found.scene.place_deviation_m
+    for (first, second), deviation_m in between.items():
+        couple = made[first].track, made[second].track
+        if couple[0].partner_id == couple[1].person_id:
+            ids = couple[0].person_id, couple[1].person_id
+            places[ids] = Place(deviation_m, couple[0].lens.is_known)
+    return Judged(people, places)
+
+
+def judge_person(
+    found: Reconstruction,
+    left_out_m: float = float("nan"),
+    *,
+    pitch_deviation_rad: float = 0.0,
+    doubts: Sequence[str] = (),
+) -> Reliability:
     """Judge a person's reconstruction by method `fit`; of another nobody knows what error to expect.
 
     Args:
         found: Reconstruction.
         left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
+        pitch_deviation_rad: Standard deviation of the camera's pitch.
         doubts: Further reasons for a warning.
     """
     is_known = ~found.is_bridged & np.isfinite(found.score_m)
-    correction = found.correction_m[is_known]
     noise = MEAN_OF_RAYLEIGH * found.noise_m
-    misfit = np.sqrt(np.maximum(found.score_m[is_known] ** 2 - noise**2, 0.0))
+    left = np.sqrt(np.maximum(found.score_m[is_known] ** 2 - noise**2, 0.0))
+    misfit = float(np.median(left)) if len(left) else float("nan")
+    log = _PER_CORRECTION * _mean(found.correction_m[is_known]) + _PER_PITCH * pitch_deviation_rad
+    expected = _ERROR_M * (_MIN_ACCELERATION_M_S2 + _acceleration_m_s2(found)) ** _PER_ACCELERATION * np.exp(log)
     return Reliability(
-        expected_error_m=ERROR_WITHOUT_CORRECTION_M + ERROR_PER_CORRECTION * _mean(correction),
-        misfit_m=float(np.median(misfit)) if len(misfit) else float("nan"),
+        expected_error_m=float(np.minimum(expected, _MAX_EXPECTED_M)),
+        misfit_m=misfit,
         left_out_m=left_out_m,
         share_seen=_mean(found.num_joints_seen / OP14.num_joints),
         share_bridged=_mean(found.is_bridged),
         doubts=tuple(doubts),
+        farthest_s=float(found.track.times_s[is_known][np.argmax(left)]) if len(left) else float("nan"),
     )
 
 
@@ -146,11 +262,31 @@ def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[st
 
     A level camera is no edge: few look up at people.
     """
+    if pitch.is_guess:
+        how = "--pitch, in a study projections.pitches_deg"
+        return (f"nobody is seen standing, so that {pitch.in_words()} is a guess: state it ({how})",)
     if len(pitches_rad) < 2:
         return ()
     if pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD):
         return (f"{pitch.in_words()}, at the edge of what was tried: it may be more, or wrong",)
     return (f"{pitch.in_words()}",) if pitch.deviation_rad > DOUBTFUL_PITCH_RAD else ()
+
+
+def _acceleration_m_s2(found: Reconstruction) -> float:
+    """Return the mean acceleration of the joints about the mid-hip; 0 of fewer than three frames."""
+    step = max(1, round(found.track.rate_hz / _ACCELERATION_HZ))
+    poses = (found.positions_m - found.root_m[:, None])[::step]
+    if len(poses) < 3:
+        return 0.0
+    bend = np.linalg.norm(np.diff(poses, n=2, axis=0), axis=-1)
+    return float(bend.mean()) * (found.track.rate_hz / step) ** 2
+
+
+def _with_interval(error_m: float, parts: tuple[float, float]) -> str:
+    if not math.isfinite(error_m):
+        return ""
+    low, high = (100.0 * error_m * part for part in parts)
+    return f"{100.0 * error_m:.0f} cm ({low:.0f} to {high:.0f})"
 
 
 def _mean(values: npt.ArrayLike) -> float:

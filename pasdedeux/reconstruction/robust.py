@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -51,8 +51,8 @@ class Problem(Protocol):
         """Return the residuals at these unknowns."""
 
 
-def solve(problem: Problem, *, robust: float, variance_of: int) -> tuple[Array, float]:
-    """Return the unknowns of least cost, and the variance of one of them by the curvature there.
+def solve(problem: Problem, *, robust: float) -> tuple[Array, Callable[[Array], float]]:
+    """Return the unknowns of least cost, and the variance of any sum of them, given its weights, by the curvature.
 
     Steps of Gauss and Newton with Levenberg's damping; robust residuals count by the weights of Geman and McClure
     (1985), a quarter at `robust` deviations, anew in each step, and wider at first.
@@ -60,7 +60,6 @@ def solve(problem: Problem, *, robust: float, variance_of: int) -> tuple[Array, 
     Args:
         problem: Residuals as a function of the unknowns.
         robust: Deviations at which a robust residual counts a quarter.
-        variance_of: Index of the unknown whose variance is returned.
     """
     from scipy.sparse import eye_array  # here: 0.2 s that planning does not need
     from scipy.sparse.linalg import splu
@@ -89,9 +88,8 @@ def solve(problem: Problem, *, robust: float, variance_of: int) -> tuple[Array, 
         x, made, damping = x + step, new, max(0.1 * damping, _MIN_DAMPING)
         if number > _NUM_WIDE and cost - made.cost(scale) < _TOLERANCE * cost:
             break
-    unit = np.zeros(len(x))
-    unit[variance_of] = 1.0
-    return x, float(splu((normal + _MIN_DAMPING * eye_array(len(x))).tocsc()).solve(unit)[variance_of])
+    curvature = splu((normal + _MIN_DAMPING * eye_array(len(x))).tocsc())
+    return x, lambda weights: float(weights @ curvature.solve(weights))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ Robust terms are weighed anew in each step of the solver: who stands is decided 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
@@ -87,6 +87,8 @@ _TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.03, 3.0, 0.1
 """Hands no further from the other's image may touch, if they stay so long and move along the bone by no more."""
 _GAP_DEVIATION_M = 0.05
 """Deviation of how far two bodies pass through each other."""
+_NUM_SHOWN = 5
+"""Frames that the deviation of a place is the mean of."""
 _ROBUST = 3.0
 """At so many deviations a residual counts a quarter (Geman, McClure)."""
 
@@ -102,6 +104,8 @@ class SceneEstimate:
         lens_factor: Focal length over the assumed one.
         sizes: Size of each person over the initial one (person,).
         factors: Distance of each person's mid-hip from the camera over the initial one, (frame,) each.
+        place_deviation_m: Standard deviation of the vector from one mid-hip to the other, likewise, by the numbers of
+            two people who are in a frame together; root mean square over frames.
     """
 
     pitch_rad: float
@@ -110,6 +114,7 @@ class SceneEstimate:
     lens_factor: float
     sizes: Array
     factors: tuple[Array, ...]
+    place_deviation_m: Mapping[tuple[int, int], float]
 
     def placed(self, number: int, found: Reconstruction) -> Reconstruction:
         """Return the reconstruction of a person at its place and size, on the rays of this lens, pose kept."""
@@ -259,6 +264,15 @@ class _Problem:
             terms.append(Term(touch, stencil[rows], is_robust=True, weight=alike))
         return terms
 
+    def places_between(self, x: Array) -> Iterator[tuple[int, int, Array]]:
+        """Yield two people's numbers and how the vector between them (some of the frames, 3) depends on unknowns."""
+        for first, second, one_at, other_at in self.near:
+            shown = np.unique(np.linspace(0, len(one_at) - 1, _NUM_SHOWN).astype(int))
+            weights = np.zeros((len(shown), 3, len(x)))
+            for number, at, sign in ((first, one_at[shown], -1.0), (second, other_at[shown], 1.0)):
+                weights[np.arange(len(shown)), :, self.starts[number] + at] = sign * self.places(x, number)[0][at]
+            yield first, second, weights
+
     def _alike(self, number: int, seconds: float) -> float:
         """Return what each of the frames counts that err alike for so long."""
         return 1.0 / max(1.0, seconds * self.people[number].track.rate_hz)
@@ -352,12 +366,16 @@ def estimate_scene(
     if camera_height_m is not None:
         check_positive(camera_height_m, "the height of the camera")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
-    x, variance = solve(problem, robust=_ROBUST, variance_of=_PITCH)
+    x, variance_of = solve(problem, robust=_ROBUST)
     return SceneEstimate(
         float(x[_PITCH]),
-        float(np.sqrt(variance)),
+        float(np.sqrt(variance_of(np.eye(len(x))[_PITCH]))),
         float(np.exp(x[_HEIGHT])),
         float(np.exp(x[_LENS])),
         np.exp(x[_SIZES : _SIZES + len(people)]),
         tuple(np.exp(x[start:stop]) for start, stop in pairwise(problem.starts)),
+        {
+            (first, second): float(np.sqrt(np.mean([sum(map(variance_of, one)) for one in weights])))
+            for first, second, weights in problem.places_between(x)
+        },
     )

@@ -58,8 +58,9 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
         assert made["is_seen"].all()
         assert (float(made["rate_hz"]), int(made["first_frame"])) == (pytest.approx(30.0), 0)
     said = capsys.readouterr()
-    header, *lines = said.out.splitlines()
+    header, *lines, place = said.out.splitlines()
     assert header.split()[0] == "file"
+    assert re.match(r"place of 0 and 1 +\d+ cm \(\d+ to \d+\) .*(pass|warn|fail)", place)
     assert [line.split()[:2] for line in lines] == [
         [str(out / f"{video.name}_{person}.bvh"), "0-39"] for person in (0, 1)
     ]

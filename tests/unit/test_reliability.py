@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, reconstruct_track
-from pasdedeux.reconstruction.reliability import Reliability, camera_doubt, judge_person, left_out_misfit_m
-from pasdedeux.reconstruction.tracks import Lens, Track
+from pasdedeux.reconstruction.reliability import (
+    Place,
+    Reliability,
+    camera_doubt,
+    judge_person,
+    judge_tracks,
+    left_out_misfit_m,
+)
+from pasdedeux.reconstruction.tracks import Lens, Track, broken_doubts, broken_tracks
 from pasdedeux.verdict import Level
 from tests.builders.walkers import random_poses, walk
 
@@ -64,6 +73,9 @@ def test_motion_that_the_database_lacks_is_told_and_has_the_larger_expected_and_
     assert [one.is_lacking for one in judged] == [False, True]
     assert judged[0].verdict.level is Level.PASS
     assert "the database lacks this motion" in judged[1].verdict.reason
+    far = replace(judged[0], left_out_m=judged[0].misfit_m / 1.6).verdict
+    assert far.level is Level.FAIL
+    assert "what would help: takes of such motion in the database, it is farthest at " in far.reason
 
 
 def test_joints_not_seen_are_a_warning_with_their_share(walkers: tuple[Searcher, np.ndarray]) -> None:
@@ -106,10 +118,63 @@ def test_a_pitch_at_the_edge_of_what_was_tried_or_badly_known_is_a_doubt() -> No
     assert replace(good, doubts=(doubt,)).verdict.level is Level.WARN
 
 
+def test_a_guessed_pitch_is_a_doubt_that_says_how_to_state_it() -> None:
+    (doubt,) = camera_doubt([0.0, 0.5], PitchEstimate(0, 0.3, 0.2, is_guess=True))
+    assert doubt.startswith("nobody is seen standing")
+    assert "--pitch" in doubt
+
+
+def lasting(first: int, last: int, person_id: int, *, x_px: float = 0.0, size: float = 1.0) -> Track:
+    track = seen(walk(last - first + 1, seed=2))
+    middle = np.array([960.0, 540.0])
+    px = (track.keypoints_px - middle) * size + middle + [x_px, 0.0]
+    return replace(track, keypoints_px=px, person_id=person_id, first_frame=first)
+
+
+def test_a_track_that_ends_where_another_begins_is_told_with_the_row_that_joins_them() -> None:
+    tracks = [lasting(0, 40, 0), lasting(0, 90, 1, x_px=700.0), lasting(45, 90, 2)]
+    assert [(one.person_id, other.person_id) for one, other in broken_tracks(tracks)] == [(0, 2)]
+    doubts = broken_doubts("clip", tracks)
+    assert sorted(doubts) == [0, 2]
+    assert "0 ends where 2 begins: the same person?" in doubts[0]
+    row = doubts[0].rsplit(": ", 1)[1]
+    frame = np.concatenate([one.frames for one in tracks])
+    person = np.repeat([0, 1, 2], [len(one.frames) for one in tracks])
+    assert set(decide("clip", frame, person, [Decision.from_words(row)])) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    "other", [lasting(45, 90, 2, x_px=700.0), lasting(45, 90, 2, size=2.0), lasting(130, 150, 2), lasting(30, 90, 2)]
+)
+def test_who_begins_elsewhere_larger_much_later_or_at_the_same_time_is_somebody_else(other: Track) -> None:
+    assert broken_tracks([lasting(0, 40, 0), other]) == []
+
+
+def test_few_frames_and_a_stature_against_the_height_of_the_camera_are_doubts(
+    walkers: tuple[Searcher, np.ndarray],
+) -> None:
+    # The camera is as high as the middle of the walker, 0.8 m.
+    stated = {"camera_height_m": 1.6, "statures_m": {0: 1.7}}
+    for length, doubts in ((5, {}), (48, stated)):
+        found = reconstruct_people(walkers[0], [seen(walk(length, seed=2))], [Method.FIT], **doubts)
+        (judged,) = judge_tracks(found).verdicts.values()
+        assert judged.level is Level.WARN
+        assert ("0.2 s are too short" if length == 5 else "person 0 of 1.70 m would be") in judged.reason
+
+
+def test_a_badly_known_place_warns_then_fails_and_says_what_would_help() -> None:
+    levels = [Place(error, is_lens_known=False).verdict.level for error in (0.1, 0.25, 0.6)]
+    assert levels == [Level.PASS, Level.WARN, Level.FAIL]
+    assert "a stated lens" in Place(0.5, is_lens_known=False).verdict.reason
+    assert "a stated lens" not in Place(0.5, is_lens_known=True).verdict.reason
+
+
 def test_large_expected_errors_and_hardly_anything_seen_fail() -> None:
     good = Reliability(0.05, 0.01, 0.05, 1.0, 0.0)
     assert replace(good, expected_error_m=0.12).verdict.level is Level.WARN
-    assert replace(good, expected_error_m=0.3).verdict.level is Level.FAIL
+    far = replace(good, expected_error_m=0.3, farthest_s=2.5).verdict
+    assert far.level is Level.FAIL
+    assert "what would help: takes of such motion in the database, it is farthest at 2.5 s" in far.reason
     assert replace(good, share_seen=0.2).verdict.level is Level.FAIL
     assert replace(good, share_bridged=0.5).verdict.level is Level.WARN
     assert replace(good, expected_error_m=float("nan"), left_out_m=float("nan")).verdict.level is Level.PASS

@@ -61,7 +61,7 @@ def test_one_floor_and_sizes_of_people_put_both_in_their_place_to_each_other(nam
     thought = np.stack([one.positions_m for one in people], axis=1)
     scene, found = solved(people)
     assert place_error(thought, truth) > 0.2
-    assert place_error(found, truth) < 0.12
+    assert place_error(found, truth) < min(0.12, 2.0 * scene.place_deviation_m[0, 1])
     assert np.rad2deg(abs(scene.pitch_rad - PITCH_RAD)) < 6.0
     assert 0.1 < np.rad2deg(scene.pitch_deviation_rad) < 5.0
     # Poses are kept, at one size a person.

@@ -32,7 +32,7 @@ class Tab:
     """One page; `errors` are what its console reported, `requests` the addresses it asked for."""
 
     def __init__(self, address: str) -> None:
-        self._socket = connect(address, max_size=None)
+        self._socket = connect(address, max_size=None, ping_interval=None)
         self._numbers = itertools.count(1)
         self.errors: list[str] = []
         self.requests: list[str] = []

@@ -165,8 +165,8 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
             raise InputError(f"'{word}' has no people to look at; tables with people: {', '.join(GROUPS)}")
         last = read_latest(store, reference.study) if reference.study else None
         rest = [ref for stage in last.stages for ref in last.refs(stage)] if last else []
-        return Shelf(store, refs, [ref for ref in rest if store.find(ref.stage, ref.key)], (reference.table,))
-    if "@" in word or word in {folder.run_id for folder in list_runs(store)}:
+        shelf = Shelf(store, refs, [ref for ref in rest if store.find(ref.stage, ref.key)], (reference.table,))
+    elif "@" in word or word in {folder.run_id for folder in list_runs(store)}:
         shelf = Shelf(store, [one.ref for one in read_recorded(store, word).artifacts.values()])
     else:
         latest = read_latest(store, word)

@@ -590,7 +590,7 @@ class Viewer:
         name = f"{self.part.table}-{'-'.join(self.item.names)}-{self.frame}".replace("/", "-")
         width, height = client.camera.image_width, client.camera.image_height
         if not is_clip:
-            image = client.get_render(height, width, timeout=20.0)
+            image = client.get_render(height, width, timeout=60.0)
             client.send_file_download(f"{name}.png", encode(image, ".png"), save_immediately=True)
             return
         self.play(False)
@@ -599,7 +599,7 @@ class Viewer:
         images = []
         for frame in range(self.frame, min(self.frame + int(_CLIP_S * rate), self.scene.num_frames), step):
             self.seek(frame)
-            images.append(client.get_render(height // 2, width // 2, timeout=20.0))
+            images.append(client.get_render(height // 2, width // 2, timeout=60.0))
         client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
 
 

@@ -32,7 +32,7 @@ class Tab:
     """One page; `errors` are what its console reported, `requests` the addresses it asked for."""
 
     def __init__(self, address: str) -> None:
-        self._socket = connect(address, max_size=None)
+        self._socket = connect(address, max_size=None, ping_interval=None)
         self._numbers = itertools.count(1)
         self.errors: list[str] = []
         self.requests: list[str] = []
@@ -44,7 +44,7 @@ class Tab:
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(self._socket.recv(timeout=60.0))
+            answer = json.loads(self._socket.recv(timeout=240.0))
             if answer.get("id") == number:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -79,7 +79,7 @@ class Tab:
     def click(self, text: str) -> None:
         """Click what has this text, such as a button or the head of a folder."""
         found = f"[...document.querySelectorAll('*')].reverse().find((one) => one.textContent === {json.dumps(text)})"
-        wait_until(lambda: self.run(f"!!({found})"), f"'{text}' on the page", limit_s=60.0)
+        wait_until(lambda: self.run(f"!!({found})"), f"'{text}' on the page", limit_s=240.0)
         self.run(f"{found}.click()")
 
     def type_into(self, label: str, text: str) -> None:
@@ -126,7 +126,7 @@ def open_page(url: str, folder: Path, *, width: int = 1280, height: int = 800) -
     )
     try:
         port_file = profile / "DevToolsActivePort"
-        wait_until(lambda: port_file.is_file() and port_file.read_text().count("\n"), "the browser", limit_s=60.0)
+        wait_until(lambda: port_file.is_file() and port_file.read_text().count("\n"), "the browser", limit_s=240.0)
         port = port_file.read_text().split()[0]
         with urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
             page = next(one for one in json.load(answer) if one["type"] == "page")

@@ -103,7 +103,7 @@ def test_a_corrected_2d_joint_is_lifted_again_and_saved_as_csv(editor: Editor) -
 
 
 def wait_for(viewer: Viewer, what: str, is_so: object) -> None:
-    wait_until(is_so, what, limit_s=60.0)  # type: ignore[arg-type]
+    wait_until(is_so, what, limit_s=240.0)  # type: ignore[arg-type]
 
 
 def screenshot(tab: Tab, name: str, folder: Path) -> None:

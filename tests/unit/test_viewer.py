@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,6 +17,7 @@ from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
 from flows.viewing.bodies import Bodies, capsules, marks
+from flows.viewing.images import encode, encode_clip, plot_curves
 from flows.viewing.scene import Grid, People
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
 from flows.viewing.viewer import Viewer
@@ -154,3 +156,29 @@ def test_of_a_reference_only_its_own_rows_are_offered(store: Store) -> None:
     with pytest.raises(InputError, match="not among what is shown"):
         Shelf(store, [], tables=("poses",)).find("poses:short#0")
     assert [part.table for part in open_shelf(store, "poses:short/waltz").parts] == ["poses"]
+
+
+def test_pictures_and_clips_are_read_back_by_opencv() -> None:
+    rng = np.random.default_rng(2)
+    images = [np.full((48, 64, 3), rng.integers(256, size=3), dtype=np.uint8) for _ in range(3)]
+    read = cv2.imdecode(np.frombuffer(encode(images[0], ".png"), np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), images[0])
+    found, clip = cv2.imdecodeanimation(np.frombuffer(encode_clip(images, 10.0), np.uint8))
+    assert found
+    assert [frame.shape[:2] for frame in clip.frames] == [(48, 64)] * 3
+    assert list(clip.durations) == [100] * 3
+    away = [
+        np.abs(frame[..., 2::-1].astype(float) - own).mean() for frame, own in zip(clip.frames, images, strict=True)
+    ]
+    assert max(away) < 8.0, "the same colours but for compression"
+
+
+def test_a_curve_is_drawn_where_it_is_known_and_the_cursor_at_its_frame() -> None:
+    curve = np.array([0.0, np.nan, 2.0, 1.0])
+    blank, at_end = plot_curves([curve], 0), plot_curves([curve], 3)
+    cursor = np.array([193, 68, 14])
+    for image, is_left in ((blank, True), (at_end, False)):
+        columns = np.flatnonzero((image == cursor).all(axis=-1).all(axis=0))
+        assert len(columns)
+        assert (columns < 5).all() if is_left else (columns > image.shape[1] - 5).all()
+    assert not np.array_equal(plot_curves([curve], 0), plot_curves([curve[::-1]], 0))

@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= store
 
-.PHONY: demo test lint setup blender soak faults clean
+.PHONY: demo test lint setup blender film soak faults clean
 
 $(VENV)/.installed: pyproject.toml deploy/constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; say make PYTHON=python3.11"'
@@ -45,6 +45,21 @@ blender:
 	test -x $(VENV)-blender/bin/python || $(PYTHON) -m venv $(VENV)-blender
 	$(VENV)-blender/bin/python -m pip install --quiet bpy numpy
 	$(VENV)-blender/bin/python tests/blender_check.py $(FILES)
+
+# What a real network sees of real film, and what becomes of it; needs the store of `make demo`.  The network comes with
+# mediapipe, the film with a package under the GPL: both stay in an environment of their own.
+FILM := $(VENV)-film
+DANCER := $(FILM)/unpacked/musicalgestures/examples/dancer.avi
+film: $(VENV)/.installed
+	test -x $(FILM)/bin/python || $(PYTHON) -m venv $(FILM)
+	$(FILM)/bin/python -m pip install --quiet mediapipe==0.10.21
+	$(FILM)/bin/python -m pip download --quiet --no-deps --dest $(FILM) musicalgestures==1.32.0
+	$(FILM)/bin/python -m zipfile -e $(FILM)/musicalgestures-1.32.0-py3-none-any.whl $(FILM)/unpacked
+	$(FILM)/bin/python tests/film_check.py $(DANCER) $(FILM)/dancer.csv
+	$(BIN)/pasdedeux annotate $(DANCER) --detections $(FILM)/dancer.csv --out $(FILM)/annotations.csv \
+		--sheet $(FILM)/next.png --overlay $(FILM)/seen.mp4
+	$(BIN)/pasdedeux reconstruct $(DANCER) --detections $(FILM)/dancer.csv --database projections:duets \
+		--store $(STORE) --out $(FILM)/out
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

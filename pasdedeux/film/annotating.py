@@ -94,6 +94,7 @@ def annotate_shot(
         (flat + 0.5) * scale - 0.5,
         confidence.reshape(num_frames, points) > MIN_SEEN,
         sizes * scale,
+        is_checked=not is_key,
     )
     tracks = Tracks(*((one + 0.5) / scale - 0.5 for one in (tracks.forward, tracks.backward)))
     filled = fill_points(

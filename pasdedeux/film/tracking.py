@@ -47,7 +47,9 @@ class Tracks:
     backward: Array
 
 
-def track_points(images: Iterable[Image], known_px: Array, is_start: Flags, size_px: Array) -> Tracks:
+def track_points(
+    images: Iterable[Image], known_px: Array, is_start: Flags, size_px: Array, *, is_checked: bool = False
+) -> Tracks:
     """Follow points from where they are known.
 
     Args:
@@ -55,6 +57,7 @@ def track_points(images: Iterable[Image], known_px: Array, is_start: Flags, size
         known_px: Known places (frame, point, 2) in these images; NaN where not known.
         is_start: Known places (frame, point) that are seen in the image, so that tracks begin there.
         size_px: Size of the person of each point (point,).
+        is_checked: Also from one known place to the next, if they are in successive frames: a detector's may be wrong.
     """
     forward, backward = np.full((2, *known_px.shape), np.nan)
     is_known = np.asarray(np.isfinite(known_px).all(axis=-1))
@@ -65,8 +68,9 @@ def track_points(images: Iterable[Image], known_px: Array, is_start: Flags, size
             for before, after in pairwise(numbers):
                 here, there = first + before, first + after
                 place = np.where(is_known[here, :, None], known_px[here], reached[here])
-                # A known place that ends a track is reached once more; between known places there is nothing to do.
-                is_moved = np.where(is_known[here], is_start[here] & ~is_known[there], np.isfinite(place[:, 0]))
+                # A known place that ends a track is reached once more.
+                is_wanted = is_start[here] & (is_checked | ~is_known[there])
+                is_moved = np.where(is_known[here], is_wanted, np.isfinite(place[:, 0]))
                 chosen = np.flatnonzero(is_moved)
                 if len(chosen):
                     reached[there, chosen] = _step(block[before], block[after], place[chosen], size_px[chosen])

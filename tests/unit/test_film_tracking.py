@@ -152,6 +152,14 @@ def test_the_frames_to_correct_are_those_of_a_wrong_key_frame(waltz: Film) -> No
     assert all(abs(one - other) >= 5 for one in wanted for other in wanted if one != other)
 
 
+def test_the_frames_to_correct_are_those_in_which_a_detector_jumps(waltz: Film) -> None:
+    given = rows_of(waltz, list(range(len(waltz.px))))
+    points = given.keypoints_px.copy()
+    points[np.ix_((given.frame == 20) & (given.person_id == 1), [PAIR17.index("neck")])] += 30.0
+    wanted = frames_to_correct(annotated(waltz, replace(given, keypoints_px=points), is_key=False), 1)
+    assert abs(wanted[0] - 20) <= 1
+
+
 def test_annotations_with_their_statuses_survive_our_csv_and_only_what_was_given_is_tracked_again(waltz: Film) -> None:
     frames = annotated(waltz, keys_of(waltz, hidden=0.0)).frames
     again = read_annotation_csv(write_annotation_csv(frames))

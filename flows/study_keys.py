@@ -16,6 +16,7 @@ from pydantic_core import to_jsonable_python
 
 from flows.study import PublishSettings, StudyHead, models_in, shared_keys
 from flows.study_files import HEAD, PUBLISH
+from pasdedeux.settings import NOT_A_KEY
 from tasks.graph import Graph
 
 _UNITS = {"m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "hz": "Hz", "kg": "kg"}
@@ -52,6 +53,8 @@ def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
 
 def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[StudyKey]:
     for name, field in model.model_fields.items():
+        if field.json_schema_extra is NOT_A_KEY:
+            continue
         place = f"{path}.{name}"
         inner = list(models_in(field.annotation, place))
         default = to_jsonable_python(field.get_default(call_default_factory=True), fallback=str)

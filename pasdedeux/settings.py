@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.config import JsonDict
+
+NOT_A_KEY: Final[JsonDict] = {"is_key": False}
+"""`json_schema_extra` of a field that the program fills in: it is on record, and no key of a study."""
 
 
 class Settings(BaseModel):

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.settings import Settings
+from pasdedeux.settings import NOT_A_KEY, Settings
 from storage_schema import TABLES, TableData
 
 Decision = Literal["accept", "reject"]
@@ -47,7 +47,9 @@ class CurationSettings(Settings):
     """The `[curation]` section: what a person accepted or rejected."""
 
     file: Path | None = Field(None, description="Text file of choices, as `view` and `curate` write it")
-    choices: dict[str, str] = Field({}, description="What it says, by what each choice is about; read from the file")
+    choices: dict[str, str] = Field(
+        {}, description="What the file says, by what each choice is about", json_schema_extra=NOT_A_KEY
+    )
 
 
 @dataclass(frozen=True)

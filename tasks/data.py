@@ -30,8 +30,9 @@ from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store, iter_rows, parse_reference, resolve
 from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
+from tasks.contacts import ContactRows, find_contact_rows
 from tasks.facts import TakeFacts, VariantFacts
-from tasks.takes import read_take
+from tasks.takes import read_take, take_of
 from tasks.training.items import interaction_of
 
 if TYPE_CHECKING:
@@ -69,46 +70,6 @@ def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[n
     ends[~held] = np.nan
     first = np.argsort(~held, axis=1, kind="stable")[:, : min(MAX_LINKS, int(held.sum(axis=1).max(initial=0)))]
     return np.asarray(np.take_along_axis(ends, first[:, :, None, None], axis=1))
-
-
-@dataclass(frozen=True)
-class ContactRows:
-    """Contacts, one a row: frame, person and bone of both points, the points (n, 2, 3) and their distance, metres.
-
-    A bone is named by the joint that it ends in; `weight` is from 0 to 1, from a half on it counts as held.
-    """
-
-    frame: npt.NDArray[np.int64]
-    person: npt.NDArray[np.int64]
-    bone: npt.NDArray[np.int64]
-    weight: npt.NDArray[np.float64]
-    points_m: npt.NDArray[np.float64]
-
-    @property
-    def distance_m(self) -> npt.NDArray[np.float64]:
-        """Distance between both points on the bones, (n,)."""
-        return np.asarray(np.linalg.norm(self.points_m[:, 0] - self.points_m[:, 1], axis=-1))
-
-    def matrix(self, first: int, stop: int) -> npt.NDArray[np.float32]:
-        """Return the weights between the bones of A and those of B in these frames, (frame, 22, 22)."""
-        found = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
-        order = np.argsort(self.person, axis=1)
-        bone, person = (np.take_along_axis(one, order, axis=1) for one in (self.bone, self.person))
-        both = (person == (0, 1)).all(axis=1) & (self.frame >= first) & (self.frame < stop)
-        where = (self.frame[both] - first, *bone[both].T)
-        np.maximum.at(found, where, self.weight[both].astype(np.float32))
-        return found
-
-    def pandas(self) -> pd.DataFrame:
-        """Return the rows as a data frame."""
-        import pandas as pd
-
-        columns: dict[str, Any] = {"frame": self.frame}
-        for at, which in enumerate(("first", "second")):
-            columns[f"{which}_person"] = [ascii_uppercase[one] for one in self.person[:, at]]
-            columns[f"{which}_bone"] = [BODY22.joint_names[one] for one in self.bone[:, at]]
-            columns |= {f"{which}_{axis}_m": self.points_m[:, at, number] for number, axis in enumerate("xyz")}
-        return pd.DataFrame({**columns, "distance_m": self.distance_m, "weight": self.weight})
 
 
 @dataclass(frozen=True)
@@ -153,17 +114,16 @@ class Clip:
 
     @cached_property
     def _contacts(self) -> Contacts:
+        """What a player marks: of a variant the contacts of its source."""
         if self.source is not None and self.part is not None:
             return self.source._source.contacts(batch_of(self.part).contacts)
         return self._source.contacts(TakeFacts.of(self.take).contacts)
 
     @cached_property
     def contacts(self) -> ContactRows:
-        """The contacts between people; of a variant those of its source, where they are now."""
-        found, joints = self._contacts, self.skeleton.num_joints
-        ends, bones = found.ends(self.positions_m.reshape(len(self.positions_m), -1, 3)), found.bones()
-        at = np.nonzero((found.weights > 0.0) & (found.objects < 0))
-        return ContactRows(at[0], bones[at] // joints, bones[at] % joints, found.weights[at], ends[at])
+        """The contacts of this motion, as the table `contacts` has them."""
+        ref = self.take.ref if self.part is None else self.part.ref
+        return find_contact_rows(self.store, ref, self.positions_m, self.name)
 
     def pandas(self) -> pd.DataFrame:
         """Return a row for each frame, person and joint: time_s, x_m, y_m, z_m."""
@@ -297,7 +257,7 @@ class Data:
         takes: dict[ArtifactRef, Clip] = {}
         for ref in resolve(reference, self.store):
             part = self.store.manifest(ref)
-            take = next(one for one in part.inputs if "poses" in self.store.manifest(one).tables)
+            take = take_of(self.store, ref)
             source = takes.setdefault(take, self._take(take))
             sizes = self.store.read(ref, "variant_quality", columns=["variant_id", "num_frames", "verdict"])
             count, first = VariantFacts.of(part).num_persons, 0

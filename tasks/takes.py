@@ -46,6 +46,11 @@ def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.n
     }
 
 
+def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
+    """Return the artifact with the take that variants were made from."""
+    return next(one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables)
+
+
 def read_rest(store: Store, ref: ArtifactRef) -> np.ndarray:
     """Return everybody's rest pose (person, 22, 3), metres, root at the origin."""
     takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
@@ -60,7 +65,7 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
     """
     facts = TakeFacts.of(store.manifest(ref))
     poses = read_motion(store, ref, "time_s", "body22_m", "body22_world_unitquat")
-    objects = _read_objects(store, ref)
+    objects = read_objects(store, ref)
     return TakeMotion(
         source=Source(poses["body22_m"], facts.rate_hz, f"take {facts.take_id}", objects=objects),
         rest_m=read_rest(store, ref),
@@ -69,7 +74,8 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
     )
 
 
-def _read_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
+def read_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
+    """Return the objects of a take; None where it has none."""
     if "objects" not in store.manifest(ref).tables:
         return None
     rows = store.read(ref, "objects", columns=["object", "ends_m", "radius_m"])

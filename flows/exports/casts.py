@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, RestPose
-from flows.exports.own_skeletons import Person, people_of_take, rig_of, take_of
+from flows.exports.own_skeletons import Person, people_of_take, rig_of
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import humanoid_motion
@@ -32,8 +32,9 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.references import find_rows
 from tasks.curation import IDENTITY, rows_without
-from tasks.facts import MotionFacts, PeopleFacts
+from tasks.facts import MotionFacts, PeopleFacts, TakeFacts
 from tasks.stage import verdict_of
+from tasks.takes import read_motion, take_of
 
 MOVING = ("poses", "variants", "motions")
 """Tables of whole motions."""
@@ -201,18 +202,16 @@ def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np
 
 
 def _take(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
-    takes = store.read(ref, "takes", columns=["take_id", "rate_hz", "num_persons"])
-    rows = store.read(ref, "poses", columns=["person", "body22_m"])
-    people = np.stack([rows["body22_m"][rows["person"] == one] for one in range(takes.num_rows)], axis=1)
+    facts = TakeFacts.of(store.manifest(ref))
 
     def rigs(rest_pose: RestPose) -> list[Rig]:
         return [_own_rig(one, one.own, None, rest_pose) for one in people_of_take(store, ref)]
 
     yield Cast(
-        (str(takes["take_id"][0]),),
+        (facts.take_id,),
         BODY22,
-        people.astype(np.float64),
-        float(takes["rate_hz"][0]),
+        read_motion(store, ref, "body22_m")["body22_m"],
+        facts.rate_hz,
         _level(store, ref),
         ref=ref,
         make_rigs=rigs,

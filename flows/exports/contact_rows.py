@@ -5,22 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from string import ascii_uppercase
-from typing import Any
-
-import numpy as np
 
 from flows.exports.casts import MOVING, Cast, casts
 from flows.exports.export_format import Export
-from flows.exports.own_skeletons import take_of
-from pasdedeux.augmentation import Source, UserContact
+from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.objects import MovingObjects
-from pasdedeux.skeletons import BODY22
 from storage_schema import TABLES, ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.encoding import encode
-from tasks.facts import TakeFacts
-from tasks.takes import read_take
+from tasks.contacts import ContactRows, find_contact_rows
 
 CONTACTS = TABLES["contacts"].name
 _PARTS = {
@@ -51,60 +43,21 @@ def touching(store: Store, reference: Reference) -> tuple[ArtifactRef, ...]:
 
 def contact_rows(export: Export) -> Iterator[TableData]:
     """Yield the rows of the table `contacts`, those of one motion at a time."""
-    for ref in export.refs:
-        for table in MOVING:
-            if table in export.store.manifest(ref).tables:
-                one = replace(export, reference=replace(export.reference, table=table), refs=(ref,))
-                for cast in casts(one):
-                    rows = contact_columns(export.store, table, cast)
-                    yield TableData(TABLES[CONTACTS], encode(TABLES[CONTACTS], rows))
+    made = TABLES[CONTACTS]
+    for table, names in _PARTS.items():
+        refs = tuple(ref for ref in export.refs if table in export.store.manifest(ref).tables)
+        for cast in casts(replace(export, reference=replace(export.reference, table=table), refs=refs)):
+            found, first_frame = _contacts_of(export.store, cast), 0 if cast.seen is None else cast.seen.frames[0]
+            count, frame = len(found.frame), found.frame + first_frame
+            rows = {name: [str(part)] * count for name, part in zip(names, cast.parts, strict=True)}
+            rows |= {"origin": [table] * count} | found.columns() | {"frame": frame, "time_s": frame / cast.rate_hz}
+            yield TableData(made, encode(made, rows))
 
 
-def contact_columns(store: Store, table: str, cast: Cast) -> dict[str, Any]:
-    """Return the contacts of one motion as columns of the table `contacts`.
-
-    They are what `pasdedeux.interaction.contacts` finds: of a take those that augmentation keeps, of variants and
-    motions their own.  A contact that is stated, by the study or a built-in duet, stands there in all variants of its
-    take: whether they keep it its gap says.
-    """
-    objects: MovingObjects | None = None
-    stated: tuple[UserContact, ...] = ()
-    if table != "motions":
-        assert cast.ref is not None
-        ref = cast.ref if table == "poses" else take_of(store, cast.ref)
-        objects, stated = read_take(store, ref).source.objects, TakeFacts.of(store.manifest(ref)).contacts
-    source = Source(cast.positions_m, cast.rate_hz, " ".join(map(str, cast.parts)), objects=objects)
-    found = source.contacts(stated)
-    frame, at = np.nonzero(found.weights > 0.0)
-    first_frame = cast.seen.frames[0] if cast.seen is not None else 0
-    people = cast.positions_m.reshape(len(cast.positions_m), -1, 3)
-    ends, bones, thing = found.ends(people)[frame, at], found.bones()[frame, at], found.objects[frame, at]
-    radii, shares = source.radii_m.ravel(), found.shares[frame, at]
-    names = [*ascii_uppercase[: source.num_people]]
-    person, joint = np.divmod(np.maximum(bones, 0), BODY22.num_joints)
-    reach = radii[bones[:, 0]] + np.where(thing < 0, radii[np.maximum(bones[:, 1], 0)], 0.0)
-    if objects is not None:
-        reach += np.where(thing >= 0, objects.radii_m[thing], 0.0)
-    distance = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1)
-    is_body = (thing < 0).tolist()
-    parts = zip(_PARTS[table], cast.parts, strict=True)
-    return {name: [str(part)] * len(frame) for name, part in parts} | {
-        "origin": [table] * len(frame),
-        "frame": frame + first_frame,
-        "time_s": (frame + first_frame) / cast.rate_hz,
-        "person": [names[one] for one in person[:, 0]],
-        "bone": [BODY22.joint_names[one] for one in joint[:, 0]],
-        "share": shares[:, 1],
-        "point_m": ends[:, 0],
-        "partner": [names[one] if body else None for one, body in zip(person[:, 1], is_body, strict=True)],
-        "partner_bone": [
-            BODY22.joint_names[one] if body else objects.names[number]  # type: ignore[union-attr]
-            for one, number, body in zip(joint[:, 1], thing, is_body, strict=True)
-        ],
-        "partner_share": [-share if body else None for share, body in zip(shares[:, 3].tolist(), is_body, strict=True)],
-        "partner_point_m": ends[:, 1],
-        "distance_m": distance,
-        "gap_m": distance - reach,
-        "weight": found.weights[frame, at],
-        "is_held": found.is_held[frame, at],
-    }
+def _contacts_of(store: Store, cast: Cast) -> ContactRows:
+    """Return the contacts of a motion: of a reconstructed one without objects, and without stated ones."""
+    assert cast.ref is not None
+    name = " ".join(map(str, cast.parts))
+    if cast.seen is None:
+        return find_contact_rows(store, cast.ref, cast.positions_m, name)
+    return ContactRows.of(Source(cast.positions_m, cast.rate_hz, name))

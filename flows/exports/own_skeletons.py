@@ -49,11 +49,6 @@ class Person:
     up_axis: str = "y"
 
 
-def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
-    """Return the artifact with the take that variants were made from."""
-    return next(one for one in store.manifest(ref).inputs if "takes" in store.manifest(one).tables)
-
-
 def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
     """Return the people of a take, A first, from the artifact that holds it."""
     takes = store.read(ref, "takes")

@@ -23,7 +23,7 @@ from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_s
 from tasks.curation import POSITIONS, content_columns, content_of, names_of
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.facts import MotionFacts, SequenceFacts
-from tasks.takes import read_motion
+from tasks.takes import read_motion, read_objects, take_of
 
 IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""
@@ -49,12 +49,8 @@ class Kind:
 def _take(shelf: Shelf, part: Part, item: Item) -> Scene:
     data = item.read(shelf.store, "poses", ["person", "frame", "time_s", "body22_m"])
     grid = Grid.of(data["frame"], data["person"])
-    ends = radii = None
-    if refs := [ref for ref, _ in item.pieces if "objects" in shelf.store.manifest(ref).tables]:
-        rows = shelf.store.read(refs[0], "objects", columns=["object", "ends_m", "radius_m"])
-        count = len(set(rows["object"]))
-        ends = np.swapaxes(rows["ends_m"].reshape(count, -1, 2, 3), 0, 1)
-        radii = rows["radius_m"].reshape(count, -1)[:, 0]
+    found = read_objects(shelf.store, item.pieces[0][0])
+    ends, radii = (None, None) if found is None else (found.ends_m, found.radii_m)
     people = People(BODY22, grid.fill(data["body22_m"]))
     return Scene(people, grid.frame_of_row, rate_of(data["time_s"]), ends_m=ends, radii_m=radii)
 
@@ -68,12 +64,11 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
     own = np.flatnonzero((found["take_id"] == take_id) & (found["variant_id"] == variant_id))
     names = [column.name for column in found.table.columns if column.name.endswith(("_m", "_rad", "_ratio"))]
     names.sort(key=lambda name: name != "contact_drift_m")  # it comes first
-    taken = next(one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables)
     return Scene(
         People(BODY22, grid.fill(data["body22_m"])),
         grid.frame_of_row,
         rate_of(data["time_s"]),
-        behind=People(BODY22, read_motion(store, taken, "body22_m")["body22_m"]),
+        behind=People(BODY22, read_motion(store, take_of(store, ref), "body22_m")["body22_m"]),
         behind_name="source",
         curves={name: np.asarray(found[name], dtype=np.float64)[own] for name in names},
         levels=np.array([_LEVELS.get(str(word), 0) for word in found["verdict"][own]], dtype=np.int64),

@@ -69,13 +69,14 @@ _EXPLORATION = {
     "ess_min": "smallest ESS",
 }
 """Scores of coverage and of chains that compare methods of exploration at a glance."""
+NUM_CURVE_POINTS = 12
+"""Points of the coverage curve."""
 
 
 class CoverageSettings(Parameters):
     """How finely coverage is measured."""
 
     num_truth_pairs: int = Field(300, ge=1, description="Real pairs of each part that coverage is measured on, at most")
-    num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
 
 
 class CoverageParameters(CoverageSettings):
@@ -125,8 +126,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     draws |= draws_from_first_seeds(store, draw_refs)
     some = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {
-        name: coverage_curve(truth, pairs, curve_points(len(pairs), options.num_curve_points))
-        for name, pairs in draws.items()
+        name: coverage_curve(truth, pairs, curve_points(len(pairs), NUM_CURVE_POINTS)) for name, pairs in draws.items()
     }
     levels = real_frame_levels(truth, others, generator)
     nearest = nearest_by_method(curves, GROWN)

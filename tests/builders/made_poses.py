@@ -11,6 +11,7 @@ from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import Manifest, Store
+from tasks.augmentation import BatchParameters
 from tests.builders.source_samples import figure_motion
 from tests.builders.storage_rows import put, random_columns
 
@@ -27,7 +28,9 @@ def put_made_poses(store: Store) -> None:
     """Commit two variants (one fails), draws, lifted pairs, in-betweens and motions of the store's take and video."""
     take = next(one for one in store.artifacts("ingest") if "poses" in one.tables)
     video = next(one for one in store.artifacts("ingest") if one.name == "video")
-    put(store, "augmentation", "variants", _variants(store, take), {"takes": ["waltz"]}, (take,))
+    told = BatchParameters(contacts=(), variants=("bad", "same")).model_dump(mode="json", exclude={"limits"})
+    facts = {"takes": ["waltz"], "take_id": "waltz", "num_persons": 2, "told": told}
+    put(store, "augmentation", "variants", _variants(store, take), facts, (take,))
     chain = random_columns("draws", NUM_LIFTED) | {"density": ["ic"] * 3, "seed_index": [0] * 3, "chain": [0] * 3}
     pairs = random_pairs(np.random.default_rng(1), NUM_LIFTED, spread_rad=0.1)
     put(store, "chains", "draws", {"draws": chain | {"pair17_m": pairs}}, {"takes": ["waltz"]})

@@ -80,7 +80,7 @@ def sampled(inputs: Any) -> tuple[Store, StageInputs]:
 
 def test_only_takes_that_are_held_out_are_judged_and_draws_without_grown_pairs_too(inputs: Any) -> None:
     store, known = sampled(inputs)
-    planned = TOPIC.plan(known, CoverageSettings(num_truth_pairs=300, num_curve_points=2))
+    planned = TOPIC.plan(known, CoverageSettings(num_truth_pairs=300))
     items = {shard.name: TOPIC.run(shard, store).items for shard in planned}
     names = [one.name for one in TOPIC.criteria]
     for split, takes in {"annotated": set(), "unannotated": set(), "held_out": {"kept_back"}}.items():
@@ -111,7 +111,7 @@ def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypa
         return real_frame_levels(truth_m, real_m, generator)
 
     monkeypatch.setattr(coverage, "real_frame_levels", levels)
-    for shard in coverage.TOPIC.plan(known, CoverageSettings(num_truth_pairs=300, num_curve_points=2)):
+    for shard in coverage.TOPIC.plan(known, CoverageSettings(num_truth_pairs=300)):
         coverage.TOPIC.run(shard, store)
         truth, real = compared[-2:]
         assert truth

@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
+from flows.exports import export_reference
+from pasdedeux.augmentation import UserContact
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 from storage_schema import ShardRecord, Store, UnknownReference, record_latest
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
+from tasks.contacts import find_contact_rows
 from tasks.data import MAX_LINKS, Data, PairDataset, SplitName, links_of
 from tasks.facts import TakeFacts
 from tasks.moving_picture import picture_of
@@ -60,28 +64,41 @@ def test_clips_say_joints_rate_and_unit_and_give_numpy_and_pandas(store: Store) 
     assert legs[0] < legs[1], "person A is the smaller one"
 
 
-def test_contacts_are_those_of_the_source_where_they_are_now(store: Store) -> None:
+def test_contacts_of_a_clip_are_the_rows_of_the_table_that_is_exported(store: Store, tmp_path: Path) -> None:
+    export_reference(store, "contacts:toy", "csv", tmp_path)
+    exported = pd.read_csv(tmp_path / "contacts.csv")
     variant = next(one for one in Data(store).variants("toy") if "waltz" in one.name)
-    source = variant.source
-    assert source is not None
-    there, here = source.contacts, variant.contacts
-    assert len(here.frame) > 20
-    np.testing.assert_array_equal(there.bone, here.bone)
-    assert np.abs(there.distance_m - here.distance_m).mean() < 0.02, "contacts are kept"
-    frame, person, bone = (one[0] for one in (here.frame, here.person, here.bone))
-    parent = BODY22.parents[bone[0]]
-    ends = variant.positions_m[frame, person[0], [parent, bone[0]]]
-    along = np.linalg.norm(ends - here.points_m[0, 0], axis=-1)
-    assert along.sum() == pytest.approx(np.linalg.norm(np.diff(ends, axis=0))), "a point lies on its bone"
-    table = here.pandas()
-    assert set(table["first_person"]) | set(table["second_person"]) == {"A", "B"}
+    assert variant.source is not None
+    rows = exported[exported["take_id"] == variant.source.name]
+    own = rows["variant_id"].isna(), rows["variant_id"] == "A-uniform-0.80"
+    for clip, table in zip((variant.source, variant), (rows[one] for one in own), strict=True):
+        found = clip.contacts.pandas()
+        assert len(found) == len(table) > 20
+        same = ["frame", "person", "bone", "share", "partner", "partner_bone", "distance_m", "gap_m", "weight"]
+        pd.testing.assert_frame_equal(found[same], table[same].reset_index(drop=True))
+        np.testing.assert_allclose(found[["point_x_m", "point_z_m"]], table[["point_m.x", "point_m.z"]], atol=1e-6)
+    here = variant.contacts
     matrix = here.matrix(5, 9)
-    at = (here.frame == 6).nonzero()[0][0]
+    at = ((here.frame == 6) & (here.person >= 0).all(axis=1)).nonzero()[0][0]
     pair = here.bone[at][np.argsort(here.person[at])]
     assert matrix[1, pair[0], pair[1]] > 0.0
     links = links_of(variant._contacts, variant.positions_m)
     assert links.shape[1] <= MAX_LINKS
     assert (np.isfinite(links).all(axis=(2, 3)).sum(axis=1) <= variant._contacts.is_held.sum(axis=1)).all()
+
+
+def test_a_contact_that_the_study_states_for_variants_stands_in_them_and_not_in_the_take(store: Store) -> None:
+    take = next(one for one in Data(store).takes("toy") if "waltz" in one.name)
+    hands = {"person_a": "A", "joint_a": "left_wrist", "person_b": "B", "joint_b": "right_ankle"}
+    stated = UserContact(**hands, start_frame=0, stop_frame=30, weight=1.0)  # type: ignore[arg-type]
+    told = AugmentationParameters(scales=(1.1,), persons=("A",), kinds=("uniform",), contacts={take.name: (stated,)})
+    (shard,) = augmentation.plan(StageInputs({"poses": [take.take], "takes": [take.take]}, seed=3), told)
+    ref = augmentation.run_shard(shard, store)
+    motion = store.read(ref, "variants")["body22_m"].reshape(30, 2, 22, 3)
+    for found, is_there in ((find_contact_rows(store, ref, motion, "x"), True), (take.contacts, False)):
+        rows = found.pandas()
+        is_own = (rows["bone"] == "left_wrist") & (rows["partner_bone"] == "right_ankle")
+        assert set(range(30)).issubset(rows["frame"][is_own]) is is_there
 
 
 def test_clips_and_draws_show_themselves_with_the_player_of_the_report(store: Store, tmp_path: Path) -> None:

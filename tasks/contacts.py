@@ -1,0 +1,145 @@
+"""Contacts as rows: who touches whom, or what, and where, of takes, variants and any other motion of `body22`.
+
+One definition serves the table `contacts` that is exported, `contacts` of a clip, and windows to train on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from string import ascii_uppercase
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation import Source, UserContact
+from pasdedeux.skeletons import BODY22
+from storage_schema import ArtifactRef, Store
+from tasks.augmentation import batch_of
+from tasks.facts import TakeFacts
+from tasks.takes import read_objects, take_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class ContactRows:
+    """Contacts of a motion, one a row: those that `pasdedeux.interaction.contacts` finds in it, and stated ones.
+
+    Args:
+        frame: Frame of the motion (n,).
+        person: Person of the first and of the second point (n, 2), 0 for A; -1 for an object.
+        bone: Joint of body22 that the bone of each point ends in (n, 2); of an object its number.
+        share: Where on the bone (n, 2): 0 at its parent joint, 1 at its child; NaN for an object.
+        points_m: Both points (n, 2, 3), on the axes of bones and objects, metres.
+        gap_m: Distance of the surfaces there (n,), capsules, metres; negative where they overlap.
+        weight: How much of a contact it is (n,), from 0 to 1, or as stated.
+        is_held: Whether it counts as one where there must be a yes or no (n,).
+        objects: Names of the objects.
+    """
+
+    frame: npt.NDArray[np.int64]
+    person: npt.NDArray[np.int64]
+    bone: npt.NDArray[np.int64]
+    share: npt.NDArray[np.float64]
+    points_m: npt.NDArray[np.float64]
+    gap_m: npt.NDArray[np.float64]
+    weight: npt.NDArray[np.float64]
+    is_held: npt.NDArray[np.bool_]
+    objects: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, source: Source, stated: Sequence[UserContact] = ()) -> ContactRows:
+        """Find the contacts of a motion, with those that are stated; none of one person alone without objects."""
+        found = source.contacts(tuple(stated))
+        frame, at = np.nonzero(found.weights > 0.0)
+        thing, joints = found.objects[frame, at], found.bones()[frame, at]
+        is_body = np.stack([np.ones_like(thing), thing < 0], axis=-1).astype(bool)
+        person, bone = (np.where(is_body, part, -1) for part in np.divmod(joints, BODY22.num_joints))
+        points = found.ends(source.positions_m.reshape(source.num_frames, -1, 3))[frame, at]
+        reach = np.where(is_body, source.radii_m.ravel()[np.maximum(joints, 0)], 0.0)
+        if source.objects is not None:
+            reach[:, 1] += np.where(thing >= 0, source.objects.radii_m[thing], 0.0)
+        return cls(
+            frame=frame,
+            person=person,
+            bone=np.where(is_body, bone, thing[:, None]),
+            share=np.where(is_body, found.shares[frame, at][:, [1, 3]] * (1.0, -1.0), np.nan),
+            points_m=points,
+            gap_m=np.linalg.norm(points[:, 0] - points[:, 1], axis=-1) - reach.sum(axis=-1),
+            weight=found.weights[frame, at],
+            is_held=found.is_held[frame, at],
+            objects=() if source.objects is None else source.objects.names,
+        )
+
+    @property
+    def distance_m(self) -> npt.NDArray[np.float64]:
+        """Distance of both points (n,), metres."""
+        return np.asarray(np.linalg.norm(self.points_m[:, 0] - self.points_m[:, 1], axis=-1))
+
+    def columns(self) -> dict[str, Any]:
+        """Return them as columns of the table `contacts`, from `frame` on, without times."""
+        is_body = self.person[:, 1] >= 0
+        partners = zip(is_body, self.person[:, 1], self.bone[:, 1], self.share[:, 1].tolist(), strict=True)
+        second = [
+            (ascii_uppercase[person], BODY22.joint_names[bone], share) if body else (None, self.objects[bone], None)
+            for body, person, bone, share in partners
+        ]
+        return {
+            "frame": self.frame,
+            "person": [ascii_uppercase[one] for one in self.person[:, 0]],
+            "bone": [BODY22.joint_names[one] for one in self.bone[:, 0]],
+            "share": self.share[:, 0],
+            "point_m": self.points_m[:, 0],
+            "partner": [person for person, _, _ in second],
+            "partner_bone": [bone for _, bone, _ in second],
+            "partner_share": [share for _, _, share in second],
+            "partner_point_m": self.points_m[:, 1],
+            "distance_m": self.distance_m,
+            "gap_m": self.gap_m,
+            "weight": self.weight,
+            "is_held": self.is_held,
+        }
+
+    def matrix(self, first: int, stop: int) -> npt.NDArray[np.float32]:
+        """Return the weights between the bones of A and those of B in these frames, (frame, 22, 22)."""
+        found = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
+        order = np.argsort(self.person, axis=1)
+        bone, person = (np.take_along_axis(one, order, axis=1) for one in (self.bone, self.person))
+        both = (person == (0, 1)).all(axis=1) & (self.frame >= first) & (self.frame < stop)
+        where = (self.frame[both] - first, *bone[both].T)
+        np.maximum.at(found, where, self.weight[both].astype(np.float32))
+        return found
+
+    def pandas(self) -> pd.DataFrame:
+        """Return the rows as a data frame: the columns of the table `contacts`, points by their axes."""
+        import pandas as pd
+
+        rows: dict[str, Any] = {}
+        for name, values in self.columns().items():
+            axes = {f"{name.removesuffix('_m')}_{axis}_m": at for at, axis in enumerate("xyz")}
+            is_point = name.endswith("point_m")
+            rows |= {axis: values[:, at] for axis, at in axes.items()} if is_point else {name: values}
+        return pd.DataFrame(rows)
+
+
+def find_contact_rows(store: Store, ref: ArtifactRef, positions_m: npt.NDArray[Any], name: str) -> ContactRows:
+    """Return the contacts of a take or a variant (frame, person, 22, 3), metres, its own.
+
+    A contact that is stated, by the study or a built-in duet, stands there in all variants of its take: whether they
+    keep it its gap says.
+
+    Args:
+        store: The store.
+        ref: The artifact that it is in.
+        positions_m: The motion.
+        name: Its name, for messages.
+    """
+    manifest = store.manifest(ref)
+    is_variant = "variants" in manifest.tables
+    take = take_of(store, ref) if is_variant else ref
+    facts = TakeFacts.of(store.manifest(take))
+    source = Source(np.asarray(positions_m), facts.rate_hz, name, objects=read_objects(store, take))
+    return ContactRows.of(source, batch_of(manifest).contacts if is_variant else facts.contacts)

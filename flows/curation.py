@@ -14,8 +14,14 @@ from tasks.curation import as_settings, read_choices
 SECTION = "curation"
 
 
-def choices_for(store: Store, reference: Reference) -> dict[str, str]:
-    """Return choices as a study has them: of a study as its file says now, of a dataset as it was published."""
+def choices_for(store: Store, reference: Reference, file: Path | None = None) -> dict[str, str]:
+    """Return choices as a study has them: of this file, else of a study as its file says now, of a dataset as it was.
+
+    Raises:
+        InputError: A file of choices is none.
+    """
+    if file is not None:
+        return as_settings(read_choices(file))
     if reference.dataset:
         return recorded_choices(open_dataset(store, reference.dataset).path)
     if not reference.study:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import NOT_A_KEY, Settings
-from storage_schema import TABLES, TableData
+from storage_schema import TABLES, Reference, Store, TableData, iter_rows
 
 Decision = Literal["accept", "reject"]
 DECISIONS: tuple[Decision, ...] = ("accept", "reject")
@@ -149,6 +149,13 @@ def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) ->
         for name in rejected.keys() & set(names.tolist()):
             parts.setdefault(name, []).append(data[POSITIONS[data.table.name]][names == name])
     return {name for name, values in parts.items() if content_of(np.concatenate(values)) == rejected[name]}
+
+
+def names_left_out(store: Store, reference: Reference, choices: Mapping[str, str]) -> Collection[str]:
+    """Return the names of what is rejected of what a reference names; a thing is looked at with all of its rows."""
+    whole = replace(reference, row=None)
+    rows = iter_rows(whole, store, columns=content_columns(whole.table))
+    return rejected_names(rejections(choices, whole.table), rows)
 
 
 def without(data: TableData, names: Collection[str]) -> TableData:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
@@ -31,6 +31,7 @@ from storage_schema import ArtifactRef, Manifest, Store, iter_rows, parse_refere
 from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows, find_contact_rows
+from tasks.curation import IDENTITY, rows_without
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.takes import read_take, take_of
 from tasks.training.items import interaction_of
@@ -222,29 +223,39 @@ class Data:
         """Return draws."""
         return self.pairs(f"draws:{where}")
 
-    def pairs(self, reference: str, *, count: int | None = None) -> Pairs:
-        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread."""
+    def pairs(self, reference: str, *, count: int | None = None, left_out: Collection[str] = ()) -> Pairs:
+        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread.
+
+        Those that are `left_out` (`tasks.curation`) are not among them.
+        """
+        names = IDENTITY[parse_reference(reference).table] if left_out else ()
         total = sum(rows.stop - rows.start for _, rows in find_rows(parse_reference(reference), self.store))
         wanted = np.asarray(range(total) if count is None else evenly_spread(total, count), dtype=np.int64)
-        found, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], 0
-        for batch in iter_rows(reference, self.store, columns=["pair17_m"]):
+        found, kept, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], [wanted[:0]], 0
+        for batch in iter_rows(reference, self.store, columns=["pair17_m", *names]):
             own = wanted[(wanted >= first) & (wanted < first + batch.num_rows)] - first
+            own = own[np.isin(own, rows_without(batch, left_out))]
+            kept.append(first + own)
             found.append(np.asarray(batch["pair17_m"][own], dtype=np.float64))
             first += batch.num_rows
-        return Pairs(reference, np.concatenate(found), wanted)
+        return Pairs(reference, np.concatenate(found), np.concatenate(kept))
 
-    def pictures(self, reference: str) -> list[Picture]:
-        """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
+    def pictures(self, reference: str, left_out: Collection[str] = ()) -> list[Picture]:
+        """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people.
+
+        What is `left_out` (`tasks.curation`) is not shown.
+        """
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
-            return [self.pairs(reference, count=_MAX_SHOWN).picture]
+            return [self.pairs(reference, count=_MAX_SHOWN, left_out=left_out).picture]
         if table == "motions":
             from tasks.evaluation.reconstruction import motion_picture  # here: topics of the evaluation import this
 
             return [motion_picture(self.store, ref) for ref in resolve(reference, self.store)[:_MAX_PLAYERS]]
         of_table = {"poses": self._takes, "variants": self._variants}
         clips = of_table[table](reference) if table in of_table else ()
-        return [one.picture for one in islice(clips, _MAX_PLAYERS)]
+        shown = (one for one in clips if one.name.replace(", ", "/") not in left_out)
+        return [one.picture for one in islice(shown, _MAX_PLAYERS)]
 
     def _takes(self, reference: str) -> Iterator[Clip]:
         yield from map(self._take, resolve(reference, self.store))

@@ -9,6 +9,8 @@ import typer
 from typer import Argument, Option
 
 from flows.console.context import StoreOption, app, open_store
+from pasdedeux.errors import InputError
+from storage_schema import parse_reference
 
 CURATION = Path("curation.txt")
 CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File of choices; made when missing.")]
@@ -36,6 +38,8 @@ def curate(
     from flows.viewing.shelf import open_shelf
     from tasks.curation import Choosing
 
+    if parse_reference(reference).row is None:
+        raise InputError(f"'{reference}' may name more than one thing: name one row of it: {reference}#ROW")
     shelf = open_shelf(open_store(store), reference)
     part, index, row = shelf.find(reference)
     name, content = thing_of(shelf, part, shelf.items(part)[index], row)

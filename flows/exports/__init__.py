@@ -19,7 +19,7 @@ from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
 from storage_schema.encoding import encode
-from tasks.curation import IDENTITY, as_settings, content_of, read_choices, rejections
+from tasks.curation import IDENTITY, content_of, rejections
 from tasks.selection import READS, select_pairs
 
 __all__ = [
@@ -51,6 +51,7 @@ EXPORT_FORMATS = {
 
 _OWN_SKELETON_TABLES = ("poses", "variants")
 """Tables whose people leave on the skeleton they came with."""
+_ALL_REJECTED = "'{}': all of it is rejected, so that there is nothing to export; see `pasdedeux curate`"
 
 
 def export_format(name: str) -> ExportFormat:
@@ -84,7 +85,7 @@ def export_reference(
     """
     reference = parse_reference(text)
     kind = _format_for(file_format, options)
-    choices = choices_for(store, reference) if curation is None else as_settings(read_choices(curation))
+    choices = choices_for(store, reference, curation)
     if reference.table == CONTACTS:
         refs, options = touching(store, reference), options | {"make_rows": contact_rows}
     else:
@@ -135,6 +136,8 @@ def export_selection(
     rows = TableData(made, encode(made, found.columns))
     choices = choices_for(store, reference)
     kept = [at for at in range(rows.num_rows) if not _is_rejected(rows.row(at), choices)]
+    if not kept:
+        raise InputError(_ALL_REJECTED.format(text))
     rows = TableData(made, rows.rows.take(kept))
     export = Export(store, text, replace(reference, table=made.name), found.refs, selected=rows, **options)
     return _written(export, kind, out), found.in_words()
@@ -158,6 +161,10 @@ def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
 
 
 def _written(export: Export, kind: ExportFormat, out: Path) -> list[Path]:
+    is_made = export.make_rows is not None  # motion by motion: one without contacts has no rows, and is there
+    is_chosen = export.choices and (is_made or export.left_out)
+    if is_chosen and not any(is_made or one.num_rows for one in export.batches()):
+        raise InputError(_ALL_REJECTED.format(export.text))
     sources = referenced_credits(export.store, export.reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)
     credits_path = write_credits(sources, export.refs, export.text, out)  # first: no file lies there without them

@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, SourceCredit, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
-from tasks.curation import content_columns, rejected_names, rejections, without
+from tasks.curation import names_left_out, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -73,9 +73,7 @@ class Export:
     @cached_property
     def left_out(self) -> Collection[str]:
         """The names of what is left out."""
-        whole = replace(self.reference, row=None)
-        rows = iter_rows(whole, self.store, columns=content_columns(whole.table))
-        return rejected_names(rejections(self.choices, whole.table), rows)
+        return names_left_out(self.store, self.reference, self.choices)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ class Kind:
     Args:
         scene: Makes the scene of an item.
         quality: Table with figures of each item, and the columns that name the item there; empty without one.
-        is_each: Each frame is a thing of its own that is accepted or rejected: draws, seeds, lifted pairs.
+        is_each: Each row is a thing of its own that is accepted or rejected: draws, seeds, lifted pairs.
     """
 
     scene: Callable[[Shelf, Part, Item], Scene]
@@ -241,12 +241,19 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
+def is_each_frame(part: Part, item: Item) -> bool:
+    """Tell whether frames of an item are accepted or rejected one by one."""
+    return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
+
+
 def thing_of(shelf: Shelf, part: Part, item: Item, row: int) -> tuple[str, str]:
-    """Return name and content of what is accepted or rejected at a row of an item: the row's own, or all of it."""
-    ref, at = item.row(row)
-    own = Item(item.names, ((ref, np.array([at])),), item.label) if KINDS[part.table].is_each else item
-    data = own.read(shelf.store, part.table, content_columns(part.table) or [])
-    return str(names_of(data)[0]), content_of(data[POSITIONS[part.table]])
+    """Return name and content of what is accepted or rejected at a row of an item, which may hold more than that."""
+    if KINDS[part.table].is_each:
+        ref, at = item.row(row)
+        item, row = Item(item.names, ((ref, np.array([at])),), item.label), 0
+    data = item.read(shelf.store, part.table, content_columns(part.table) or [])
+    names = names_of(data)
+    return str(names[row]), content_of(data[POSITIONS[part.table]][names == names[row]])
 
 
 def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:

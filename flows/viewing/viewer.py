@@ -16,7 +16,7 @@ import numpy as np
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
 from flows.viewing.images import encode, encode_clip, flat_panels, plot_curves, presence_strip
-from flows.viewing.kinds import KINDS, qualities, thing_of
+from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
 from flows.viewing.scene import People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_reference
@@ -232,7 +232,7 @@ class Viewer:
             self._handles["reason"].value = ""
             self.sort(self.index)
             self._set("item", self._item_label(self.index))
-            self.step(1 if KINDS[self.part.table].is_each and decision != "undo" else 0)
+            self.step(1 if is_each_frame(self.part, self.item) and decision != "undo" else 0)
 
     def tell(self, text: str) -> None:
         """Say something in one line of the panel."""
@@ -371,9 +371,10 @@ class Viewer:
 
     def _chosen(self, index: int) -> str:
         """Return what was chosen of an item, in one word; of items whose frames are chosen one by one nothing."""
-        if KINDS[self.part.table].is_each:
+        item = self.shelf.items(self.part)[index]
+        if is_each_frame(self.part, item):
             return ""
-        choice = self.choosing.about(self.part.table, "/".join(self.shelf.items(self.part)[index].names))
+        choice = self.choosing.about(self.part.table, "/".join(item.names))
         return UNDECIDED if choice is None else f"{choice.decision}ed"
 
     def _sorted_again(self) -> None:
@@ -560,7 +561,7 @@ class Viewer:
 
     def _thing_shown(self) -> tuple[str, str]:
         """Return name and content of what would be accepted or rejected now; an item's is read once."""
-        if KINDS[self.part.table].is_each or not self._thing[0]:
+        if is_each_frame(self.part, self.item) or not self._thing[0]:
             self._thing = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame))
         return self._thing
 

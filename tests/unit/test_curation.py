@@ -12,18 +12,31 @@ from flows.exports import export_reference
 from flows.reasons import changed_leaves
 from flows.study import load_study, study_from_record
 from flows.study_files import StudyError
+from flows.viewing.kinds import thing_of
+from flows.viewing.shelf import Shelf
 from pasdedeux.errors import InputError
 from storage_schema import ShardRecord, Store, open_table, record_latest
 from tasks.augmentation import AugmentationParameters
 from tasks.augmentation import plan as plan_variants
 from tasks.augmentation import run_shard as solve
-from tasks.curation import Choice, Choosing, as_settings, content_of, read_choices, rejections, write_choices
+from tasks.curation import (
+    Choice,
+    Choosing,
+    as_settings,
+    content_of,
+    read_choices,
+    rejected_names,
+    rejections,
+    write_choices,
+)
+from tasks.data import LOOK
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training.items import StoredVariants
 from tasks.training.parameters import TrainingParameters
 from tasks.training.plan import plan as plan_training
 from tests.builders.ingest_runs import duet_store
+from tests.builders.storage_rows import put, random_columns
 
 NAME = "waltz/A-uniform-0.80"
 
@@ -105,13 +118,62 @@ def test_exports_leave_out_what_is_rejected_but_not_what_was_built_otherwise_sin
     assert exported("rebuilt", curation=file) == everything
 
 
+@pytest.mark.parametrize("file_format", ["npz", "bvh"])
+def test_an_export_of_which_everything_is_rejected_is_refused_and_writes_nothing(
+    built: tuple[Store, StageInputs], tmp_path: Path, file_format: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, _ = built
+    file, out, own = tmp_path / "choices.txt", tmp_path / "out", open_table("variants:short", store)
+    contents = {name: content_of(own["body22_m"][own["variant_id"] == name]) for name in set(own["variant_id"])}
+    write_choices(file, [Choice("reject", "variants", f"waltz/{name}", one) for name, one in contents.items()])
+    words = ["export", "variants:short", "--format", file_format, "--out", str(out), "--curation", str(file)]
+    assert run_command_line([*words, "--store", str(store)]) == 2
+    assert "'variants:short': all of it is rejected" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_the_player_beside_an_export_shows_nothing_that_is_rejected(
+    built: tuple[Store, StageInputs], tmp_path: Path
+) -> None:
+    store, _ = built
+    file, out = tmp_path / "choices.txt", tmp_path / "out"
+    rejected(store, file)
+    words = ["export", "variants:short", "--format", "npz", "--out", str(out), "--curation", str(file)]
+    assert run_command_line([*words, "--store", str(store)]) == 0
+    page = (out / LOOK).read_text(encoding="utf-8")
+    assert ("A-uniform-0.95" in page, "A-uniform-0.80" in page) == (True, False)
+
+
+def test_a_reference_to_more_than_one_row_is_not_decided(
+    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, _ = built
+    words = ["curate", "reject", "variants:short", "--curation", str(tmp_path / "c.txt"), "--store", str(store)]
+    assert run_command_line(words) == 2
+    assert "name one row of it: variants:short#ROW" in capsys.readouterr().err
+
+
+def test_a_single_image_is_decided_by_itself_and_what_reads_it_knows(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    columns = random_columns("annotations", 4) | {"sequence_id": ["a", "a", "b", "b"], "frame": [0] * 4}
+    ref = put(store, "ingest", "images", {"annotations": columns | {"person_id": [0, 1, 0, 1]}}, {}).ref
+    shelf = Shelf(store, [ref])
+    (part,) = shelf.parts
+    (item,) = shelf.items(part)
+    name, content = thing_of(shelf, part, item, 2)
+    choice = Choice("reject", "annotations", name, content)
+    settings = as_settings({choice.about: choice})
+    assert rejected_names(rejections(settings, "annotations"), [store.read(ref, "annotations")]) == {"b"}
+
+
 def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(
     built: tuple[Store, StageInputs], tmp_path: Path
 ) -> None:
     store, inputs = built
     choice = rejected(store, tmp_path / "choices.txt")
     plain = plan_training(inputs, TrainingParameters())
-    elsewhere = as_settings({"x": Choice("reject", "variants", "other_take/A-uniform-0.80", "0" * 12)})
+    other = Choice("reject", "variants", "other_take/A-uniform-0.80", "0" * 12)
+    elsewhere = as_settings({other.about: other})
     assert [one.key for one in plan_training(inputs, TrainingParameters(choices=elsewhere))] == [
         one.key for one in plain
     ]

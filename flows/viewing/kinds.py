@@ -18,6 +18,7 @@ from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import BODY22, PAIR17
+from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_seen_pairs
 from tasks.curation import POSITIONS, content_columns, content_of, names_of
@@ -257,7 +258,7 @@ def thing_of(shelf: Shelf, part: Part, item: Item, row: int) -> tuple[str, str]:
 
 
 def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
-    """Return the figures of each item of a part by the item's names; of several people the last one's stand."""
+    """Return the figures of each item of a part by the item's names; of several people those of the worst stand."""
     table = KINDS[part.table].quality
     if not table:
         return {}
@@ -266,7 +267,9 @@ def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]
         data = shelf.store.read(ref, table)
         for number in range(data.num_rows):
             row = data.row(number)
-            found[tuple(str(row[name]) for name in GROUPS[part.table])] = row
+            names = tuple(str(row[name]) for name in GROUPS[part.table])
+            if names not in found or Level(row["verdict"]).rank > Level(found[names]["verdict"]).rank:
+                found[names] = row
     return found
 
 

@@ -11,6 +11,7 @@ import contextlib
 import errno
 import io
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -37,7 +38,7 @@ def start_server(port: int, on_visit: Callable[[str], None], label: str) -> Any:
 
     Args:
         port: Port, 0 for any that is free.
-        on_visit: Called with the reference in the address of a page that is opened, `?at=REFERENCE`.
+        on_visit: Called, in a thread of its own, with the reference in the address of a page, `?at=REFERENCE`.
         label: What stands over its panel.
 
     Raises:
@@ -91,7 +92,8 @@ def _guarded(on_visit: Callable[[str], None]) -> Iterator[None]:
                 response.headers["Cache-Control"] = "no-store"
                 address = urlsplit(request.path)
                 if address.path == "/" and (found := parse_qs(address.query).get("at")):
-                    on_visit(found[0])
+                    # Apart: who holds the viewer may wait for what only this thread can answer.
+                    threading.Thread(target=on_visit, args=(found[0],), daemon=True).start()
             return response
 
         return plain(*arguments, process_request=answer, **options)

@@ -22,7 +22,7 @@ from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_reference
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.errors import PasdedeuxError
+from pasdedeux.errors import InputError, PasdedeuxError
 from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
 from tasks.curation import UNDECIDED, Choosing, Decision
@@ -115,7 +115,7 @@ class Viewer:
         """Go to the moment that a reference, or a link to one, points to; says so where it points to nothing."""
         with self.lock:
             try:
-                part, index, row = self.shelf.find(parse_qs(urlsplit(text).query).get("at", [text])[0])
+                part, index, row = self.shelf.find(_moment_in(text))
             except (PasdedeuxError, StorageError) as error:
                 self.tell(str(error))
                 return
@@ -602,6 +602,18 @@ class Viewer:
             self.seek(frame)
             images.append(client.get_render(height // 2, width // 2, timeout=60.0))
         client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
+
+
+def _moment_in(text: str) -> str:
+    """Return the reference in a link to a moment; one by itself is that.
+
+    Raises:
+        InputError: It is no address.
+    """
+    try:
+        return parse_qs(urlsplit(text).query).get("at", [text])[0]
+    except ValueError:
+        raise InputError(f"'{text[:60]}' is no address of a moment") from None
 
 
 def _meshes() -> tuple[Any, Any]:

@@ -18,6 +18,7 @@ from websockets.sync.client import connect
 from flows.console.app import run_command_line
 from flows.viewing.bodies import Bodies, capsules, marks
 from flows.viewing.images import encode, encode_clip, plot_curves
+from flows.viewing.kinds import qualities
 from flows.viewing.scene import Grid, People
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
 from flows.viewing.viewer import Viewer
@@ -26,6 +27,8 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
 from storage_schema import Store, new_run
 from tests.builders.ingest_runs import duet_store
+from tests.builders.storage_rows import put, random_columns
+from tests.builders.toy_runs import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +91,28 @@ def test_a_reference_to_a_row_leads_to_its_moment_and_back(store: Store, viewer:
     assert moment_reference(part, viewer.shelf.items(part)[index], number) == link
     viewer.visit("poses:short#999999")
     assert (viewer.frame, viewer._handles["said"].value[:20]) == (7, "'poses:short#999999'")
+
+
+def test_what_is_no_address_is_said(viewer: Viewer) -> None:
+    viewer.visit("http://[")
+    assert viewer._handles["said"].value == "'http://[' is no address of a moment"
+
+
+def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
+    viewer.seek(0)
+    with viewer.lock, closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=10.0)) as asked:
+        asked.request("GET", "/?at=poses:short%23200000")
+        assert asked.getresponse().status == 200
+    wait_until(lambda: "200000" in viewer._handles["said"].value, "the visit", limit_s=20.0)
+
+
+def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) -> None:
+    (take,) = (one for one in store.artifacts("ingest") if "poses" in one.tables)
+    rows = random_columns("take_quality", 3) | {"take_id": ["waltz"] * 3, "verdict": ["warn", "fail", "pass"]}
+    judged = put(store, "checks", take.partition, {"take_quality": rows}, {})
+    shelf = Shelf(store, [take.ref], [judged.ref])
+    found = qualities(shelf, shelf.parts[0])["waltz",]
+    assert found["verdict"] == "fail"
 
 
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:

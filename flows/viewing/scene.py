@@ -79,6 +79,11 @@ class Scene:
         """Number of frames."""
         return len(self.people.positions_m)
 
+    @property
+    def is_flat(self) -> bool:
+        """Who is shown is an image that stands in the room."""
+        return bool(np.nanmax(np.abs(self.people.positions_m[..., 2]), initial=0.0) == 0.0)
+
     def row_of(self, frame: int) -> int:
         """Return the first row of the item that is of a frame."""
         return int(np.flatnonzero(self.frame_of_row == frame)[0])

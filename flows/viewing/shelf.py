@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
@@ -199,6 +200,18 @@ def moment_reference(part: Part, item: Item, row: int) -> str:
     """Return the reference of a row of an item, by the content of its artifact: it outlives runs and keys."""
     ref, at = item.row(row)
     return f"{part.table}@{ref.content_digest[:16]}#{at}"
+
+
+def moment_in(text: str) -> str:
+    """Return the reference in a link to a moment; one by itself is that.
+
+    Raises:
+        InputError: It is no address.
+    """
+    try:
+        return parse_qs(urlsplit(text).query).get("at", [text])[0]
+    except ValueError:
+        raise InputError(f"'{text[:60]}' is no address of a moment") from None
 
 
 def figure_words(name: str, value: Any) -> str:

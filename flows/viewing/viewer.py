@@ -10,19 +10,18 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import parse_qs, quote, urlsplit
+from urllib.parse import quote
 
 import numpy as np
 
-from flows.viewing.bodies import Bodies, marker_balls, marks
 from flows.viewing.images import encode, encode_clip, flat_panels, plot_curves, presence_strip
 from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
+from flows.viewing.room import COMPARE, Room
 from flows.viewing.scene import People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_reference
+from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_in, moment_reference
 from pasdedeux.arrays import Array
-from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.errors import InputError, PasdedeuxError
+from pasdedeux.errors import PasdedeuxError
 from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
 from tasks.curation import UNDECIDED, Choosing, Decision
@@ -30,17 +29,8 @@ from tasks.curation import UNDECIDED, Choosing, Decision
 TICK_S = 1.0 / 30.0
 STILLS_HZ = 10.0
 """Frames that do not follow each other in time are played at this rate."""
-_MARK_M = 0.035
-_APART_M = 0.5
-_MOVED_M = 2.0
-"""Cameras follow where people are further than this from those before."""
-_COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
-_GREY = (120, 120, 120)
-_DARKER = 1.7
-"""Exponent of colours: the lights of the room make them paler."""
 _CLIP_S = 4.0
 _CLIP_HZ = 10.0
-COMPARE = ("over", "beside", "hidden")
 ALL, FAILS, WARNS, PASSES = "all", "fail", "warn", "pass"
 STORED_ORDER = "as stored"
 ONLY = (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
@@ -72,15 +62,16 @@ class Viewer:
         self._figures: dict[tuple[str, ...], dict[str, Any]] = {}
         self._started = (0.0, 0)
         self._handles: dict[str, Any] = {}
-        self._middle = np.full(3, np.inf)
         self._curves: list[Array] = []
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
         self._looked = threading.Event()
         first = shelf.find(at) if at is not None else None
-        self.server = start_server(port, self.visit, "pasdedeux")
-        self._build()
-        self.show_part(first[0] if first else self.part, first[1] if first else 0, first[2] if first else None)
+        with self.lock:  # who visits early waits
+            self.server = start_server(port, self.visit, "pasdedeux")
+            self.room = Room(self.server)
+            self._build()
+            self.show_part(first[0] if first else self.part, first[1] if first else 0, first[2] if first else None)
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._play, self._look)]
         for thread in self._threads:
             thread.start()
@@ -115,7 +106,7 @@ class Viewer:
         """Go to the moment that a reference, or a link to one, points to; says so where it points to nothing."""
         with self.lock:
             try:
-                part, index, row = self.shelf.find(_moment_in(text))
+                part, index, row = self.shelf.find(moment_in(text))
             except (PasdedeuxError, StorageError) as error:
                 self.tell(str(error))
                 return
@@ -165,13 +156,11 @@ class Viewer:
     def _show_scene(self, scene: Scene, row: int | None) -> None:
         with self.lock:
             self.scene: Scene = scene
-            self.bodies = Bodies(scene.people, scene.ends_m, scene.radii_m, is_thin=self._is_flat)
-            self._behind = None if scene.behind is None else Bodies(scene.behind)
             self._thing = ("", "")
             self._set("item", self._item_label(self.index))
-            self._draw_room()
+            self.room.show(scene, str(self._handles["compare"].value))
             self._draw_curve()
-            for name, needed in (("compare", self._behind), ("through", scene.camera), ("failing", scene.levels)):
+            for name, needed in (("compare", scene.behind), ("through", scene.camera), ("failing", scene.levels)):
                 self._handles[name].visible = needed is not None
             self._handles["compare"].label = scene.behind_name or "compare"
             self._show_scales()
@@ -240,32 +229,15 @@ class Viewer:
 
     def show_frame(self) -> None:
         """Send the bodies of this frame, what touches and what passes through, and what they are compared with."""
-        scene, frame = self.scene, self.frame
-        at = self.bodies.at(frame) if self.pose is None else self.bodies.of(self.pose, frame)
         with self.server.atomic():
-            _place(self._rods, at.rods_m, at.rods_wxyz, at.rods_scale)
-            _place(self._balls, at.balls_m, None, at.balls_scale)
-            if self._behind is not None and self._grey is not None and scene.behind is not None:
-                behind = self._behind.at(min(frame, len(scene.behind.positions_m) - 1))
-                _place(self._grey[0], behind.rods_m, behind.rods_wxyz, behind.rods_scale)
-                _place(self._grey[1], behind.balls_m, None, behind.balls_scale)
-            if self._handles["marks"].value and not self._is_flat:
-                shown = scene.people.frame(frame) if self.pose is None else self.pose
-                found = marks(scene.people.skeleton, shown, self.bodies.radii_m)
-            else:
-                found = (np.empty((0, 3)),) * 2
-            places, sizes = marker_balls(found, _MARK_M)
-            _place(self._marks, places, None, sizes)
-            self._set("timeline", frame)
-        self._num_marks = tuple(map(len, found))
+            self._num_marks = self.room.show_frame(self.frame, self.pose, has_marks=bool(self._handles["marks"].value))
+            self._set("timeline", self.frame)
 
     # The panel.
 
     def _build(self) -> None:
         """Lay out the panel and the keys."""
-        server, gui = self.server, self.server.gui
-        server.scene.set_up_direction("+y")
-        server.on_client_connect(self._aim)
+        gui = self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         put = self._handles
         put["part"] = gui.add_dropdown("show", tuple(map(self._part_label, self.shelf.parts)))
@@ -276,7 +248,7 @@ class Viewer:
         put["picture"] = gui.add_image(flat_panels([]), label=None, visible=False)
         put["compare"] = gui.add_dropdown("compare", COMPARE)
         put["failing"] = self._button("Next failing frame", lambda _: self.next_failing(), "F")
-        put["through"] = self._button("Look through its camera", lambda event: self._look_through(event.client))
+        put["through"] = self._button("Look through its camera", lambda event: self.room.look_through(event.client))
         put["said"] = gui.add_text("said", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
             put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
@@ -300,10 +272,6 @@ class Viewer:
             put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
             self._button("Save picture", lambda event: self._save(event.client, is_clip=False))
             self._button("Save clip", lambda event: self._save(event.client, is_clip=True))
-        self._rods = self._balls = self._marks = self._grey = None
-        self._nodes: dict[str, Any] = {}
-        self._rooms: set[str] = set()
-        self._rod, self._ball = _meshes()
         self._scales: list[Any] = []
         changes: Mapping[str, Callable[[Any], None]] = {
             "part": lambda value: self.show_part(self.shelf.parts[put["part"].options.index(value)]),
@@ -388,93 +356,6 @@ class Viewer:
         figures = [figure_words(name, value) for name, value in row.items() if _is_number(value)]
         return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *figures]
 
-    # The room.
-
-    def _draw_room(self) -> None:
-        """Put floor, bodies and camera of an item into the room."""
-        scene, shown = self.server.scene, self.scene
-        points = shown.people.positions_m
-        low, high = (take(points.reshape(-1, 3), axis=0) for take in (np.nanmin, np.nanmax))
-        floor = 0.0 if shown.has_floor and abs(low[1]) < 1.0 else float(low[1])
-        middle = np.array([np.round((low[0] + high[0]) / 2), floor, np.round((low[2] + high[2]) / 2)])
-        size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
-        grid = scene.add_grid("/floor", size, size, plane="xz", cell_size=1.0, section_size=1.0, position=middle)
-        grid.fade_distance = 1e3
-        start = np.nanmean(points[0].reshape(-1, 3), axis=0)
-        middle = np.array([start[0], floor + 0.9, start[2]])
-        if np.linalg.norm(middle - self._middle) > _MOVED_M:
-            self._middle = middle
-            for client in self.server.get_clients().values():
-                self._aim(client)
-        for name in self._rooms:
-            self._show_node(name, is_shown=False)
-        colours = self.bodies.colours()
-        self._rods, self._balls = self._put_bodies("/people", self.bodies, colours)
-        places, sizes = marker_balls((np.empty((0, 3)),) * 2, _MARK_M)
-        both = np.repeat(np.array(list(_COLOURS.values()), dtype=np.uint8), len(places) // 2, axis=0)
-        self._marks = self._instances("/marks/balls", places, sizes, both)
-        where = str(self._handles["compare"].value)
-        self._grey = None
-        if self._behind is not None and where != "hidden":
-            away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
-            more = {} if where == "beside" else {"opacity": 0.3}
-            self._grey = self._put_bodies(f"/{where}", self._behind, self._behind.colours(_GREY), away, **more)
-        self._show_node("/camera", is_shown=shown.camera is not None)
-        if shown.camera is not None:
-            wxyz, position, fov = _view_of(shown.camera)
-            width, height = shown.camera.image_size_px
-            scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
-
-    def _put_bodies(self, where: str, bodies: Bodies, colours: Array, away: float = 0.0, **more: Any) -> Any:
-        """Show the rods and balls of bodies; those of as many capsules are used again."""
-        here, name = bodies.at(0), f"{where}/{len(colours)}"
-        if name not in self._rooms:
-            self._rooms.add(name)
-            self.server.scene.add_frame(name, show_axes=False)
-        frame = self.server.scene.get_handle_by_name(name)
-        frame.visible, frame.position = True, (away, 0.0, 0.0)
-        return (
-            self._instances(f"{name}/rods", here.rods_m, here.rods_scale, colours, **more),
-            self._instances(f"{name}/balls", here.balls_m, here.balls_scale, np.repeat(colours, 2, 0), **more),
-        )
-
-    def _instances(self, name: str, places: Array, sizes: Array, colours: Any, **more: Any) -> Any:
-        """Show instances of rods or balls: where they are there already, in their place."""
-        pale = (255.0 * (colours / 255.0) ** _DARKER).astype(np.uint8)
-        if (handle := self._nodes.get(name)) is not None:
-            handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
-            return handle
-        mesh = self._ball if name.endswith("balls") else self._rod
-        turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(places), 1))
-        self._nodes[name] = self.server.scene.add_batched_meshes_simple(
-            name, mesh.vertices, mesh.faces, turns, places, batched_scales=sizes, batched_colors=pale, lod="off",
-            cast_shadow=False, receive_shadow=False, **more,
-        )  # fmt: skip
-        return self._nodes[name]
-
-    def _show_node(self, name: str, *, is_shown: bool) -> None:
-        handle = self.server.scene.get_handle_by_name(name)
-        if handle is not None:
-            handle.visible = is_shown
-
-    def _aim(self, client: Any) -> None:
-        """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
-        is_narrow = client.camera.image_width < client.camera.image_height
-        with client.atomic():
-            client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
-            client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
-
-    @property
-    def _is_flat(self) -> bool:
-        """What is shown is an image that stands in the room."""
-        return bool(np.nanmax(np.abs(self.scene.people.positions_m[..., 2]), initial=0.0) == 0.0)
-
-    def _look_through(self, client: Any) -> None:
-        if self.scene.camera is not None and client is not None:
-            wxyz, position, fov = _view_of(self.scene.camera)
-            with client.atomic():
-                client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
-
     # Scales of variants.
 
     def _show_scales(self) -> None:
@@ -546,7 +427,7 @@ class Viewer:
             lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *scene.say(frame)]
             lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
             touch, through = self._num_marks
-            if not self._is_flat and self._handles["marks"].value:
+            if not scene.is_flat and self._handles["marks"].value:
                 lines.append(f"{touch} contacts, {through} penetrations")
             chosen = self.choosing.words(self.part.table, *self._thing_shown())
             self._set("facts", "\n".join([*lines, chosen, *self._item_lines()]))
@@ -602,41 +483,6 @@ class Viewer:
             self.seek(frame)
             images.append(client.get_render(height // 2, width // 2, timeout=60.0))
         client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
-
-
-def _moment_in(text: str) -> str:
-    """Return the reference in a link to a moment; one by itself is that.
-
-    Raises:
-        InputError: It is no address.
-    """
-    try:
-        return parse_qs(urlsplit(text).query).get("at", [text])[0]
-    except ValueError:
-        raise InputError(f"'{text[:60]}' is no address of a moment") from None
-
-
-def _meshes() -> tuple[Any, Any]:
-    """Return a rod (along z, of radius and length 1) and a ball (of radius 1)."""
-    import trimesh
-
-    return trimesh.creation.cylinder(1.0, 1.0, sections=20), trimesh.creation.icosphere(2, 1.0)
-
-
-def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:
-    """Move instances."""
-    handle.batched_positions, handle.batched_scales = places, sizes
-    if turns is not None:
-        handle.batched_wxyzs = turns
-
-
-def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:
-    """Return turn (w, x, y, z) and place of a camera that looks along its z, y down, and its vertical field of view."""
-    from scipy.spatial.transform import Rotation
-
-    world_from_camera = camera.camera_from_world_rotmat.T @ np.diag([1.0, -1.0, -1.0])
-    turn = Rotation.from_matrix(world_from_camera).as_quat()
-    return turn[[3, 0, 1, 2]], camera.position_m, float(2 * np.arctan(camera.image_size_px[1] / 2 / camera.focal_px))
 
 
 def _is_number(value: Any) -> bool:

@@ -1,0 +1,172 @@
+"""The room that a scene is shown in, the same in every browser: floor, bodies, what touches, and cameras."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from flows.viewing.bodies import Bodies, marker_balls, marks
+from flows.viewing.scene import Scene
+from pasdedeux.arrays import Array
+from pasdedeux.cameras.pinhole import PinholeCamera
+
+COMPARE = ("over", "beside", "hidden")
+"""Where what a scene is compared with stands."""
+_MARK_M = 0.035
+_APART_M = 0.5
+_MOVED_M = 2.0
+"""Cameras follow where people are further than this from those before."""
+_COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
+_GREY = (120, 120, 120)
+_DARKER = 1.7
+"""Exponent of colours: the lights of the room make them paler."""
+_NO_POINTS = np.empty((0, 3))
+
+
+class Room:
+    """What a scene looks like.
+
+    Args:
+        server: Server of the viewer.
+    """
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._nodes: dict[str, Any] = {}
+        self._groups: set[str] = set()
+        self._rod, self._ball = _meshes()
+        self._middle = np.full(3, np.inf)
+        self._grey: tuple[Any, Any] | None = None
+        server.scene.set_up_direction("+y")
+        server.on_client_connect(self._aim)
+
+    def show(self, shown: Scene, where: str) -> None:
+        """Put floor, bodies and camera of a scene into the room, and what it is compared with over or beside it."""
+        scene, points = self._server.scene, shown.people.positions_m
+        self._scene, self._bodies = shown, Bodies(shown.people, shown.ends_m, shown.radii_m, is_thin=shown.is_flat)
+        self._behind = None if shown.behind is None else Bodies(shown.behind)
+        is_there = np.asarray(np.isfinite(points).all(axis=-1))
+        seen = points[is_there] if is_there.any() else np.zeros((1, 3))
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        floor = 0.0 if shown.has_floor and abs(low[1]) < 1.0 else float(low[1])
+        middle = np.array([np.round((low[0] + high[0]) / 2), floor, np.round((low[2] + high[2]) / 2)])
+        size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
+        grid = scene.add_grid("/floor", size, size, plane="xz", cell_size=1.0, section_size=1.0, position=middle)
+        grid.fade_distance = 1e3
+        count = is_there.sum(axis=(1, 2))
+        start = seen[: max(1, int(count[np.argmax(count > 0)]))].mean(axis=0)  # of the first frame with somebody
+        middle = np.array([start[0], floor + 0.9, start[2]])
+        if np.linalg.norm(middle - self._middle) > _MOVED_M:
+            self._middle = middle
+            for client in self._server.get_clients().values():
+                self._aim(client)
+        for name in self._groups:
+            self._show_node(name, is_shown=False)
+        self._rods, self._balls = self._put_bodies("/people", self._bodies, self._bodies.colours())
+        places, sizes = marker_balls((_NO_POINTS,) * 2, _MARK_M)
+        both = np.repeat(np.array(list(_COLOURS.values()), dtype=np.uint8), len(places) // 2, axis=0)
+        self._marks = self._instances("/marks/balls", places, sizes, both)
+        self._grey = None
+        if self._behind is not None and where != "hidden":
+            away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
+            more = {} if where == "beside" else {"opacity": 0.3}
+            self._grey = self._put_bodies(f"/{where}", self._behind, self._behind.colours(_GREY), away, **more)
+        self._show_node("/camera", is_shown=shown.camera is not None)
+        if shown.camera is not None:
+            wxyz, position, fov = _view_of(shown.camera)
+            width, height = shown.camera.image_size_px
+            scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
+
+    def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:
+        """Send the bodies of a frame; return how many contacts and penetrations are marked.
+
+        Args:
+            frame: The frame.
+            pose: Positions (person, joint, 3), metres, in place of those of the scene.
+            has_marks: Whether contacts and penetrations are marked.
+        """
+        scene, touch, through = self._scene, _NO_POINTS, _NO_POINTS
+        at = self._bodies.at(frame) if pose is None else self._bodies.of(pose, frame)
+        if has_marks and not scene.is_flat:
+            shown = scene.people.frame(frame) if pose is None else pose
+            touch, through = marks(scene.people.skeleton, shown, self._bodies.radii_m)
+        with self._server.atomic():
+            _place(self._rods, at.rods_m, at.rods_wxyz, at.rods_scale)
+            _place(self._balls, at.balls_m, None, at.balls_scale)
+            if self._behind is not None and self._grey is not None and scene.behind is not None:
+                behind = self._behind.at(min(frame, len(scene.behind.positions_m) - 1))
+                _place(self._grey[0], behind.rods_m, behind.rods_wxyz, behind.rods_scale)
+                _place(self._grey[1], behind.balls_m, None, behind.balls_scale)
+            places, sizes = marker_balls((touch, through), _MARK_M)
+            _place(self._marks, places, None, sizes)
+        return len(touch), len(through)
+
+    def look_through(self, client: Any) -> None:
+        """Give a browser the view of the camera that saw the scene."""
+        if self._scene.camera is not None and client is not None:
+            wxyz, position, fov = _view_of(self._scene.camera)
+            with client.atomic():
+                client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
+
+    def _put_bodies(self, where: str, bodies: Bodies, colours: Array, away: float = 0.0, **more: Any) -> Any:
+        """Show the rods and balls of bodies; those of as many capsules are used again."""
+        here, name = bodies.at(0), f"{where}/{len(colours)}"
+        if name not in self._groups:
+            self._groups.add(name)
+            self._server.scene.add_frame(name, show_axes=False)
+        frame = self._server.scene.get_handle_by_name(name)
+        frame.visible, frame.position = True, (away, 0.0, 0.0)
+        return (
+            self._instances(f"{name}/rods", here.rods_m, here.rods_scale, colours, **more),
+            self._instances(f"{name}/balls", here.balls_m, here.balls_scale, np.repeat(colours, 2, 0), **more),
+        )
+
+    def _instances(self, name: str, places: Array, sizes: Array, colours: Any, **more: Any) -> Any:
+        """Show instances of rods or balls: where they are there already, in their place."""
+        pale = (255.0 * (colours / 255.0) ** _DARKER).astype(np.uint8)
+        if (handle := self._nodes.get(name)) is not None:
+            handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
+            return handle
+        mesh = self._ball if name.endswith("balls") else self._rod
+        turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(places), 1))
+        self._nodes[name] = self._server.scene.add_batched_meshes_simple(
+            name, mesh.vertices, mesh.faces, turns, places, batched_scales=sizes, batched_colors=pale, lod="off",
+            cast_shadow=False, receive_shadow=False, **more,
+        )  # fmt: skip
+        return self._nodes[name]
+
+    def _show_node(self, name: str, *, is_shown: bool) -> None:
+        handle = self._server.scene.get_handle_by_name(name)
+        if handle is not None:
+            handle.visible = is_shown
+
+    def _aim(self, client: Any) -> None:
+        """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
+        is_narrow = client.camera.image_width < client.camera.image_height
+        with client.atomic():
+            client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
+            client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
+
+
+def _meshes() -> tuple[Any, Any]:
+    """Return a rod (along z, of radius and length 1) and a ball (of radius 1)."""
+    import trimesh
+
+    return trimesh.creation.cylinder(1.0, 1.0, sections=20), trimesh.creation.icosphere(2, 1.0)
+
+
+def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:
+    """Move instances."""
+    handle.batched_positions, handle.batched_scales = places, sizes
+    if turns is not None:
+        handle.batched_wxyzs = turns
+
+
+def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:
+    """Return turn (w, x, y, z) and place of a camera that looks along its z, y down, and its vertical field of view."""
+    from scipy.spatial.transform import Rotation
+
+    world_from_camera = camera.camera_from_world_rotmat.T @ np.diag([1.0, -1.0, -1.0])
+    turn = Rotation.from_matrix(world_from_camera).as_quat()
+    return turn[[3, 0, 1, 2]], camera.position_m, float(2 * np.arctan(camera.image_size_px[1] / 2 / camera.focal_px))

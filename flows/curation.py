@@ -9,7 +9,7 @@ from typing import Any
 from flows.records import STUDY_FILE, last_sections, read_last_run
 from storage_schema import Reference, Store
 from storage_schema.datasets import open_dataset
-from tasks.curation import as_settings, read_choices
+from tasks.curation import choices_in
 
 SECTION = "curation"
 
@@ -18,17 +18,17 @@ def choices_for(store: Store, reference: Reference, file: Path | None = None) ->
     """Return choices as a study has them: of this file, else of a study as its file says now, of a dataset as it was.
 
     Raises:
-        InputError: A file of choices is none.
+        InputError: The file is not there, or holds something else.
     """
     if file is not None:
-        return as_settings(read_choices(file))
+        return choices_in(file)
     if reference.dataset:
         return recorded_choices(open_dataset(store, reference.dataset).path)
     if not reference.study:
         return {}
     section = last_sections(store, read_last_run(store, reference.study)).get(SECTION, {})
     path = section.get("file")
-    return as_settings(read_choices(Path(path))) if path and Path(path).is_file() else section.get("choices", {})
+    return choices_in(Path(path)) if path and Path(path).is_file() else section.get("choices", {})
 
 
 def recorded_choices(folder: Path) -> dict[str, str]:

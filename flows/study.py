@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_tree, unknown
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
-from tasks.curation import CurationSettings, as_settings, read_choices
+from tasks.curation import CurationSettings, choices_in
 from tasks.graph import Graph
 from tasks.stage import Parameters
 from tasks.sweep import SweptParameters
@@ -220,9 +220,7 @@ def _with_choices(curation: Settings, tree: StudyTree, problems: list[str]) -> S
         return curation
     path = tree.folder_of(("curation", "file")) / curation.file.expanduser()
     try:
-        if not path.is_file():
-            raise InputError(f"there is no file {path}")
-        return curation.model_copy(update={"file": path, "choices": as_settings(read_choices(path))})
+        return curation.model_copy(update={"file": path, "choices": choices_in(path)})
     except InputError as error:
         problems.append(f"curation.file: {error}")
         return curation

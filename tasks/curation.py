@@ -119,6 +119,17 @@ def as_settings(choices: Mapping[str, Choice]) -> dict[str, str]:
     return {about: f"{one.decision} {one.content} {one.reason}".rstrip() for about, one in sorted(choices.items())}
 
 
+def choices_in(path: Path) -> dict[str, str]:
+    """Return the choices of a file that somebody named, as a study has them.
+
+    Raises:
+        InputError: There is no such file, or a line is no choice.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    return as_settings(read_choices(path))
+
+
 def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
     """Return the content of each thing of a table that was rejected, by its name."""
     found = {about.partition(" ")[2]: said.split() for about, said in settings.items() if about.split()[0] == table}

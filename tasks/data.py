@@ -31,7 +31,7 @@ from storage_schema import ArtifactRef, Manifest, Store, iter_rows, parse_refere
 from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows, find_contact_rows
-from tasks.curation import IDENTITY, rows_without
+from tasks.curation import IDENTITY, choices_in, names_left_out, rows_without
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.takes import read_take, take_of
 from tasks.training.items import interaction_of
@@ -91,6 +91,11 @@ class Clip:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints."""
         return self.skeleton.joint_names
+
+    @property
+    def identity(self) -> str:
+        """Its name in files of choices, see `tasks.curation`."""
+        return self.name.replace(", ", "/")  # names of takes and variants are plain
 
     @property
     def rate_hz(self) -> float:
@@ -254,7 +259,7 @@ class Data:
             return [motion_picture(self.store, ref) for ref in resolve(reference, self.store)[:_MAX_PLAYERS]]
         of_table = {"poses": self._takes, "variants": self._variants}
         clips = of_table[table](reference) if table in of_table else ()
-        shown = (one for one in clips if one.name.replace(", ", "/") not in left_out)
+        shown = (one for one in clips if one.identity not in left_out)
         return [one.picture for one in islice(shown, _MAX_PLAYERS)]
 
     def _takes(self, reference: str) -> Iterator[Clip]:
@@ -297,9 +302,10 @@ class PairDataset:
         stride: Frames from the start of a window to the next; half a window when not given.
         by: What stays together.
         seed: Decides which takes validate, and test where none is held out.
+        curation: File of choices: variants that it rejects are left out; the sides of takes stay.
 
     Raises:
-        InputError: The reference is not of variants, or nothing is on this side.
+        InputError: The reference is not of variants, nothing is on this side, or the file holds no choices.
     """
 
     def __init__(
@@ -312,6 +318,7 @@ class PairDataset:
         stride: int | None = None,
         by: Literal["take", "interaction"] = "take",
         seed: int = 0,
+        curation: str | Path | None = None,
     ) -> None:
         table, _, where = reference.partition(":")
         if table != "variants" or not where:
@@ -322,11 +329,13 @@ class PairDataset:
             raise InputError(
                 f"split '{split}', window {window}: a split is train, validation or test, a window 1 or more"
             )
-        clips = [one for one in Data(store).variants(where) if one.verdict != "fail"]
+        data, choices = Data(store), {} if curation is None else choices_in(Path(curation))
+        left_out = names_left_out(data.store, parse_reference(reference), choices)
+        clips = [one for one in data.variants(where) if one.verdict != "fail"]
         sides = _sides([one.take for one in clips], seed, is_by_take=by == "take")
         self.window = window
         self._read: dict[int, npt.NDArray[np.float64]] = {}
-        self._clips = [one for one in clips if sides.get(one.take.ref) == split]
+        self._clips = [one for one in clips if sides.get(one.take.ref) == split and one.identity not in left_out]
         step = stride or max(1, window // 2)
         lengths = [TakeFacts.of(one.take).num_frames for one in self._clips]
         pairs = [TakeFacts.of(one.take).num_persons == 2 for one in self._clips]

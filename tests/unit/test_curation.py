@@ -29,7 +29,7 @@ from tasks.curation import (
     rejections,
     write_choices,
 )
-from tasks.data import LOOK
+from tasks.data import LOOK, PairDataset
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training.items import StoredVariants
@@ -130,6 +130,27 @@ def test_an_export_of_which_everything_is_rejected_is_refused_and_writes_nothing
     assert run_command_line([*words, "--store", str(store)]) == 2
     assert "'variants:short': all of it is rejected" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_an_export_by_a_file_of_choices_that_is_not_there_is_refused(
+    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, _ = built
+    words = ["export", "variants:short", "--format", "npz", "--out", str(tmp_path / "out"), "--store", str(store)]
+    assert run_command_line([*words, "--curation", str(tmp_path / "misspelt.txt")]) == 2
+    assert f"there is no file {tmp_path / 'misspelt.txt'}" in capsys.readouterr().err
+
+
+def test_windows_to_train_on_leave_out_what_a_file_rejects(built: tuple[Store, StageInputs], tmp_path: Path) -> None:
+    store, _ = built
+    file = tmp_path / "choices.txt"
+    rejected(store, file)
+
+    def names(curation: Path | None) -> set[str]:
+        items = PairDataset("variants:short", 5, store=store, curation=curation)
+        return {items[at]["name"] for at in range(len(items))}
+
+    assert names(None) - names(file) == {"waltz, A-uniform-0.80"}
 
 
 def test_the_player_beside_an_export_shows_nothing_that_is_rejected(

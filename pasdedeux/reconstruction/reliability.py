@@ -123,11 +123,9 @@ class Place:
 
     Args:
         expected_error_m: Expected length by which the vector between the mid-hips is off, mean over frames.
-        is_lens_known: Whether the focal length was stated.
     """
 
     expected_error_m: float
-    is_lens_known: bool
 
     @property
     def expected_in_words(self) -> str:
@@ -140,10 +138,9 @@ class Place:
         level, reason = Level.PASS, ""
         if self.expected_error_m > DOUBTFUL_PLACE_M:
             level = Level.FAIL if self.expected_error_m > BAD_PLACE_M else Level.WARN
-            known = "statures" if self.is_lens_known else "a stated lens (focal_px or fov_deg), statures"
             reason = (
-                f"the place of the two is badly known: {self.expected_in_words}; what would help: {known}, or takes of "
-                "such couples in the database"
+                f"the place of the two is badly known: {self.expected_in_words}; what would help: "
+                "takes of such couples in the database"
             )
         return Verdict(level, reason, "expected error of place", self.expected_error_m, "m", thing="couples")
 
@@ -194,7 +191,7 @@ def judge_tracks(
         couple = made[first].track, made[second].track
         if couple[0].partner_id == couple[1].person_id:
             ids = couple[0].person_id, couple[1].person_id
-            places[ids] = Place(deviation_m, couple[0].lens.is_known)
+            places[ids] = Place(deviation_m)
     return Judged(people, places)
 
 

@@ -230,7 +230,7 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
     camera = DatabaseCamera(np.deg2rad(artifact.facts["pitch_deg"]))
     for person in (0, 1):
         for method in methods:
-            source = read_bvh((tmp_path / "motions" / f"hug.video00_{person}_{method}.bvh").read_bytes())
+            source = read_bvh((tmp_path / "motions" / f"hug.video00_{method}_{'AB'[person]}.bvh").read_bytes())
             assert source.rate_hz == RATE_HZ
             rows = (motions["person_id"] == person) & (motions["method"] == method)
             assert source.num_frames == int(rows.sum()) == 18

@@ -163,10 +163,8 @@ def test_few_frames_and_a_stature_against_the_height_of_the_camera_are_doubts(
 
 
 def test_a_badly_known_place_warns_then_fails_and_says_what_would_help() -> None:
-    levels = [Place(error, is_lens_known=False).verdict.level for error in (0.1, 0.25, 0.6)]
-    assert levels == [Level.PASS, Level.WARN, Level.FAIL]
-    assert "a stated lens" in Place(0.5, is_lens_known=False).verdict.reason
-    assert "a stated lens" not in Place(0.5, is_lens_known=True).verdict.reason
+    assert [Place(error).verdict.level for error in (0.1, 0.25, 0.6)] == [Level.PASS, Level.WARN, Level.FAIL]
+    assert "25 cm (12 to 55); what would help: takes of such couples" in Place(0.25).verdict.reason
 
 
 def test_large_expected_errors_and_hardly_anything_seen_fail() -> None:

@@ -1,48 +1,97 @@
-"""The command line's commands under one name, and what an error becomes: one sentence and an exit code."""
+"""The command line's commands under one name, and what an error becomes: one sentence and an exit code.
+
+Most commands bring half of the science along, which the others need not wait for: each is imported when it is called.
+"""
 
 from __future__ import annotations
 
+import importlib
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 import typer.core
 from typer import Option
 
-from flows.console import (  # noqa: F401 - a module adds its commands when it is imported
-    annotate,
-    compare,
-    curate,
-    datasets,
-    deploy,
-    draws,
-    fetch,
-    generate,
-    reconstruct,
-    retarget,
-    run,
-    show,
-    stores,
-    studies,
-    this_machine,
-    view,
-)
 from flows.console.context import Context, app
-from flows.planning import PlanError
-from flows.study_files import StudyError
-from pasdedeux.errors import InputError, PasdedeuxError
-from storage_schema import StorageError
-from storage_schema.provenance import code_version
-from tasks.graph import Graph, GraphError
-from tasks.shards import ClusterError, ShardError
+
+if TYPE_CHECKING:
+    from tasks.graph import Graph
 
 _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 
 # The class that typer's own usage errors share; typer carries its own click, so it cannot be imported by name.
 _UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(Exception) - 1]
+
+
+class Command(NamedTuple):
+    """A command that is not imported yet: the module of this package that adds it, and what its help begins with."""
+
+    module: str
+    summary: str
+
+
+COMMANDS = {
+    "annotate": Command("annotate", "Annotate every frame of a film."),
+    "run": Command("run", "Build a study: compute what is missing or stale in the store."),
+    "plan": Command("run", "List what a run would compute and why, by stage and partition; nothing is started."),
+    "diff": Command(
+        "compare", "Compare two finished runs or two versions of datasets; only differences are shown, scores last."
+    ),
+    "rerun": Command(
+        "compare", "Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact."
+    ),
+    "curate": Command(
+        "curate", "Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion."
+    ),
+    "deploy": Command(
+        "deploy", "Deploy a study to a Prefect server, as a build that runs on a schedule or on request."
+    ),
+    "restart": Command("draws", "Start new chains from a draw."),
+    "complete": Command("draws", "Fill in the unknown joints of a 3D pair, such as one from a depth camera."),
+    "generate": Command("generate", "Sample new bodies of person B, and the motion of both, from a trained model."),
+    "reconstruct": Command(
+        "reconstruct", "Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study."
+    ),
+    "retarget": Command(
+        "retarget", "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons."
+    ),
+    "show": Command("show", "Print the columns, first rows and lineage of what a reference names."),
+    "export": Command("show", "Export what a reference names to files, with units, licence and credits."),
+    "status": Command(
+        "stores", "Show what is in a store: the studies built in it, their verdicts, its runs and its size."
+    ),
+    "verify": Command(
+        "stores",
+        "Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong.",
+    ),
+    "gc": Command("stores", "Delete what nothing needs from a store; without --yes only list it."),
+    "doctor": Command("this_machine", "Check the installation; exit code 1 if something is missing."),
+    "bench": Command("this_machine", "Measure the compiled kernels on this machine, each relative to its plain form."),
+    "view": Command("view", "Look at takes, draws, pairs, reconstructions and variants in a browser."),
+    "dataset": Command("datasets", "Named, immutable versions of what was built."),
+    "fetch": Command("fetch", "Download freely available motion capture."),
+    "study": Command("studies", "List, show and write studies; explain their keys."),
+}
+"""All commands by name, in the order in which `--help` lists them."""
+
+
+class Program(typer.core.TyperGroup):
+    """The program, in which the name and the summary of a command stand for it until it is called."""
+
+    def __init__(self, *, commands: dict[str, Any], **attributes: Any) -> None:
+        known = {name: typer.core.TyperCommand(name, help=command.summary) for name, command in COMMANDS.items()}
+        super().__init__(commands={**known, **commands}, **attributes)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is called, by its name, in its module."""
+        if args[0] in COMMANDS:
+            importlib.import_module(f"flows.console.{COMMANDS[args[0]].module}")
+            self.commands = typer.main.get_group(app).commands
+        return super().resolve_command(ctx, args)
 
 
 def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> int:
@@ -56,6 +105,8 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
     except (KeyboardInterrupt, typer.Abort):
         code = _INTERRUPTED
     except Exception as error:  # noqa: BLE001 - the outermost place: every error becomes a sentence
+        from tasks.shards import ShardError
+
         if context.is_debug:
             traceback.print_exception(error, file=sys.stderr)
             if isinstance(error, ShardError):
@@ -72,6 +123,12 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
 
 def exit_code_of(error: BaseException) -> int:
     """Return 2 for what the user can put right in what was given, 1 for work that failed."""
+    from flows.planning import PlanError
+    from flows.study_files import StudyError
+    from pasdedeux.errors import InputError
+    from storage_schema import StorageError
+    from tasks.graph import GraphError
+
     if isinstance(error, StudyError | PlanError | GraphError | InputError | FileNotFoundError | PermissionError):
         return _BAD_INPUT
     if isinstance(error, StorageError) and error.is_input:
@@ -80,6 +137,13 @@ def exit_code_of(error: BaseException) -> int:
 
 
 def _sentence(error: BaseException) -> str:
+    from flows.planning import PlanError
+    from flows.study_files import StudyError
+    from pasdedeux.errors import PasdedeuxError
+    from storage_schema import StorageError
+    from tasks.graph import GraphError
+    from tasks.shards import ClusterError, ShardError
+
     if isinstance(error, StudyError):
         return "\n       ".join(error.problems)
     if isinstance(error, OSError) and error.filename is not None:
@@ -93,11 +157,13 @@ def _sentence(error: BaseException) -> str:
 
 def _say_version(is_asked: bool) -> None:
     if is_asked:
+        from storage_schema.provenance import code_version
+
         typer.echo(f"pasdedeux {code_version()}")
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(cls=Program)
 def options(
     context: typer.Context,
     debug: bool = Option(False, "--debug", help="Show the traceback of an error."),

@@ -12,16 +12,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
-from storage_schema import Store
-from tasks.graph import Graph, load_graph
+if TYPE_CHECKING:
+    from storage_schema import Store
+    from tasks.graph import Graph
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
-"""The program; a module of this package adds its commands when it is imported."""
+"""The program; a module of this package adds its commands when it is imported, which is when one is called."""
 
 StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]
 SettingOption = Annotated[
@@ -56,6 +57,8 @@ class Context:
     @cached_property
     def graph(self) -> Graph:
         """Return the graph of all stages."""
+        from tasks.graph import load_graph
+
         return self.given_graph if self.given_graph is not None else load_graph()
 
 
@@ -73,6 +76,8 @@ def open_store(folder: Path) -> Store:
         NewerSchema, NotAStore: It cannot be one.
         RemoteError: The bucket does not answer.
     """
+    from storage_schema import Store
+
     store = Store(folder)
     store.refresh()
     store.check_version()

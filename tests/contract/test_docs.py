@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import tomllib
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from flows.console.app import app
+from flows.console.app import COMMANDS, app
 from flows.study_files import shipped_studies
 from flows.study_keys import study_keys
 from pasdedeux.formats.own_layout import read_layout
@@ -46,6 +47,8 @@ def commands_shown() -> dict[str, list[str]]:
 
 @pytest.mark.parametrize(("where", "lines"), commands_shown().items(), ids=list(commands_shown()))
 def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[str]) -> None:
+    for one in COMMANDS.values():
+        importlib.import_module(f"flows.console.{one.module}")
     commands = typer.main.get_command(app)
     for line in lines:
         words = line.split("#  ")[0].split(" # ")[0].split()[1:]

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import typer
+
+from flows.console.app import COMMANDS, Command
+from flows.console.context import app
 from tests.builders.toy_runs import ROOT, run_toys, write_study
 
+CONSOLE = ROOT / "flows" / "console"
 _PROBE = """
 import sys
 from flows.console.app import run_command_line
-from tests.builders.toys import TOYS
-code = run_command_line(sys.argv[1:], graph=None if "duets" in sys.argv else TOYS)
+graph = None
+if "--store" in sys.argv and "duets" not in sys.argv:
+    from tests.builders.toys import TOYS as graph
+code = run_command_line(sys.argv[1:], graph=graph)
 print("CODE", code)
 print("LOADED", *sorted(name for name in sys.modules if name.partition(".")[0] in {names!r}))
 """
@@ -63,3 +71,25 @@ def test_planning_and_a_run_with_nothing_to_do_import_neither_prefect_nor_dask(t
 def test_planning_every_stage_imports_nothing_heavy(tmp_path: Path) -> None:
     heavy = {"prefect", "dask", "distributed", "numba", "scipy", "matplotlib", "jinja2", "cv2", "arviz"}
     assert loaded(heavy | {"pandas", "torch"}, "plan", "duets", "--store", str(tmp_path)) == []
+
+
+def test_help_imports_neither_the_science_nor_what_it_stands_on() -> None:
+    own = {"pasdedeux", "storage_schema", "tasks"}
+    assert loaded(own | {"numpy", "pyarrow", "pydantic"}, "--help") == []
+
+
+def test_what_stands_for_a_command_until_it_is_called_is_what_its_module_adds() -> None:
+    adding = [
+        path for path in CONSOLE.glob("*.py") if re.search(r"\bapp\.(command|add_typer)\(", path.read_text("utf-8"))
+    ]
+    assert {path.stem for path in adding} == {command.module for command in COMMANDS.values()}
+    for path in adding:
+        importlib.import_module(f"flows.console.{path.stem}")
+    added = {
+        name: Command(
+            getattr(command, "commands", {name: command}).popitem()[1].callback.__module__.rpartition(".")[2],
+            command.get_short_help_str(1000),
+        )
+        for name, command in typer.main.get_group(app).commands.items()
+    }
+    assert added == COMMANDS

@@ -42,7 +42,7 @@ from tasks.stage import (
     stream,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 19)
+RECONSTRUCTION = StageName("reconstruction", 20)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""

@@ -116,7 +116,10 @@ class DetectedSequence(Settings):
 
 
 class SequenceFacts(PeopleFacts):
-    """Annotated sequences; `why_no_video` is why frames of some do not follow each other in time, by sequence."""
+    """Annotated sequences, and what was stated of camera and people.
+
+    `why_no_video` is why frames of some do not follow each other in time, by sequence.
+    """
 
     kind: Literal["sequences"] = "sequences"
     sequence_ids: tuple[str, ...] = ()
@@ -129,6 +132,8 @@ class SequenceFacts(PeopleFacts):
     skipped_files: tuple[str, ...] = ()
     couples: tuple[Couple, ...] = ()
     why_no_video: dict[str, str] = Field({})
+    camera_height_m: float | None = None
+    statures_m: dict[int, float] = Field({})
     num_merged_rows: int = 0
     num_ghost_rows: int = 0
     num_repaired_joints: int = 0

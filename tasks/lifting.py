@@ -264,6 +264,7 @@ def _lift(
         off = np.nanmean(np.where(one.is_seen[..., None], fitted[..., :2] - one.image_m, np.nan), axis=(0, 1))
         fitted = fitted - np.array([*off, fitted[..., 2].mean()])
         rows.append(_row(one, "over_time", fitted, **known))
+    # That of the pair lifted alone also stands for the one over time, which it was not fitted to.
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))

@@ -42,7 +42,7 @@ from tasks.stage import (
     stream,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 19)
+RECONSTRUCTION = StageName("reconstruction", 20)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""
@@ -59,14 +59,6 @@ class SequenceSettings(Parameters):
         description="Methods, each gives a motion; the last one is cleaned up (planted feet still, nothing below "
         "the floor), as one more motion `<method>_clean`, and written as BVH",
     )
-    has_pairs: bool = Field(
-        True,
-        description="Pairs of the database that look like two partners say how far apart they are, beside the floor, "
-        "people's sizes and what touches",
-    )
-    has_level_camera: bool = Field(
-        False, description="The last method again as if the camera were level, first of all: the baseline `level`"
-    )
 
 
 class ReconstructionParameters(SequenceSettings):
@@ -78,9 +70,16 @@ class ReconstructionParameters(SequenceSettings):
 
 
 class SequenceShard(SequenceSettings):
-    """Parameters of a shard: its sequence, and how."""
+    """Parameters of a shard: its sequence, how, and what was stated of it.
+
+    A film with a captured take of it is made again by the last method as if the camera were level, first of all: the
+    baseline `level`.
+    """
 
     sequence_id: str
+    has_level_camera: bool = False
+    camera_height_m: float | None = None
+    statures_m: dict[int, float] = Field({})
 
 
 def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shard]:
@@ -91,8 +90,15 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
         if not _is_wanted(manifest, parameters.sequences):
             continue
         allowed = [database for database in databases if not shares_takes(manifest, database)]
-        for sequence_id in SequenceFacts.of(manifest).sequence_ids:
-            own = parameters.part(SequenceShard, sequence_id=sequence_id)
+        facts = SequenceFacts.of(manifest)
+        for sequence_id in facts.sequence_ids:
+            own = parameters.part(
+                SequenceShard,
+                sequence_id=sequence_id,
+                has_level_camera=facts.purpose == "given" and bool(facts.takes),
+                camera_height_m=facts.camera_height_m,
+                statures_m=facts.statures_m,
+            )
             read = {"annotations": [manifest], "projections": allowed}
             if Method.PUBLISHED in parameters.methods and allowed:
                 clusters, parts = clusters_of(inputs, allowed)
@@ -214,14 +220,18 @@ def _reconstruct(
     pitch = choose_camera(databases, people, options)
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
     chosen = Searcher.of(suited, *(read_clusters(store, ref) for ref in clusters))
-    is_paired = parameters.has_pairs and len(people) > 1
-    pairs_m = read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None
-    found = reconstruct_people(chosen, people, parameters.methods, options, pairs_m=pairs_m, pitch=pitch)
+    pairs_m = read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if len(people) > 1 else None
+    stated: dict[str, Any] = {
+        "pairs_m": pairs_m,
+        "camera_height_m": parameters.camera_height_m,
+        "statures_m": parameters.statures_m,
+    }
+    found = reconstruct_people(chosen, people, parameters.methods, options, pitch=pitch, **stated)
     pitch = found.pitch
     level_camera = replace(level.camera, pitch_rad=0.0)
     made_level = (
         reconstruct_people(
-            Searcher.of(replace(level, camera=level_camera)), people, parameters.methods[-1:], options, pairs_m=pairs_m
+            chosen.pitched(level_camera.pitch_rad), people, parameters.methods[-1:], options, **stated
         ).methods[-1:]
         if parameters.has_level_camera
         else ()

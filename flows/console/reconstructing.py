@@ -148,8 +148,8 @@ def reconstruct_video(
             [Method.FIT],
             has_clean_up=has_clean_up,
             pairs_m=pairs_m,
-            camera_height_m=camera_height_m,
-            statures_m=_statures(statures, [one.person_id for one in tracks]),
+            camera_height_m=camera_height_m or video.camera_height_m,
+            statures_m=dict(video.statures_m) | _statures(statures, [one.person_id for one in tracks]),
             pitch=pitch,
             on_step=step,
         )

@@ -61,9 +61,8 @@ class PinholeCamera:
 
     @property
     def pitch_rad(self) -> float:
-        """How far the camera looks down, in a world whose y is up."""
-        up = self.camera_from_world_rotmat[:, 1]
-        return float(np.arctan2(up[2], up[1]))
+        """How far the camera looks down, in a world whose y is up, however it is rolled about its axis."""
+        return float(np.arcsin(np.clip(self.camera_from_world_rotmat[2, 1], -1.0, 1.0)))
 
     def camera_from_world(self, points: Array) -> Array:
         """Return world points (*batch, 3) in camera axes, metres; z is negative in front of the camera."""

@@ -130,9 +130,13 @@ class _Film:
             there = (at >= 0) & (at < len(track.keypoints_px))
             seen = np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan)
             points[there, number] = seen[at[there]]
-        whole = points[np.isfinite(points).all(axis=(2, 3))]
-        heights = np.ptp((whole if len(whole) else np.nan_to_num(points.reshape(-1, 14, 2)))[..., 1], axis=1)
-        return cls(points, times_s, float(max(np.median(heights), 1.0)), tracks[0].lens, _ids(tracks))
+        is_seen = np.isfinite(points).all(axis=-1)
+        # Who is never seen whole is as tall as what is seen, at most in one of ten frames.
+        of_anybody, of_whole = np.any(is_seen, axis=2), np.all(is_seen, axis=2)
+        shown = points[of_whole if of_whole.any() else of_anybody][..., 1]
+        heights = np.nanmax(shown, axis=1) - np.nanmin(shown, axis=1)
+        height = float(np.percentile(heights, 50 if of_whole.any() else 90)) if len(heights) else 1.0
+        return cls(points, times_s, max(height, 1.0), tracks[0].lens, _ids(tracks))
 
     def _known(self, people: Sequence[int], truth: Array) -> tuple[Array, Array, Flags]:
         points = self.keypoints_px[:, list(people)]

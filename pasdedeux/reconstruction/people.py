@@ -18,7 +18,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
-from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, sized_by_height
+from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, size_by_height, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     SMOOTHING_S,
     Method,
@@ -128,13 +128,16 @@ def reconstruct_people(
         people, known = tried[fitted[-1]], dict(statures_m)
         if camera_height_m is not None:
             for one in people:
-                name, by_height_m = one.track.person_id, _stature_m(sized_by_height(one, camera, camera_height_m))
-                stated_m = known.setdefault(name, by_height_m)
-                if max(stated_m, by_height_m) > _MAX_CONTRADICTION * min(stated_m, by_height_m):
-                    doubts.append(
-                        f"person {name} of {stated_m:.2f} m would be {by_height_m:.2f} m tall before a camera "
-                        f"{camera_height_m:.2f} m above the floor: one of both is wrong, or the pitch"
-                    )
+                name, sized = one.track.person_id, sized_by_height(one, camera, camera_height_m)
+                by_height_m = size_by_height(one, camera, camera_height_m) * _stature_m(one)
+                tall = f"would be {by_height_m:.2f} m tall before a camera {camera_height_m:.2f} m above the floor"
+                stated_m = statures_m.get(name)
+                if stated_m is None and sized is not one:
+                    known[name] = by_height_m
+                elif stated_m is None and np.isfinite(by_height_m):
+                    doubts.append(f"person {name} {tall}: that height is wrong, or the pitch")
+                elif stated_m and max(stated_m / by_height_m, by_height_m / stated_m) > _MAX_CONTRADICTION:
+                    doubts.append(f"person {name} of {stated_m:.2f} m {tall}: one of both is wrong, or the pitch")
         couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
@@ -145,7 +148,7 @@ def reconstruct_people(
         )
         if not pitch.is_given:
             # What poses and floor say of it is not independent: half of what they differ by is doubt.
-            doubt = float(np.hypot(scene.pitch_deviation_rad, 0.5 * (scene.pitch_rad - pitch.pitch_rad)))
+            doubt = float(np.hypot(scene.pitch_deviation_rad, 0.5 * scene.pitch_off_rad))
             pitch = replace(pitch, pitch_rad=scene.pitch_rad, deviation_rad=doubt)
             camera = replace(camera, pitch_rad=scene.pitch_rad)
     made = []

@@ -68,6 +68,7 @@ _ANKLE_HEIGHT_M = 0.07
 _STANDING_PERCENT = 10.0
 """Of the frames have the lower ankle no higher than it is when it stands."""
 _SIZE_RANGE = (0.5, 2.0)
+"""Times the size of the reference body that somebody may have by the height of the camera."""
 
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
@@ -206,22 +207,25 @@ def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCame
     return np.asarray(upright @ np.array([start[0], floor, start[2]]))
 
 
-def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> Reconstruction:
-    """Return a reconstruction at the size that puts the floor as far below the camera as it is known to be.
+def size_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> float:
+    """Return how many times larger a person is if the floor is as far below the camera as it is known to be.
 
     One camera does not see how large people are: body and path may grow together about the camera.  So does the floor
-    below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  A
-    person whose feet are not below the camera, or who would come out twice or half as large, keeps the size.
+    below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  It
+    is NaN of a person whose feet are not below the camera.
     """
     upright = found.positions_m @ np.asarray(camera.camera_from_upright_rotmat)
     lowest = upright[~found.is_bridged][:, _ANKLES, 1].min(axis=1)
     if not len(lowest):
-        return found
+        return float("nan")
     below = _ANKLE_HEIGHT_M - float(np.percentile(lowest, _STANDING_PERCENT))
-    size = camera_height_m / below if below > 0 else float("nan")
-    if not _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1]:
-        return found
-    return found.scaled(size)
+    return camera_height_m / below if below > 0 else float("nan")
+
+
+def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> Reconstruction:
+    """Return a reconstruction at its size by the camera's height; who would be twice or half as large keeps the own."""
+    size = size_by_height(found, camera, camera_height_m)
+    return found.scaled(size) if _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1] else found
 
 
 @dataclass(frozen=True)

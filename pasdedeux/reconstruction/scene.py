@@ -100,6 +100,8 @@ class SceneEstimate:
     Args:
         pitch_rad: Pitch of the camera.
         pitch_deviation_rad: Standard deviation of it, from the curvature of what was solved.
+        pitch_off_rad: By how much the rays to people look farther down than their image says; of a given pitch, the
+            camera than was given.
         camera_height_m: Height of the camera over the floor.
         lens_factor: Focal length over the assumed one.
         sizes: Size of each person over the initial one (person,).
@@ -110,6 +112,7 @@ class SceneEstimate:
 
     pitch_rad: float
     pitch_deviation_rad: float
+    pitch_off_rad: float
     camera_height_m: float
     lens_factor: float
     sizes: Array
@@ -309,7 +312,7 @@ class _Problem:
         sizes = np.log(self.stature / self.wanted_stature) + x[_SIZES : _SIZES + len(self.people)]
         value = np.concatenate(
             [
-                [self._pitch_of_image(x)],
+                [self.pitch_off_rad(x) / (self.pitch.deviation_rad or _GIVEN_RAD)],
                 [(x[_HEIGHT] - self.log_height) / self.height_deviation],
                 [x[_LENS] / self.lens_deviation],
                 sizes / self.size_deviation,
@@ -319,14 +322,13 @@ class _Problem:
         )
         return Term(value, np.zeros((len(value), 0), dtype=np.int64))
 
-    def _pitch_of_image(self, x: Array) -> float:
-        """Return how far the pitch is off, in deviations: that of the rays to people is what suits their image."""
+    def pitch_off_rad(self, x: Array) -> float:
+        """Return how far the pitch is off: that of the rays to people is what suits their image."""
         if self.pitch.is_given:
-            return float((x[_PITCH] - self.pitch.pitch_rad) / _GIVEN_RAD)
+            return float(x[_PITCH] - self.pitch.pitch_rad)
         known = [plane[~one.is_bridged] for plane, one in zip(self.plane, self.people, strict=True)]
         down = -_rays(np.concatenate(known), float(np.exp(x[_LENS]))) @ _up(x[_PITCH])
-        off = np.arcsin(np.clip(down, -1.0, 1.0)).mean() - self.pitch.pitch_rad
-        return float(off / self.pitch.deviation_rad)
+        return float(np.arcsin(np.clip(down, -1.0, 1.0)).mean() - self.pitch.pitch_rad)
 
     def _pair(self, pair: PairDepth, placed: Sequence[tuple[Array, Array]], x: Array) -> Term:
         first, second = pair.people
@@ -370,6 +372,7 @@ def estimate_scene(
     return SceneEstimate(
         float(x[_PITCH]),
         float(np.sqrt(variance_of(np.eye(len(x))[_PITCH]))),
+        problem.pitch_off_rad(x),
         float(np.exp(x[_HEIGHT])),
         float(np.exp(x[_LENS])),
         np.exp(x[_SIZES : _SIZES + len(people)]),

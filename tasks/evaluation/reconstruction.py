@@ -399,7 +399,7 @@ TOPIC = Topic(
     heading="Reconstruction",
     introduction="3D motion reconstructed from 2D poses, against the ground truth where there is one. The baseline is, "
     "frame by frame, the pose of the database whose image is nearest; of a film with a captured motion (take_id) also "
-    "the reconstruction before a level camera, where the study asks for it. Errors are mean distances of 14 joints "
+    "the reconstruction before a level camera. Errors are mean distances of 14 joints "
     "about the mid-hip; of two people also errors of their distance, depth and relative position. The table of names "
     "says what each figure and method is.",
     reads=("motions", "annotations", "cameras", "poses"),

@@ -262,6 +262,8 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
             layout=frames.layout,
             num_skipped_frames=len(frames.skipped),
             skipped_files=tuple(frames.skipped[:MAX_NAMED_FILES]),
+            camera_height_m=parameters.camera_height_m,
+            statures_m=dict(parameters.statures_m),
             couples=tuple(
                 Couple(sequence_id=one.sequence_id, person_ids=(pair.first, pair.second), num_near_frames=pair.num_near)
                 for one in resolved.sequences

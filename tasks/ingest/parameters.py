@@ -310,6 +310,12 @@ class AnnotationCommon(PeopleSettings, Parameters):
     fov_deg: float | None = Field(
         None, gt=1, lt=179, description="Horizontal field of view, where the focal length is not known"
     )
+    camera_height_m: float | None = Field(
+        None, ge=0.1, le=100, description="Height of the camera above the floor, which gives people their size"
+    )
+    statures_m: tuple[tuple[int, Annotated[float, Field(ge=0.5, le=2.5)]], ...] = Field(
+        (), description="People whose stature is known, as [[0, 1.80], [1, 1.65]]: number and stature"
+    )
     min_confidence: float | None = Field(
         None,
         ge=0,

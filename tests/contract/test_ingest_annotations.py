@@ -9,6 +9,7 @@ import numpy as np
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level
 from storage_schema import Store
+from tasks.facts import SequenceFacts
 from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.source_samples import coco_text, csv_text, openpose_text
 
@@ -26,9 +27,10 @@ def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text(coco_text())
     (tmp_path / "t.csv").write_text(csv_text())
     store = Store(tmp_path / "store")
+    stated = {"camera_height_m": 1.5, "statures_m": [[0, 1.8]]}
     shards = planned(
         annotations=[
-            {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "licence": "mine", "credit": "me"},
+            {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "licence": "mine", "credit": "me", **stated},
             {"id": "coco", "path": tmp_path / "c.json"},
             {"id": "table", "path": tmp_path / "t.csv"},
         ]
@@ -38,6 +40,8 @@ def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
     assert walk.facts["purpose"] == "given"
     assert walk.facts["takes"] == []
     assert (walk.facts["num_frames"], walk.facts["num_persons"]) == (6, 2)
+    facts = SequenceFacts.of(walk)
+    assert (facts.camera_height_m, facts.statures_m) == (1.5, {0: 1.8})
     assert walk.sources[0].licence == "mine"
     rows = store.read(walk.ref, "annotations")
     assert rows.num_rows == 12

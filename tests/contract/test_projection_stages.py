@@ -29,7 +29,7 @@ from tests.builders.walking_takes import put_take
 
 
 def put_video(
-    store: Store, sequence_id: str, takes: list[str], *, purpose: str = "video"
+    store: Store, sequence_id: str, takes: list[str], *, purpose: str = "video", **stated: Any
 ) -> tuple[Manifest, np.ndarray]:
     """Return the artifact of a sequence of two people, and the truth (person, frame, 14, 3) in camera axes."""
     frames = 40
@@ -74,6 +74,7 @@ def put_video(
         "is_held_out": True,
         "purpose": purpose,
         "num_frames": frames,
+        **stated,
     }
     manifest = put(store, "ingest", sequence_id, {"annotations": columns}, facts)
     return manifest, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
@@ -245,6 +246,18 @@ def test_which_sequences_are_reconstructed_follows_their_purpose(store: Store) -
     for choice, expected in (("held_out", ["video", "given"]), ("given", ["given"]), ("all", ["video", "given"])):
         parameters = reconstruction.ReconstructionParameters(sequences=choice)
         assert [shard.partition for shard in reconstruction.plan(inputs, parameters)] == expected
+
+
+@pytest.mark.parametrize("stated", [{"camera_height_m": 2.2}, {"statures_m": {"0": 2.2, "1": 2.2}}])
+def test_a_stated_height_of_the_camera_or_of_people_gives_them_their_size(store: Store, stated: dict[str, Any]) -> None:
+    databases = build(store, [put_take(store, "a")], settings={"pitches_deg": (8.0,)})
+    legs = []
+    for facts in ({}, stated):
+        video, _ = put_video(store, f"film{len(facts)}", [], purpose="given", **facts)
+        (ref,) = reconstruct(store, [video], databases, methods=("fit",))
+        op14 = store.read(ref, "motions")["op14_m"]
+        legs.append(np.linalg.norm(np.diff(op14[:, OP14.legs[0][1:]], axis=1), axis=-1).mean())
+    assert legs[1] > 1.2 * legs[0]
 
 
 def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kept(store: Store) -> None:

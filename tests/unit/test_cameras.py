@@ -25,6 +25,13 @@ def test_projection_agrees_with_opencv() -> None:
     np.testing.assert_allclose(camera.project(points).px, expected[:, 0], atol=1e-8)
 
 
+@pytest.mark.parametrize("roll", [0.0, 0.5, np.pi / 2])
+def test_the_pitch_of_a_camera_is_told_however_it_is_rolled(roll: float) -> None:
+    turn = np.array([[np.cos(roll), -np.sin(roll), 0.0], [np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
+    rolled = PinholeCamera(1200.0, np.zeros(2), turn @ _camera(pitch=0.3).camera_from_world_rotmat, np.zeros(3))
+    assert rolled.pitch_rad == pytest.approx(0.3)
+
+
 @pytest.mark.parametrize(("yaw", "x_sign"), [(0.0, 1.0), (np.pi, -1.0)])
 def test_a_raised_hand_on_plus_x_is_seen_right_from_the_front_and_left_from_behind(yaw: float, x_sign: float) -> None:
     camera = look_at_camera(np.zeros(3), distance_m=3.0, yaw_rad=yaw, pitch_rad=0.0, focal_px=1000.0)

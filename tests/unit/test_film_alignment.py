@@ -67,6 +67,15 @@ def test_people_clocks_and_camera_are_found_back(rate: float, is_lens_known: boo
     assert "person 2 is A, person 1 is B" in found.in_words()
 
 
+def test_what_the_film_never_shows_of_people_does_not_make_them_taller() -> None:
+    truth = people(50, 51)
+    seen = film(truth, offset_s=1.0, rate=1.0)
+    hidden = [np.where(np.arange(14) == 0, 0.0, one.confidence) for one in seen]
+    cut = [replace(one, confidence=own) for one, own in zip(seen, hidden, strict=True)]
+    whole, headless = (align_film(tracks, truth, HZ).residual for tracks in (seen, cut))
+    assert headless == pytest.approx(whole, rel=0.2)
+
+
 def test_another_motion_and_too_few_people_are_refused() -> None:
     seen = film(people(50, 51), offset_s=1.0, rate=1.0)
     with pytest.raises(InputError, match=f"allowed {100 * MAX_RESIDUAL:.0f} %.*it is another motion"):

@@ -162,6 +162,45 @@ def test_few_frames_and_a_stature_against_the_height_of_the_camera_are_doubts(
         assert ("0.2 s are too short" if length == 5 else "person 0 of 1.70 m would be") in judged.reason
 
 
+@pytest.mark.parametrize(("height_m", "stature_m"), [(6.0, None), (0.8, 1.7), (0.8, 2.4)])
+def test_a_height_that_would_make_giants_is_a_doubt_and_changes_no_size(
+    walkers: tuple[Searcher, np.ndarray], height_m: float, stature_m: float | None
+) -> None:
+    stated = {} if stature_m is None else {0: stature_m}
+    track = seen(walk(48, seed=2))
+    found = reconstruct_people(walkers[0], [track], [Method.FIT], camera_height_m=height_m, statures_m=stated)
+    assert bool(found.doubts) == ((height_m, stature_m) != (0.8, 1.7))
+    assert found.scene is not None
+    if stature_m is None:
+        assert "that height is wrong, or the pitch" in found.doubts[0]
+        assert found.scene.sizes[0] == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_height_says_nothing_of_the_size_of_who_has_no_feet_below_the_camera(
+    walkers: tuple[Searcher, np.ndarray],
+) -> None:
+    track = seen(walk(48, seed=2))
+    above = replace(track, keypoints_px=track.keypoints_px - [0.0, 400.0])
+    found = reconstruct_people(walkers[0], [above], [Method.FIT], camera_height_m=1.5, statures_m={0: 1.3})
+    assert found.doubts == ()
+
+
+def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_others(
+    walkers: tuple[Searcher, np.ndarray],
+) -> None:
+    """What the images say is the pitch of the rays to people, and the camera looks down by less."""
+    found = []
+    for below_rad in (0.0, 0.25):
+        track = seen(walk(48, seed=2))
+        px = track.keypoints_px + np.array([0.0, 1400.0 * np.tan(below_rad)])
+        track = replace(track, keypoints_px=px, lens=replace(LENS, is_known=True))
+        pitch = PitchEstimate(0, below_rad, 0.03)
+        made = reconstruct_people(walkers[0].pitched(below_rad), [track], [Method.FIT], pitch=pitch)
+        assert made.pitch.pitch_rad == pytest.approx(0.0, abs=0.06)
+        found.append(made.pitch.deviation_rad)
+    assert found[1] < 1.5 * found[0]
+
+
 def test_a_badly_known_place_warns_then_fails_and_says_what_would_help() -> None:
     assert [Place(error).verdict.level for error in (0.1, 0.25, 0.6)] == [Level.PASS, Level.WARN, Level.FAIL]
     assert "25 cm (12 to 55); what would help: takes of such couples" in Place(0.25).verdict.reason

@@ -76,8 +76,13 @@ def annotate_film(
         raise InputError(
             f"--out {target}: annotations are {', '.join(f'{end} ({what})' for end, (what, _) in _WRITERS.items())}"
         )
+    for path in (target, sheet, overlay):
+        if path is not None and path.resolve() == film.resolve():
+            raise InputError(f"{path} is the film itself, which is not written over")
     _, write = _WRITERS[target.suffix]
     shots = find_shots(film_source(film, keys, detections, detect, settings))
+    if len({one.film.files for one in shots}) > 1 and (target.suffix != ".csv" or overlay is not None):
+        raise InputError(f"{film} is a folder of films: .json, .xml and --overlay are of one film, give each by itself")
     made: list[tuple[FoundShot, AnnotatedShot]] = []
     failed: list[InputError] = []
     for one in shots:
@@ -102,7 +107,7 @@ def annotate_film(
             for cell in _cells(one, shot, frames, has_faces)
         ]
         if cells:
-            _write_image(sheet, contact_sheet([image for _, image in cells], [title for title, _ in cells]))
+            _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
     if overlay is not None:
         _write_film(overlay, (image for one, shot in made for image in _drawn(one, shot, has_faces)), made[0][1])
     typer.echo(f"written: {target}", err=True)
@@ -121,11 +126,13 @@ def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[st
     return one.parameters.id, span, str(people), *shares, " ".join(map(str, wanted))
 
 
-def _cells(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[tuple[str, Image]]:
+def _cells(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[Image]:
+    """Yield the cells of the sheet, each made small at once: whole images of all shots may be many."""
     first = one.parameters.first_number + one.parameters.first_frame
     for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
         if number in wanted:
-            yield f"frame {number}", draw_people(frame.image, shot.frames, number, has_faces=has_faces)
+            drawn = draw_people(frame.image, shot.frames, number, has_faces=has_faces)
+            yield contact_sheet([drawn], [f"frame {number}"])
 
 
 def _drawn(one: FoundShot, shot: AnnotatedShot, has_faces: bool) -> Iterator[Image]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,10 @@ from flows.exports.cast_files import CastFiles
 from flows.exports.casts import ANNOTATED, Cast, Seen, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat
 from pasdedeux.arrays import Array, Flags
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from storage_schema import Store
+from tasks.facts import PeopleFacts
+from tasks.ingest.films import open_film, read_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))
@@ -51,23 +53,24 @@ def _draw(export: Export, cast: Cast, seen: Seen, path: Path) -> None:
     """Write the video of one cast."""
     import cv2  # here: a quarter of a second that other formats do not need
 
-    given_px, is_given, size = _annotation(export.store, cast, seen)
-    with _footage(export.footage, size) as frames:
-        first, rate_hz = frames(seen.frames[0]), _STILLS_HZ if cast.labels else cast.rate_hz
-        height, width = (length - length % 2 for length in first.shape[:2])
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (width, height))
-        if not video.isOpened():
-            raise InputError(f"{path.name}: no video of {width} x {height} can be written here")
-        thick = max(2, height // 240)
-        for at, frame in enumerate(seen.frames):
-            image = np.ascontiguousarray(frames(frame)[:height, :width])
-            found_px = _laid_on(seen.positions_m[at], given_px[at], is_given[at], together=seen.is_pair)
-            for person in range(len(found_px)):
-                grey = np.where(is_given[at, person][:, None], given_px[at, person], np.nan)
-                _bones(image, grey, seen, _GREY, thick)
-                _bones(image, found_px[person], seen, _COLOURS[person % len(_COLOURS)], thick)
-            video.write(image)
-        video.release()
+    given_px, is_given, size, placed_hz = _annotation(export.store, cast, seen)
+    blank = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
+    frames = (lambda _: blank) if export.footage is None else Footage(export.footage, placed_hz)
+    first, rate_hz = frames(seen.frames[0]), _STILLS_HZ if cast.labels else cast.rate_hz
+    height, width = (length - length % 2 for length in first.shape[:2])
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (width, height))
+    if not video.isOpened():
+        raise InputError(f"{path.name}: no video of {width} x {height} can be written here")
+    thick = max(2, height // 240)
+    for at, frame in enumerate(seen.frames):
+        image = frames(frame)[:height, :width].copy()
+        found_px = _laid_on(seen.positions_m[at], given_px[at], is_given[at], together=seen.is_pair)
+        for person in range(len(found_px)):
+            grey = np.where(is_given[at, person][:, None], given_px[at, person], np.nan)
+            _bones(image, grey, seen, _GREY, thick)
+            _bones(image, found_px[person], seen, _COLOURS[person % len(_COLOURS)], thick)
+        video.write(image)
+    video.release()
 
 
 def _bones(image: Any, points_px: Array, seen: Seen, colour: tuple[int, int, int], thick: int) -> None:
@@ -98,8 +101,11 @@ def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: boo
     return laid
 
 
-def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tuple[int, int]]:
-    """Return the annotation of a cast (frame, P, J, 2) in pixels, which of it is given, and the size of its images."""
+def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tuple[int, int], float | None]:
+    """Return the annotation of a cast (frame, P, J, 2) in pixels, which of it is given, and the size of its images.
+
+    And the rate on which ingest placed it, where that of the film is not constant.
+    """
     assert cast.ref is not None
     ref = next(one for one in store.manifest(cast.ref).inputs if "annotations" in store.manifest(one).tables)
     name = seen.skeleton.name
@@ -120,39 +126,43 @@ def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tup
     is_given = is_sure & np.isfinite(given).all(axis=-1)
     if not all(size) and is_given.any():
         size = tuple(np.clip(given[is_given].max(axis=0) + _MARGIN_PX, 2, _LARGEST_PX).astype(int).tolist())
-    return given, is_given, (max(size[0], 64), max(size[1], 64))
+    manifest = store.manifest(ref)
+    placed_hz = None if manifest.parameters.get("is_constant_rate", True) else PeopleFacts.of(manifest).rate_hz
+    return given, is_given, (max(size[0], 64), max(size[1], 64)), placed_hz
 
 
-@contextmanager
-def _footage(path: Path | None, size: tuple[int, int]) -> Iterator[Any]:
-    """Return what gives the image (height, width, 3) of a frame: of a video, or blank.
+class Footage:
+    """The images of a film by the frames of its annotations, streamed: an earlier frame begins it again.
+
+    Args:
+        path: The film, or a folder of numbered images.
+        rate_hz: Rate on which its annotations were placed, where its own is not constant; else None.
 
     Raises:
-        InputError: The video cannot be opened, or has no such frame.
+        InputError: The film cannot be read.
     """
-    import cv2
 
-    if path is None:
-        yield lambda _: np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
-        return
-    if not path.is_file():
-        raise InputError(f"footage {path} does not exist")
-    video = cv2.VideoCapture(str(path))
-    if not video.isOpened():
-        raise InputError(f"footage {path.name} is no video that can be read here")
-    place = -1
+    def __init__(self, path: Path, rate_hz: float | None = None) -> None:
+        with named("footage"):
+            self._film = open_film(path)
+        self._name, self._rate_hz = path.name, rate_hz
+        self._begin()
 
-    def image_of(frame: int) -> Any:
-        nonlocal place
-        if frame != place + 1:
-            video.set(cv2.CAP_PROP_POS_FRAMES, frame)
-        is_read, image = video.read()
-        if not is_read:
-            raise InputError(f"footage {path.name} has no frame {frame}: it is not the video of these annotations")
-        place = frame
-        return image
+    def _begin(self) -> None:
+        self._images = self._numbered()
+        self._now, self._next = next(self._images), next(self._images, None)
 
-    try:
-        yield image_of
-    finally:
-        video.release()
+    def _numbered(self) -> Iterator[tuple[int, Any]]:
+        """Yield the images, each with the first frame that it shows."""
+        for number, one in enumerate(read_film(self._film.files), start=self._film.first_number):
+            yield number if self._rate_hz is None else math.ceil(one.time_s * self._rate_hz - 1e-3), one.image
+
+    def __call__(self, frame: int) -> Any:
+        """Return the image of a frame; an InputError says that there is none."""
+        if frame < self._now[0]:
+            self._begin()
+        while self._next is not None and self._next[0] <= frame:
+            self._now, self._next = self._next, next(self._images, None)
+        if frame < self._now[0] or (self._next is None and frame > self._now[0]):
+            raise InputError(f"footage {self._name} has no frame {frame}: it is not the video of these annotations")
+        return self._now[1]

@@ -39,9 +39,12 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
     Detections are resolved and cleaned as ingest does it.  Key frames stay as they are: a person placed them.
 
     Raises:
-        InputError: Several people have no numbers in key frames, or detections are too far apart to be followed.
+        InputError: Nothing is given, several people have no numbers in key frames, or detections are too far apart to
+            be followed.
     """
     given = given.given()
+    if not given.num_rows:
+        raise InputError("no keypoint of it was annotated or detected")
     alone = np.unique(given.frame, return_counts=True)[1].max(initial=0) <= 1
     if is_key and (given.has_identities or alone):
         return replace(given, has_identities=True)
@@ -50,7 +53,7 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
             "its key frames do not number the people (COCO: track_id; CSV: person; CVAT: tracks); from one to "
             "the next they move too far to be followed"
         )
-    resolved = resolve_people(given)
+    resolved = resolve_people(replace(given, confidence=np.where(given.is_given, given.confidence, 0.0)))
     why = next((one.why_not_followed for one in resolved.sequences if one.why_not_followed), "")
     if why:
         raise InputError(why)
@@ -63,7 +66,7 @@ def annotate_shot(
     """Fill in every frame of a shot from what is given of some.
 
     Args:
-        given: Rows of the shot, with identities and rate.
+        given: Rows of the shot, with identities and rate; what was filled in beside what is given is filled in anew.
         images: BGR images of all frames of the shot.
         first_frame: Number of the first.
         num_frames: How many there are.
@@ -77,9 +80,11 @@ def annotate_shot(
     known, confidence = np.full((*shape, 2), np.nan), np.zeros(shape)
     kind, is_hidden = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     at = (given.frame - first_frame, np.searchsorted(people, given.person_id))
-    known[at], confidence[at] = given.keypoints_px, given.confidence
+    is_given = given.is_given
+    known[at] = np.where(is_given[..., None], given.keypoints_px, np.nan)
+    confidence[at] = np.where(is_given, given.confidence, 0.0)
     source = KeypointStatus.ANNOTATED if is_key else KeypointStatus.DETECTED
-    kind[at] = np.where(given.confidence > 0, source if given.status is None else given.status, 0)
+    kind[at] = np.where(is_given, source if given.status is None else given.status, 0)
     is_hidden[at] = is_key & (given.confidence == 0)
     op14 = get_keypoint_layout(given.layout).derive(OP14.name, given.keypoints_px, given.confidence)
     each = body_size_px(op14.positions, op14.confidence)

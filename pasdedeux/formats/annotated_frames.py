@@ -164,12 +164,14 @@ class AnnotatedFrames:
             status=None if self.status is None else self.status[chosen],
         )
 
+    @property
+    def is_given(self) -> Flags:
+        """Which keypoints (row, K) a person or a detector gave: those that were not tracked or interpolated between."""
+        return np.asarray(self.confidence > 0 if self.status is None else self.status >= KeypointStatus.DETECTED)
+
     def given(self) -> AnnotatedFrames:
-        """Return what a person or a detector gave, without what was tracked or interpolated between."""
-        if self.status is None:
-            return self
-        is_given = self.status >= KeypointStatus.DETECTED
-        return replace(self, confidence=np.where(is_given, self.confidence, 0.0)).rows(np.asarray(is_given.any(axis=1)))
+        """Return the rows of which a person or a detector gave a keypoint, with what was filled in beside it."""
+        return self.rows(np.asarray(self.is_given.any(axis=1)))
 
     def start_of_each(self, num_frames: int) -> AnnotatedFrames:
         """Return the rows of the first frames of each sequence, so many frames from its first one on."""

@@ -124,7 +124,7 @@ def read_points(data: bytes) -> Points:
         raise FormatError("this C3D file is empty")
     try:
         return _read_points(data)
-    except (struct.error, IndexError, KeyError, ValueError, UnicodeDecodeError) as error:
+    except (struct.error, IndexError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"this is a damaged C3D file: {str(error)[:80] or type(error).__name__}") from None

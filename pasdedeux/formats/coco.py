@@ -73,7 +73,7 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
         table = _keypoint_table(item.content, item.where)
         status = _own_status(item.content, item.where) if is_annotations else None
         if status is not None:
-            table[:, 2] = item.content["keypoint_scores"]
+            table[:, 2] = np.where(table[:, 2] > 0, item.content["keypoint_scores"], 0.0)
         elif is_annotations:
             if not np.isin(table[:, 2], [0, 1, 2]).all():
                 raise FormatError(f"{item.where}: a visibility is none of 0, 1, 2")

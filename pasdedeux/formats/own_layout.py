@@ -34,7 +34,7 @@ def read_layout(data: bytes | str) -> KeypointLayout:
     """
     try:
         content = tomllib.loads(decode(data, "layout"))
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FormatError(f"this layout is not valid TOML: {error}") from None
     if set(content) != set(_KEYS):
         found = ", ".join(map(shorten, content)) or "nothing"
@@ -63,6 +63,6 @@ def _weights(joint: str, entry: Any, names: list[str]) -> dict[str, float]:
     for name in weights:
         if name not in names:
             raise FormatError(f"joint '{joint}': keypoint '{shorten(name)}' is not among 'keypoints'")
-    if abs(sum(weights.values()) - 1.0) > 1e-6:
+    if not abs(sum(weights.values()) - 1.0) <= 1e-6:
         raise FormatError(f"joint '{joint}': its weights sum to {sum(weights.values()):g}, not 1")
     return {name: float(weight) for name, weight in weights.items()}

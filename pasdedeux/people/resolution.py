@@ -179,7 +179,12 @@ def resolve_people(
     source_row = columns.pop("source_row")
     names = tuple(one.decided.sequence_id for one in found for _ in one.rows.frame)
     return ResolvedPeople(
-        frames=replace(frames, sequence_id=names, **columns),
+        frames=replace(
+            frames,
+            sequence_id=names,
+            status=None if frames.status is None else frames.status[source_row],
+            **columns,
+        ),
         source_person_id=frames.person_id[source_row],
         partner_id=np.concatenate([one.partner_id for one in found]),
         op14=Keypoints(

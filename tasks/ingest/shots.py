@@ -17,7 +17,7 @@ from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, with_identit
 from pasdedeux.film.detectors import load_detector
 from pasdedeux.film.shots import at_constant_rate
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
-from pasdedeux.formats.detections import Detection, Footage, join_detections
+from pasdedeux.formats.detections import UNKNOWN, Detection, Footage, join_detections
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, read_annotations
 from tasks.ingest.cameras import VIDEO_SUFFIXES, find_cameras, is_named_after
 from tasks.ingest.detector_files import find_network
@@ -139,13 +139,16 @@ def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Anno
     return replace(frames, status=np.where(frames.confidence > 0, KeypointStatus.DETECTED, 0))
 
 
-def _read_given(parameters: FilmParameters, files: tuple[SourceFile, ...], stated: Footage) -> AnnotatedFrames:
+def _read_given(
+    parameters: FilmParameters, files: tuple[SourceFile, ...], stated: Footage, *, video: Footage = UNKNOWN
+) -> AnnotatedFrames:
     return read_annotations(
         ANNOTATION_FORMATS[parameters.format],
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
         layout=parameters.keypoint_layout(),
         stated=stated,
+        video=video,
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
     )
@@ -161,14 +164,21 @@ def _films_of(options: FilmOptions) -> list[tuple[str, Path, Path | None]]:
         raise InputError(f"folder {options.path} holds no film ({', '.join(sorted(VIDEO_SUFFIXES))}) and no images")
     if given is not None and not given.is_dir():
         raise InputError(f"{options.path} is a folder of films: keys and detections are a folder with a file for each")
-    found = []
+    names: dict[str, Path] = {}
     for film in films:
-        fitting = [item for item in sorted(given.iterdir()) if is_named_after(item.stem, film.stem)] if given else []
-        fitting = [item for item in fitting if item.suffix.lower() not in VIDEO_SUFFIXES]
-        if given is not None and not fitting:
-            raise InputError(f"nothing in {given} is named like the film {film.name}")
-        found.append((re.sub(r"[^A-Za-z0-9_.-]", "_", film.stem), film, fitting[0] if fitting else None))
-    return found
+        name = re.sub(r"[^A-Za-z0-9_.-]", "_", film.stem)
+        if names.setdefault(name, film) is not film:
+            raise InputError(f"{names[name].name} and {film.name} would have one name; rename one of them")
+    fitting: dict[Path, list[Path]] = {film: [] for film in films}
+    for item in sorted(given.iterdir()) if given else []:
+        named_so = [film for film in films if is_named_after(item.stem, film.stem)]
+        if named_so and item.suffix.lower() not in VIDEO_SUFFIXES:
+            fitting[max(named_so, key=lambda film: len(film.stem))].append(item)
+    lacking = next((film.name for film, items in fitting.items() if not items), None)
+    if given is not None and lacking is not None:
+        raise InputError(f"nothing in {given} is named like the film {lacking}")
+    shortest = {film: min(items, key=lambda item: len(item.stem), default=None) for film, items in fitting.items()}
+    return [(name, film, shortest[film]) for name, film in names.items()]
 
 
 def _shots_of(
@@ -232,7 +242,8 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
     """Return the frames that are given, after a check against the film."""
     with named(given.name):
         parameters = shot.parameters
-        frames = _read_given(parameters, shot.files[: parameters.num_given], Footage())
+        files = shot.files[: parameters.num_given]
+        frames = _read_given(parameters, files, Footage(), video=Footage(film.image_size_px))
         sizes = set(frames.image_size_px.values()) - {film.image_size_px}
         if sizes:
             (width, height), (own_width, own_height) = sizes.pop(), film.image_size_px
@@ -252,4 +263,4 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
             raise InputError(
                 f"it holds {len(set(frames.sequence_id))} sequences with the same frames; give each film its own file"
             )
-        return frames.frame
+        return frames.given().frame

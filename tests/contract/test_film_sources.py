@@ -36,7 +36,7 @@ from tasks.stage import StageInputs
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
-from tests.builders.painted_film import painted, scene, walker_px, write_keys
+from tests.builders.painted_film import NAMES, painted, scene, walker_px, write_keys
 from tests.builders.rendered_film import write_film
 from tests.builders.walkers import walk
 from tests.builders.walkers_on_video import FRAMES, build_store, reference
@@ -149,6 +149,55 @@ def test_key_frames_of_another_film_are_refused(
     keys = write_keys(tmp_path / "other.csv", frames, notes=notes)
     with pytest.raises(InputError, match=message):
         found(film, keys=keys)
+
+
+def test_shots_of_which_only_filled_in_joints_are_known_are_left_out(film: Path, keys: Path, tmp_path: Path) -> None:
+    head, names, *rows = keys.read_text().splitlines()
+    lines = [f"{row},{'annotated' if int(row.split(',')[0]) < 20 else 'tracked'}" for row in rows]
+    filled = tmp_path / "filled.csv"
+    filled.write_text("\n".join([head, f"{names},status", *lines]))
+    assert [one.parameters.id for one in found(film, keys=filled)] == ["walk.shot00"]
+
+
+def test_keypoints_that_are_shares_of_the_image_take_its_size_from_the_film(film: Path, tmp_path: Path) -> None:
+    path = tmp_path / "shares.csv"
+    lines = ["# layout: coco17", "frame,person,joint,x,y"]
+    for frame in (0, 10, 19):
+        for name, (x, y) in zip(NAMES, walker_px(frame), strict=True):
+            lines.append(f"{frame},0,{name},{x / 640:.6f},{y / 480:.6f}")
+    path.write_text("\n".join(lines))
+    (one,) = found(film, detections=path)
+    frames = one.read()
+    np.testing.assert_allclose(frames.keypoints_px[0], walker_px(0), atol=0.01)
+
+
+def test_films_of_a_folder_have_names_and_key_frames_of_their_own(film: Path, keys: Path, tmp_path: Path) -> None:
+    films, annotations = tmp_path / "films", tmp_path / "keys"
+    films.mkdir()
+    annotations.mkdir()
+    for name in ("one", "one-2"):
+        (films / f"{name}.mp4").write_bytes(film.read_bytes())
+        (annotations / f"{name}.csv").write_text(keys.read_text() + ("20,2,nose,50,50\n" if name == "one" else ""))
+    given = {one.parameters.id: one.files[0].path for one in found(films, keys=annotations)}
+    assert Path(given["walk.one.shot00"]).name == "one.csv"
+    assert Path(given["walk.one-2.shot00"]).name == "one-2.csv"
+    for end in ("json", "xml"):
+        arguments = ["annotate", films, "--keys", annotations, "--out", tmp_path / f"all.{end}"]
+        assert run_command_line([str(one) for one in arguments]) == 2
+    (annotations / "one.csv").unlink()
+    with pytest.raises(InputError, match=r"nothing in .* is named like the film one\.mp4"):
+        found(films, keys=annotations)
+    (films / "one-2.avi").write_bytes(film.read_bytes())
+    with pytest.raises(InputError, match=r"one-2\.avi and one-2\.mp4 would have one name"):
+        found(films, keys=annotations)
+
+
+def test_a_film_is_not_written_over(film: Path, keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = film.read_bytes()
+    out = ["--out", str(film.with_name("o.csv"))]
+    assert run_command_line(["annotate", str(film), "--keys", str(keys), "--overlay", str(film), *out]) == 2
+    assert "is the film itself" in capsys.readouterr().err
+    assert film.read_bytes() == before
 
 
 def test_damaged_film_is_refused_or_read_as_far_as_it_goes(film: Path, keys: Path, tmp_path: Path) -> None:

@@ -60,6 +60,14 @@ def test_coco_gives_back_all_of_it_with_confidences_and_rate() -> None:
     assert found.rate_hz == 25.0
 
 
+def test_a_keypoint_that_a_tool_deletes_is_missing_though_our_score_of_it_stays() -> None:
+    content = json.loads(write_coco(two_people()))
+    person = content["annotations"][0]
+    seen = person["keypoints"][2::3].index(2)
+    person["keypoints"][3 * seen + 2] = 0
+    assert read_coco(json.dumps(content), "clip").confidence[0, seen] == 0.0
+
+
 def test_what_an_annotation_tool_writes_of_coco_has_no_status_and_its_visibilities() -> None:
     text = write_coco(replace(two_people(), status=None)).replace("keypoint_scores", "other")
     found = read_coco(text, "clip")
@@ -173,6 +181,7 @@ def test_a_layout_of_ones_own_reads_files_of_its_number_of_keypoints_also_where_
         (('neck = "neck"', 'nck = "neck"'), "joint 'nck' is none of ours: pelvis, spine, chest"),
         (('neck = "neck"', 'neck = "nek"'), "joint 'neck': keypoint 'nek' is not among"),
         (("torso = 0.5", "torso = 0.6"), r"joint 'chest': its weights sum to 1\.1, not 1"),
+        (("torso = 0.5", "torso = nan"), "joint 'chest': its weights sum to nan, not 1"),
         (('"head", "neck"', '"head", "head"'), "keypoint 'head' is there twice"),
         (('"head"\nneck', "head\nneck"), "not valid TOML"),
     ],

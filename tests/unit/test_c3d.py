@@ -106,6 +106,14 @@ def test_no_damage_does_more_than_a_format_error():
             read_c3d(bytes(damaged))
 
 
+@pytest.mark.parametrize(("name", "kind"), [("LABELS", 1), ("UNITS", 1), ("RATE", -1), ("SCALE", -1), ("USED", -1)])
+def test_a_parameter_of_another_type_is_damage(name, kind):
+    data = bytearray(c3d_points())
+    struct.pack_into("<b", data, data.index(name.encode()) + len(name) + 2, kind)
+    with pytest.raises(FormatError, match="this is a damaged C3D file"):
+        read_c3d(bytes(data))
+
+
 def test_a_parameter_that_states_endless_texts_is_refused_at_once():
     data = bytearray(c3d_points())
     at = data.index(b"LABELS") + 8

@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, frames_to_correct, with_identities
 from pasdedeux.film.drawing import contact_sheet, draw_people
 from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
 from pasdedeux.formats.annotation_csv import read_annotation_csv, write_annotation_csv
 from pasdedeux.skeletons import PAIR17
 from tests.builders.rendered_film import Film, duet_bodies, render, salsa_bodies
@@ -221,3 +221,38 @@ def test_faces_are_blurred_unless_asked_otherwise_and_people_are_drawn(waltz: Fi
     assert (draw_people(image, frames, 7, has_faces=True) == image).all()
     sheet = contact_sheet([hidden, shown, image], ["1", "2", "3"], num_columns=2)
     assert sheet.shape == (480, 640, 3)
+
+
+def test_joints_of_a_key_frame_that_were_only_tracked_are_tracked_anew_and_not_hidden(waltz: Film) -> None:
+    frames = annotated(waltz, keys_of(waltz)).frames
+    assert frames.status is not None
+    is_corrected = (frames.frame == 7)[:, None] & (np.arange(17) == WRIST)
+    corrected = replace(frames, status=np.where(is_corrected, KeypointStatus.ANNOTATED, frames.status))
+    given = with_identities(corrected, is_key=True)
+    assert sorted(set(given.frame.tolist())) == [0, 7, 15, 30, 45]
+    _, status = by_frame(waltz, annotated(waltz, given).frames)
+    assert (status[7, :, WRIST] == KeypointStatus.ANNOTATED).all()
+    others = np.arange(17) != WRIST
+    assert (status[:16, :, others] > KeypointStatus.MISSING).all()
+    assert (status[7][:, others] < KeypointStatus.DETECTED).all()
+
+
+def test_key_frames_of_which_nothing_was_annotated_are_refused(waltz: Film) -> None:
+    given = keys_of(waltz)
+    tracked = replace(given, status=np.full(given.confidence.shape, KeypointStatus.TRACKED))
+    with pytest.raises(InputError, match="no keypoint of it was annotated or detected"):
+        with_identities(tracked, is_key=True)
+
+
+def test_statuses_stay_with_the_detections_of_which_some_are_dropped(waltz: Film) -> None:
+    given = rows_of(waltz, list(range(len(waltz.px))))
+    status = np.where(np.arange(17) == WRIST, KeypointStatus.ANNOTATED, KeypointStatus.DETECTED)
+    ghost = rows_of(waltz, [20]).rows(np.array([True, False]))
+    ghost = replace(ghost, person_id=np.array([2]), keypoints_px=ghost.keypoints_px + 300.0)
+    both = join_frames([given, ghost])
+    both = replace(both, has_identities=False, status=np.broadcast_to(status, both.confidence.shape))
+    found = with_identities(both, is_key=False)
+    assert found.num_rows == given.num_rows
+    assert found.status is not None
+    assert (found.status[:, WRIST] == KeypointStatus.ANNOTATED).mean() > 0.9
+    assert not (np.delete(found.status, WRIST, axis=1) == KeypointStatus.ANNOTATED).any()

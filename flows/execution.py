@@ -67,7 +67,7 @@ def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
     if settings.profile is not None:
         run.listener.note(f"starting {settings.profile.cluster}, waiting for its first worker")
     elif settings.scheduler is None:
-        run.listener.note(f"starting {settings.num_workers} local workers")
+        run.listener.note(f"starting {settings.num_workers} local worker{'s' * (settings.num_workers != 1)}")
     else:
         run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
     with connect(settings, store_root=root) as client:

@@ -155,7 +155,7 @@ def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path,
     path = folder / Path(said).expanduser()
     looks_like_path = said.endswith(".toml") or "/" in said or os.sep in said
     if not looks_like_path and not path.is_file():
-        raise StudyError([unknown(f"{context}study '{said}'", tuple(shipped), said) + "; or give a .toml file"])
+        raise StudyError([unknown(f"{context}study '{said}'", tuple(shipped), said) + " (or name a .toml file)"])
     try:
         return path.read_text(encoding="utf-8"), path.resolve().parent, str(path.resolve())
     except FileNotFoundError:

@@ -196,7 +196,8 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
     if latest is None:
         there = ", ".join(latest_studies(store)) or "none"
         raise UnknownReference(
-            f"study '{reference.study}' has not run in the store {store}; studies that have: {there}"
+            f"study '{reference.study}' has not run in the store {store}; studies that have: {there}; "
+            "`pasdedeux run` builds a study, --store names another store"
         )
     refs = [ref for stage in latest.stages for ref in latest.refs(stage, reference.partition)]
     if not refs:

@@ -9,8 +9,6 @@ import typer
 from typer import Argument, Option
 
 from flows.console.context import StoreOption, app, open_store
-from pasdedeux.errors import InputError
-from storage_schema import parse_reference
 
 CURATION = Path("curation.txt")
 CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File of choices; made when missing.")]
@@ -19,7 +17,7 @@ CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File
 @app.command()
 def curate(
     decision: Annotated[Literal["accept", "reject", "undo"], Argument(help="What is decided; undo forgets it.")],
-    reference: Annotated[str, Argument(metavar="REF", help="One row of what it is about: variants:study/take#row.")],
+    reference: Annotated[str, Argument(metavar="REF", help="Any row of what it is about: variants:study/take#row.")],
     reason: Annotated[str, Option("--reason", metavar="TEXT", help="Why, for those who read it later.")] = "",
     curation: CurationOption = CURATION,
     store: StoreOption = Path("store"),
@@ -30,17 +28,33 @@ def curate(
       pasdedeux curate reject "variants:duets/waltz#120" --reason "feet slide"
       pasdedeux curate undo "variants:duets/waltz#120"
 
-    The file has a line a choice: name and content of the thing, and the reason.  Name it in a study
-    (`[curation] file`): exports, training and published datasets then leave out what is rejected, as long as its
-    content is the same.
+    Rows are counted from 0, as by `show`; a variant or a motion has a row for each frame, and any of them stands for
+    all of it.  The answer names what was meant.  The file has a line for each choice: name and content of the thing,
+    and the reason.  Name it in a study (`[curation] file`): exports, training and published datasets then leave out
+    what is rejected, as long as its content is the same.  `export --curation FILE` heeds it without a study.
     """
     from flows.viewing.kinds import thing_of
     from flows.viewing.shelf import open_shelf
+    from pasdedeux.errors import InputError
+    from storage_schema import parse_reference
+    from storage_schema.references import find_rows
     from tasks.curation import Choosing
 
-    if parse_reference(reference).row is None:
-        raise InputError(f"'{reference}' may name more than one thing: name one row of it: {reference}#ROW")
-    shelf = open_shelf(open_store(store), reference)
-    part, index, row = shelf.find(reference)
-    name, content = thing_of(shelf, part, shelf.items(part)[index], row)
-    typer.echo(Choosing(curation).decide(decision, part.table, name, content, reason))
+    opened = open_store(store)
+    shelf = open_shelf(opened, reference)
+
+    def thing(text: str) -> tuple[str, str, str]:
+        part, index, row = shelf.find(text)
+        return part.table, *thing_of(shelf, part, shelf.items(part)[index], row)
+
+    meant = thing(reference)
+    if (parsed := parse_reference(reference)).row is None:
+        num_rows = sum(rows.stop for _, rows in find_rows(parsed, opened))
+        if (last := thing(f"{reference}#{num_rows - 1}")) != meant:
+            raise InputError(
+                f"'{reference}' names several things, {meant[1]} (row 0) to {last[1]} (row {num_rows - 1}); add a row "
+                f"of the one that is meant, such as '{reference}#0'"
+            )
+    typer.echo(Choosing(curation).decide(decision, *meant, reason))
+    if decision == "reject":
+        typer.echo(f"exports leave it out with --curation {curation}, or if the study names the file ([curation] file)")

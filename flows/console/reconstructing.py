@@ -49,9 +49,9 @@ from tasks.reconstruction import MAX_PAIRS
 _LIVE_PITCH_DEG = 10.0
 _HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")
 _HOW_TO_GET_ONE = (
-    "`pasdedeux fetch database` makes one of people together and everyday motion, "
-    "`pasdedeux run duets --until projections` a small one of built-in motion in two minutes, a study of takes like "
-    "yours the best; then --database projections:STUDY"
+    "`pasdedeux fetch database` makes a large database, of people together and of everyday motion; "
+    "`pasdedeux run duets --until projections` a small one, of built-in motion, in two minutes; a study of takes like "
+    "yours the best; name it with --database projections:STUDY"
 )
 
 
@@ -304,7 +304,8 @@ def _projections(text: str | None, store_folder: Path) -> tuple[Store, list[Arti
     if len(found) != 1:
         names = ", ".join(f"projections:{study}" for study in found)
         which = f"say which with --database, one of: {names}" if found else _HOW_TO_GET_ONE
-        raise InputError(f"store {store} has projections of {len(found)} studies; {which}")
+        has = f"projections of {len(found)} studies" if found else "no projections, which `reconstruct` matches against"
+        raise InputError(f"store {store} has {has}; {which}")
     return store, next(iter(found.values()))
 
 

@@ -187,9 +187,9 @@ def _rate(person: _Person) -> str:
         header = f"; the header says {stated_hz:g}" if is_other else ""
         return f"rate_hz = {known_hz:g}         # known of CMU's files{header}"
     if stated_hz is not None:
-        lasts = f"then it lasts {person.num_frames / stated_hz:.1f} s"
-        lie = "files lie about this: compare with the video or a clock"
-        return f"rate_hz = {stated_hz:g}         # stated by the file; {lasts} - {lie}"
+        lasts = f"the take lasts {person.num_frames / stated_hz:.1f} s then"
+        check = "compare with the video, stated rates are often wrong"
+        return f"rate_hz = {stated_hz:g}         # stated by the file; {lasts}: {check}"
     usual_hz = usual_rate_hz(person.path.name)
     if usual_hz is None:
         return "# rate_hz = 120       # no file states its frame rate: A GUESS - SET IT, it is needed"
@@ -202,7 +202,7 @@ def _unit(person: _Person) -> str:
     if known_m is not None:
         return f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
     if unit.confidence >= MIN_UNIT_CONFIDENCE:
-        why = f"{unit.reason}, stature {unit.height_m:.2f} m: {_words(unit.confidence)}"
+        why = f"{unit.reason}: {_words(unit.confidence)}"
         return f"metres_per_unit = {unit.metres_per_unit:.10g}   # {name}: {why}"
     why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
     return (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -51,5 +52,5 @@ def _cells(column: Column, batch: TableData) -> list[list[Any]]:
     if isinstance(values, list):
         return [[json.dumps(np.asarray(value).tolist())] for value in values]
     if column.shape:
-        return values.reshape(batch.num_rows, -1).tolist()
+        return values.reshape(batch.num_rows, math.prod(column.shape)).tolist()
     return [[value] for value in values.tolist()]

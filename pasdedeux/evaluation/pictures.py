@@ -74,9 +74,11 @@ class Picture:
         return self.content.decode().replace("<", "\\u003c").replace("&", "\\u0026")
 
     def of_panels(self, count: int) -> Picture:
-        """Return a player with its first panels only."""
+        """Return a player with its first panels only; the caption says so where there are more."""
         scene = json.loads(self.content)
-        return replace(self, content=_packed(scene | {"panels": scene["panels"][:count]}))
+        total = len(scene["panels"])
+        rest = f" The first {count} of {total} panels; all of them stand below." if total > count else ""
+        return replace(self, caption=self.caption + rest, content=_packed(scene | {"panels": scene["panels"][:count]}))
 
     @property
     def data_uri(self) -> str:

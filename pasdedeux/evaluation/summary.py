@@ -118,7 +118,7 @@ class Summary:
     @property
     def origin(self) -> str:
         """What it was built from, in one line."""
-        return "; ".join(dict.fromkeys(f"{one.name} ({one.licence})" for one in self.sources)) or "no source"
+        return "; ".join(dict.fromkeys(f"{one.name} (licence: {one.licence})" for one in self.sources)) or "no source"
 
     @property
     def judgement(self) -> str:

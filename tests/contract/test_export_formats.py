@@ -566,6 +566,8 @@ def test_contacts_of_variants_and_reconstructions_are_named_by_them(store: Store
     }
     path, _ = export_reference(store, texts["motions"], "npz", tmp_path / "motions")
     assert len(np.load(path)["frame"]) == 0  # they stand a metre apart
+    path, _ = export_reference(store, texts["motions"], "csv", tmp_path / "none_csv")
+    assert path.read_text(encoding="utf-8").count("\n") == 1, "the header alone"
     with pytest.raises(InputError, match="cannot be written as GLB"):
         export_reference(store, texts["motions"], "glb", tmp_path / "glb")
     with pytest.raises(InputError, match="here are none"):

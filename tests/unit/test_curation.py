@@ -206,6 +206,20 @@ def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(
     assert names - {name for _, name in kept.sound_names("waltz")} == {"A-uniform-0.80"}
 
 
+def test_a_reference_to_several_variants_is_refused_and_a_rejection_says_who_heeds_it(
+    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, _ = built
+    file = tmp_path / "choices.txt"
+    words = ["--curation", str(file), "--store", str(store)]
+    assert run_command_line(["curate", "reject", "variants:short/waltz", *words]) == 2
+    assert "names several things, waltz/A-uniform-0.80 (row 0) to waltz/A-uniform-1.20" in capsys.readouterr().err
+    assert not file.exists()
+    assert run_command_line(["curate", "reject", "poses:short/waltz", *words]) == 0, "one take"
+    assert f"--curation {file}" in capsys.readouterr().out
+    assert [choice.about for choice in read_choices(file).values()] == ["poses waltz"]
+
+
 def test_a_study_says_what_its_file_said_and_is_built_again_without_the_file(tmp_path: Path) -> None:
     choice = Choice("reject", "variants", NAME, "0" * 12, "feet slide")
     file, study = tmp_path / "choices.txt", tmp_path / "mine.toml"

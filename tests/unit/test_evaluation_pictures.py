@@ -140,6 +140,7 @@ def test_the_page_needs_no_other_file_and_names_everything_and_escapes_what_it_s
     assert page.cells[:2] == ["row <0>", "10"]
     assert [len(scene["panels"]) for scene in page.scenes] == [1] + [2] * 5
     assert page.scenes[0]["panels"][0]["title"] == "</script><b>"
+    assert "what moves first The first 1 of 2 panels" in _page()
 
 
 _PROBE = """
@@ -263,7 +264,7 @@ def test_page_card_and_console_give_the_same_answers() -> None:
     lines = SUMMARY.lines()
     assert lines == [
         "built: 1 take (1 min 15 s, 2.0 MB), 4,000 draws (0.1 MB)",
-        "from: CMU (free for all uses)",
+        "from: CMU (licence: free for all uses)",
         "is it good: 1 warn",
         "chains: warn: chains do not mix; effective sample size 1.4 against 500 (kept)",
     ]
@@ -273,7 +274,8 @@ def test_page_card_and_console_give_the_same_answers() -> None:
         lines[3],
     ]
     page = render("report.html", report=Report("Duets", "d", SUMMARY, []))
-    for words in ("1 min 15 s, 2.0 MB", "CMU (free for all uses)", "1 warn", "chains do not mix", "against 500 (kept)"):
+    origin = "CMU (licence: free for all uses)"
+    for words in ("1 min 15 s, 2.0 MB", origin, "1 warn", "chains do not mix", "against 500 (kept)"):
         assert words in page
 
 

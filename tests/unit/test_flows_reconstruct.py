@@ -125,7 +125,7 @@ def test_without_a_database_it_is_said_how_to_get_one(
     monkeypatch.chdir(tmp_path)
     assert run_command_line(["reconstruct", str(video)]) == 2
     said = capsys.readouterr().err
-    assert "projections of 0 studies; `pasdedeux fetch database`" in said
+    assert "no projections, which `reconstruct` matches against; `pasdedeux fetch database`" in said
 
 
 def test_the_height_of_the_camera_gives_people_their_size(
@@ -197,7 +197,7 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
     assert "does not exist" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(video), "--store", str(store.root)]) == 2
-    assert "projections of 0 studies; `pasdedeux fetch database`" in capsys.readouterr().err
+    assert "no projections, which `reconstruct` matches against; `pasdedeux fetch database`" in capsys.readouterr().err
 
 
 def written(folder: Path, frames: dict[int, str]) -> Path:

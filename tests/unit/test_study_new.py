@@ -58,7 +58,7 @@ def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> N
     assert [path.as_posix() for path in take.files] == ["a one.bvh", "b.bvh"]
     assert (take.layout, take.up_axis, take.rate_hz) == ("body22", "y", 60.0)
     assert [person.metres_per_unit for person in take.persons] == [0.01, 0.01]
-    assert "files lie about this" in text
+    assert "stated rates are often wrong" in text
     assert tomllib.loads(text)["study"]["name"] == "my_study"
     with pytest.raises(InputError, match="is there already"):
         write_new_study(tmp_path / "my study.toml")

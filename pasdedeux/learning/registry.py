@@ -112,7 +112,17 @@ class Weights:
     takes: Mapping[str, str] = field(default_factory=dict)
 
 
-class _Header(Settings):
+_VERSION = 1
+"""Version of the files; one without is of the first."""
+
+
+class _Versioned(Settings, extra="ignore"):
+    """What a newer file has too, whatever else is in it."""
+
+    version: int = _VERSION
+
+
+class _Header(_Versioned, extra="forbid"):
     """The one entry of a file's metadata: JSON, so that its order is ours and the bytes are the same every time."""
 
     description: ModelDescription
@@ -142,8 +152,8 @@ def read_weights(data: bytes, what: str) -> Weights:
         what: Its name, for messages.
 
     Raises:
-        InputError: It is no safetensors file or none of ours, is cut off, is of other joints, or its arrays are not
-            those of its model.
+        InputError: It is no safetensors file or none of ours, of a newer version, is cut off, is of other joints, or
+            its arrays are not those of its model.
     """
     _require_safetensors()
     from safetensors import SafetensorError
@@ -152,7 +162,12 @@ def read_weights(data: bytes, what: str) -> Weights:
     try:
         arrays = load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])  # `load` has checked its length
-        stored = _Header.model_validate_json(header["__metadata__"][_KEY])
+        words = header["__metadata__"][_KEY]
+        if (version := _Versioned.model_validate_json(words).version) > _VERSION:
+            raise InputError(
+                f"{what}: weights of format version {version}, from a newer pasdedeux; this one reads up to {_VERSION}"
+            )
+        stored = _Header.model_validate_json(words)
     except (SafetensorError, RecursionError, ValueError, TypeError, KeyError) as problem:
         found = f"{type(problem).__name__}: {problem}".splitlines()[0][:120]
         raise InputError(

@@ -66,6 +66,11 @@ def _nested(depth: int) -> dict[str, object]:
         ((2**62).to_bytes(8, "little") + DATA[8:], "no weights of a model"),
         (bytes(save({"mix": np.eye(44)})), "no weights of a model"),
         (bytes(save({"mix": np.eye(44)}, metadata={"pasdedeux": "[" * 100_000})), "no weights of a model"),
+        (
+            _forged({}, version=2, layout={"of": "tomorrow"}),
+            "weights of format version 2, from a newer pasdedeux; this one reads up to 1",
+        ),
+        (_forged({}, layout={"of": "tomorrow"}), "no weights of a model"),
         (_forged({}, joints="hips,head"), "another topology, 2 joints: hips,head"),
         (_forged({}, description={"model": "oracle"}), "model 'oracle' is not known"),
         (

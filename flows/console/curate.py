@@ -28,7 +28,7 @@ def curate(
       pasdedeux curate reject "variants:duets/waltz#120" --reason "feet slide"
       pasdedeux curate undo "variants:duets/waltz#120"
 
-    Rows are counted from 0, as by `show`; a variant or a motion has a row for each frame, and any of them stands for
+    Rows are counted from 0, as by `show`; a variant has a row for each frame and person, and any of them stands for
     all of it.  The answer names what was meant.  The file has a line for each choice: name and content of the thing,
     and the reason.  Name it in a study (`[curation] file`): exports, training and published datasets then leave out
     what is rejected, as long as its content is the same.  `export --curation FILE` heeds it without a study.

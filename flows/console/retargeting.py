@@ -165,10 +165,8 @@ def find_model(text: str, store_root: Path) -> Weights:
     if len(found) != 1:
         named = [(ModelFacts.of(one), one.ref.key[:12]) for one in found or models]
         there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
-        raise InputError(
-            f"model {text}: {len(found)} models of the store have this name"
-            + (f"; say which: {', '.join(there[:12])}" if there else "; the store has none")
-        )
+        which = f"say which: {', '.join(there[:12])}" if there else "the store has none; the stage training makes them"
+        raise InputError(f"model {text}: {len(found)} models of the store have this name; {which}")
     return stored_weights(store, found[0])
 
 

@@ -107,10 +107,13 @@ def read_choices(path: Path) -> dict[str, Choice]:
 
 
 def write_choices(path: Path, choices: Iterable[Choice]) -> None:
-    """Write a file of choices, in order: two files of the same choices are the same."""
+    """Write a file of choices, in order, after the comments that it has: two new files of the same are the same."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    there = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    comments = [f"{line}\n" for line in there if line.startswith("#") and f"{line}\n" != _HEADER]
     new = path.with_name(f".{path.name}.new")
-    new.write_text(_HEADER + "".join(sorted(f"{one.line}\n" for one in choices)), encoding="utf-8")
+    lines = [_HEADER, *comments, *sorted(f"{one.line}\n" for one in choices)]
+    new.write_text("".join(lines), encoding="utf-8")
     new.replace(path)
 
 

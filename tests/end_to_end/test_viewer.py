@@ -90,7 +90,7 @@ def test_a_corrected_2d_joint_is_lifted_again_and_saved_as_csv(editor: Editor) -
     assert np.abs(now - was)[0, joint, 0] > 10
     frames = read_annotation_csv(editor.save().read_bytes())
     own = frames.frame == 2
-    np.testing.assert_allclose(frames.keypoints_px[own][0, joint], now[0, joint], atol=1e-6)
+    np.testing.assert_allclose(frames.keypoints_px[own][0, joint], now[0, joint], atol=5.1e-3)  # the file has 0.01 px
     np.testing.assert_allclose(frames.keypoints_px[own][1], was[1], atol=1e-2)
     editor.lift()
     assert viewer.scene.behind is not None

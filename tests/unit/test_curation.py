@@ -74,6 +74,15 @@ def test_the_file_is_read_back_and_equal_choices_are_equal_files(tmp_path: Path)
     assert read_choices(tmp_path / "none.txt") == {}
 
 
+def test_a_choice_keeps_the_comments_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "choices.txt"
+    file.write_text("# looked at on the large screen\naccept draws a 111111111111\n")
+    Choosing(file).decide("reject", "variants", "b/x", "0" * 12)
+    Choosing(file).decide("undo", "variants", "b/x", "0" * 12)
+    comment, *_, last = file.read_text().splitlines()[1:]
+    assert (comment, last) == ("# looked at on the large screen", "accept draws a 111111111111")
+
+
 @pytest.mark.parametrize(
     "line", ["refuse variants a/b 000000000000", "reject cakes a 000000000000", "reject variants a"]
 )

@@ -18,6 +18,10 @@ class FormatError(InputError):
     """A file's content is not what it claims to be: says which line or frame, what is wrong, what is allowed."""
 
 
+class NobodyError(InputError):
+    """Nobody is in a source of 2D poses, or nobody who can be followed."""
+
+
 def check_positive(value: float, what: str) -> None:
     """Refuse a number that is not positive or not finite."""
     if not 0 < value < float("inf"):

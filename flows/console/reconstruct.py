@@ -26,7 +26,7 @@ def reconstruct(
     follow: Annotated[bool, Option("--follow", help="Read files while they are being written.")] = False,
     idle: Annotated[float, Option(min=0.0, metavar="S", help="End after this time without a new file, seconds.")] = 5.0,
     settings: Annotated[
-        list[str] | None, Option("--set", metavar="KEY=C", help="A key of [[ingest.annotations]], such as rate_hz=60.")
+        list[str] | None, Option("--set", metavar="KEY=C", help="A key of the source, such as rate_hz=60.")
     ] = None,
     stature: Annotated[list[str] | None, Option(metavar="[PERSON=]M", help="Stature of all, or of a person.")] = None,
     person: Annotated[list[int] | None, Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.film.filling import FilledPoints, fill_points, shorten_limbs
 from pasdedeux.film.tracking import TRACKED_SIZE_PX, Image, Tracks, track_points
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
@@ -56,7 +56,7 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
     resolved = resolve_people(replace(given, confidence=np.where(given.is_given, given.confidence, 0.0)))
     why = next((one.why_not_followed for one in resolved.sequences if one.why_not_followed), "")
     if why:
-        raise InputError(why)
+        raise NobodyError(why)
     return replace(resolved.frames, has_identities=True)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import FormatError, InputError, NobodyError
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
@@ -244,7 +244,7 @@ def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> A
     is_somebody = np.asarray((confidence > 0).any(axis=1))
     if not is_somebody.any():
         least = MIN_CONFIDENCE if min_confidence is None else min_confidence
-        raise InputError(f"nobody is seen: no keypoint has a confidence of {least:g} (min_confidence) or more")
+        raise NobodyError(f"nobody is seen: no keypoint has a confidence of {least:g} (min_confidence) or more")
     return replace(frames, confidence=confidence).rows(is_somebody)
 
 

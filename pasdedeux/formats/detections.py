@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import FormatError, InputError, NobodyError
 from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
 from pasdedeux.formats.text import MAX_COUNT
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT, KeypointLayout
@@ -85,7 +85,7 @@ def join_detections(
         skipped: Files that were skipped.
     """
     if not detections:
-        raise InputError(f"sequence '{sequence_id}': nobody was detected in any frame")
+        raise NobodyError(f"sequence '{sequence_id}': nobody was detected in any frame")
     counts = {len(one.table): one.where for one in reversed(detections)}
     if len(counts) > 1:
         (first, there), (second, here) = sorted(counts.items())[:2]

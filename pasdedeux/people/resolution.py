@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import Decision, decide, spans_of
 from pasdedeux.people.identity import FollowedRows, follow_people, mean_of_two
@@ -172,7 +172,7 @@ def resolve_people(
             )
         )
     if not sum(len(one.rows.frame) for one in found):
-        raise InputError("no frame shows enough joints of a person")
+        raise NobodyError("no frame shows enough joints of a person")
     columns: dict[str, Any] = {
         field.name: np.concatenate([getattr(one.rows, field.name) for one in found]) for field in fields(SequenceRows)
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pasdedeux.errors import NobodyError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import SkippedFacts
@@ -34,12 +35,20 @@ def _say_skipped(shard: Shard, store: Store, parameters: SkippedParameters) -> A
     return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, words))
 
 
+def _run_film(shard: Shard, store: Store, parameters: FilmParameters) -> ArtifactRef:
+    """Annotate a shot; one in which nobody is seen, such as the sea between two dances, is skipped."""
+    try:
+        return run_annotations(shard, store, parameters)
+    except NobodyError as error:
+        return _say_skipped(shard, store, SkippedParameters(skipped={parameters.id: str(error)}))
+
+
 _RUNS: Mapping[type[Parameters], Callable[[Shard, Store, Any], ArtifactRef]] = {
     DuetParameters: run_duet,
     TakeParameters: run_take,
     VideoParameters: run_virtual_video,
     AnnotationParameters: run_annotations,
-    FilmParameters: run_annotations,
+    FilmParameters: _run_film,
     SkippedParameters: _say_skipped,
 }
 

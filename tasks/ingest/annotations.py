@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +24,7 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.facts import Couple, SequenceFacts
-from tasks.ingest.cameras import CameraFiles, find_cameras, read_header, video_beside
+from tasks.ingest.cameras import IMAGE_SUFFIXES, CameraFiles, find_cameras, read_header, video_beside
 from tasks.ingest.films import digest_of
 from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.ingest.shard_parameters import AnnotationParameters, FilmParameters
@@ -85,8 +86,9 @@ class FoundAnnotations:
         number = len(self.files)
         words = [f"{number} files of the format '{stated.format}'" if number > 1 else f"format '{stated.format}'"]
         if isinstance(stated, FilmParameters):
-            name, last = Path(self.files[-1].path).name, stated.first_frame + stated.num_frames - 1
-            words = [f"frames {stated.first_frame} to {last} of {name}"]
+            film, first = Path(self.files[-1].path), stated.first_number + stated.first_frame
+            name = film.parent.name if film.suffix.lower() in IMAGE_SUFFIXES else film.name
+            words = [f"frames {first} to {first + stated.num_frames - 1} of {name}"]
             words.append("by a detector" if stated.num_networks else f"by the format '{stated.format}'")
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
         beside = "" if self.video is None else f" ({self.video.name})"
@@ -129,10 +131,7 @@ def find_annotations(
     known: set[str] = set()
     ids: set[str] = set()
     with named(f"annotations {options.id}"):
-        decisions: list[Decision] = []
-        if options.people_file is not None:
-            with named(options.people_file.name):
-                decisions = read_decisions(load_file(options.people_file).data)
+        decisions = _decisions_of(options.people_file)
         for camera in find_cameras(options.path, options.format, skipped=skipped):
             try:
                 one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
@@ -149,13 +148,25 @@ def find_annotations(
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
             found.append(replace(one, parameters=planned.model_copy(update={"people": rows})))
-        for row in decisions:
-            if row.sequence_id not in known:
-                raise InputError(
-                    f"people, row '{row.in_words()}': there is no such sequence; sequences: "
-                    f"{', '.join(sorted(known)[:MAX_NAMED_FILES])}"
-                )
+        _check_sequences(decisions, known)
     return found
+
+
+def _decisions_of(people_file: Path | None) -> list[Decision]:
+    """Return the table of who is who; nothing where there is none."""
+    if people_file is None:
+        return []
+    with named(people_file.name):
+        return read_decisions(load_file(people_file).data)
+
+
+def _check_sequences(decisions: Sequence[Decision], known: set[str]) -> None:
+    for row in decisions:
+        if row.sequence_id not in known:
+            raise InputError(
+                f"people, row '{row.in_words()}': there is no such sequence; sequences: "
+                f"{', '.join(sorted(known)[:MAX_NAMED_FILES])}"
+            )
 
 
 def find_videos(
@@ -163,7 +174,15 @@ def find_videos(
 ) -> list[FoundAnnotations]:
     """Find the shots of films as sources of 2D poses, as `find_annotations` finds cameras."""
     shots = find_shots(options, is_held_out=is_held_out, take_seconds=take_seconds)
-    return [FoundAnnotations(one.parameters, one.files, Path(one.files[-1].path)) for one in shots]
+    found = []
+    with named(f"video {options.id}"):
+        decisions = _decisions_of(options.people_file)
+        _check_sequences(decisions, {one.parameters.id for one in shots})
+        for one in shots:
+            rows = tuple(row.in_words() for row in decisions if row.sequence_id == one.parameters.id)
+            parameters = one.parameters.model_copy(update={"people": rows})
+            found.append(FoundAnnotations(parameters, one.files, Path(one.files[-1].path)))
+    return found
 
 
 def _find_camera(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from http.client import HTTPException
 from pathlib import Path
 from urllib.request import Request, urlopen
 
@@ -54,7 +55,7 @@ def _fetch(address: str, digest: str, kept: Path) -> None:
     try:
         with urlopen(Request(address, headers={"User-Agent": "pasdedeux"}), timeout=_TIMEOUT_S) as answer:
             data = answer.read(_MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
+    except (OSError, HTTPException, ValueError) as error:
         raise InputError(
             f"detector {address} cannot be fetched: {error}; fetch it yourself and give its path"
         ) from None

@@ -342,18 +342,18 @@ class AnnotationCommon(PeopleSettings, Parameters):
 _LAYOUT_FILE = Field(
     None, description="Keypoint layout of your own (TOML): names in the order of the file, and which of them are ours"
 )
+_PEOPLE_FILE = Field(
+    None,
+    description="Table of identities that overrides those that ingest resolves (sequence, first_frame, last_frame, "
+    "person, is): an edited copy of the attachment people.csv of an earlier run",
+)
 
 
 class AnnotationOptions(AnnotationCommon):
     """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
 
     layout_file: Path | None = _LAYOUT_FILE
-
-    people_file: Path | None = Field(
-        None,
-        description="Table of identities that overrides those that ingest resolves (sequence, first_frame, last_frame, "
-        "person, is): an edited copy of the attachment people.csv of an earlier run",
-    )
+    people_file: Path | None = _PEOPLE_FILE
     path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
     is_watched: bool = Field(
         False,
@@ -366,6 +366,7 @@ class FilmOptions(AnnotationCommon):
     """Film of people, with key frames that a person annotated, a detector's keypoints, or a detector to be run."""
 
     layout_file: Path | None = _LAYOUT_FILE
+    people_file: Path | None = _PEOPLE_FILE
     path: Path = Field(description="Film, folder of numbered images, or folder of films")
     keys: Path | None = Field(
         None,

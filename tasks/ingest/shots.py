@@ -203,7 +203,7 @@ def _shots_of(
     files = tuple(load_file(one).file for one in camera.paths) if camera else ()
     numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([one.name for one in camera.paths]) if camera else []
     common = options.model_dump(
-        exclude={"id", "path", "format", "keys", "detections", "detect", "has_cuts", "layout_file"}
+        exclude={*("id", "path", "format", "keys", "detections", "detect", "has_cuts", "layout_file", "people_file")}
     )
     shots = []
     for index, (start, stop) in enumerate(pairwise(starts)):
@@ -227,15 +227,12 @@ def _shots_of(
             is_constant_rate=film.is_constant or options.rate_hz is not None,
         )
         shots.append(FoundShot(parameters, (*files, *networks, *film.files), film))
-    if camera is None:
+    shots = [one for one in shots if one.parameters.num_frames > 1]
+    if camera is None or not shots:
         return shots
     frames = _check_given(shots[0], given or path, film, rate_hz, options)
     spans = [(one, film.first_number + one.parameters.first_frame) for one in shots]
-    return [
-        one
-        for one, first in spans
-        if ((frames >= first) & (frames < first + one.parameters.num_frames)).any() and one.parameters.num_frames > 1
-    ]
+    return [one for one, first in spans if ((frames >= first) & (frames < first + one.parameters.num_frames)).any()]
 
 
 def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> np.ndarray:

@@ -69,6 +69,15 @@ def rtmpose(*, num_keypoints: int = 17) -> bytes:
     return _model(nodes, (width, height), shapes, constants)
 
 
+def half() -> bytes:
+    """A network of 16-bit floats, which are not read."""
+    names = ("input", "dets", "keypoints")
+    taken, *given = (helper.make_tensor_value_info(name, TensorProto.FLOAT16, [1, 3, 8, 8]) for name in names)
+    nodes = [helper.make_node("Identity", ["input"], [name]) for name in names[1:]]
+    graph = helper.make_graph(nodes, "half", [taken], given)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8).SerializeToString()
+
+
 def _place() -> list[onnx.NodeProto]:
     """Return the nodes that give x and y (1, 1, 1, 1) of the brightest pixel."""
     nodes = [helper.make_node("ReduceMean", ["input"], ["grey"], axes=[1], keepdims=1)]

@@ -32,7 +32,7 @@ from tasks.facts import TopicFacts
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import open_film, read_film
 from tasks.ingest.parameters import FilmOptions
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
@@ -200,6 +200,17 @@ def test_a_film_is_not_written_over(film: Path, keys: Path, capsys: pytest.Captu
     assert film.read_bytes() == before
 
 
+def test_a_table_of_who_is_who_overrules_a_film_too(film: Path, keys: Path, tmp_path: Path) -> None:
+    table = tmp_path / "people.csv"
+    table.write_text("sequence,first_frame,last_frame,person,is\nwalk.shot01,20,39,1,7\n")
+    first, second = found(film, keys=keys, people_file=table)
+    assert set(first.resolve().frames.person_id.tolist()) == {0, 1}
+    assert set(second.resolve().frames.person_id.tolist()) == {0, 7}
+    table.write_text("sequence,first_frame,last_frame,person,is\nwalk,20,39,1,7\n")
+    with pytest.raises(InputError, match=r"there is no such sequence; sequences: walk\.shot00, walk\.shot01"):
+        found(film, keys=keys, people_file=table)
+
+
 def test_damaged_film_is_refused_or_read_as_far_as_it_goes(film: Path, keys: Path, tmp_path: Path) -> None:
     data = film.read_bytes()
     for name, content in (("empty", b""), ("cut", data[: len(data) // 2]), ("text", b"hello" * 100)):
@@ -304,6 +315,7 @@ def test_rtmpose_looks_into_boxes_of_people_or_where_the_person_was() -> None:
     ("files", "message"),
     [
         ([b"no network"], "no ONNX network that can be loaded"),
+        ([tiny_networks.half()], r"its input is tensor\(float16\); 32-bit floats are needed"),
         ([tiny_networks.yolox()], "0 networks of keypoints"),
         ([tiny_networks.rtmo(), tiny_networks.rtmo()], "2 networks of keypoints"),
     ],
@@ -365,6 +377,18 @@ def test_a_detector_is_run_over_the_film_and_its_gaps_are_tracked(tmp_path: Path
     assert np.abs(middle - true)[::3].max() < 4.0
     assert frames.status is not None
     assert set(frames.status[1].tolist()) <= {1, 2}
+
+
+def test_a_shot_in_which_a_detector_sees_nobody_is_skipped_with_the_reason(tmp_path: Path) -> None:
+    network = tmp_path / "net.onnx"
+    network.write_bytes(tiny_networks.rtmo(size=320, scores=(0.1,)))
+    film = write_film(tmp_path / "sea.mp4", (np.full((240, 320, 3), 90 * (at // 6), np.uint8) for at in range(12)))
+    shards = planned(videos=[{"id": "sea", "path": film, "detect": [str(network)]}])
+    assert [one.partition for one in shards] == ["sea.shot00", "sea.shot01"]
+    manifest = run(Store(tmp_path / "store"), shards[:1])["sea.shot00", "film"]
+    assert not manifest.tables
+    assert "sea.shot00 skipped: " in verdict_of(manifest).reason
+    assert "nobody was detected" in verdict_of(manifest).reason
 
 
 def test_a_film_with_key_frames_becomes_bvh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -76,6 +76,8 @@ def load_network(data: bytes) -> Network:
         raise InputError(
             f"its input has the shape {list(shape)}; an image (1, 3, height, width) of fixed size is needed"
         )
+    if first.type != "tensor(float)":
+        raise InputError(f"its input is {first.type}; 32-bit floats are needed, tensor(float)")
     names = tuple(one.name for one in session.get_outputs())
 
     def run(tensor: np.ndarray) -> Mapping[str, np.ndarray]:

@@ -174,15 +174,6 @@ def test_the_player_beside_an_export_shows_nothing_that_is_rejected(
     assert ("A-uniform-0.95" in page, "A-uniform-0.80" in page) == (True, False)
 
 
-def test_a_reference_to_more_than_one_row_is_not_decided(
-    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store, _ = built
-    words = ["curate", "reject", "variants:short", "--curation", str(tmp_path / "c.txt"), "--store", str(store)]
-    assert run_command_line(words) == 2
-    assert "name one row of it: variants:short#ROW" in capsys.readouterr().err
-
-
 def test_a_single_image_is_decided_by_itself_and_what_reads_it_knows(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     columns = random_columns("annotations", 4) | {"sequence_id": ["a", "a", "b", "b"], "frame": [0] * 4}

@@ -74,7 +74,7 @@ def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
 ) -> None:
     store, once_store = tmp_path / "store", small.store
     shutil.copytree(small.store, store)
-    publishes = ["publish.name=small"]
+    publishes = ["publish.name=small", "publish.required=[]"]
     if name == "priors":  # which have something to say of named takes alone
         publishes.append('ingest.prior=["waltz"]')
         once_store = tmp_path / "once"

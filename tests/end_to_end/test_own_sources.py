@@ -145,15 +145,17 @@ def test_given_2d_poses_become_upright_motions_near_the_truth_and_not_mirrored(o
         assert np.all(found[:, OP14.index("head"), 1] > found[:, OP14.index("left_ankle"), 1] + 0.8)
 
 
-def test_given_sequences_are_pictured_in_the_report_without_scores(own: Own) -> None:
+def test_given_sequences_are_pictured_in_the_report_and_scored_where_their_take_is_known(own: Own) -> None:
     (report,) = (own.store / "runs").glob("*/report")
     for sequence in GIVEN:
         assert (report / f"reconstruction-{sequence}.player.json").is_file()
-        assert f"{sequence}: reconstructed (" in own.report
+        caption = "the image and its reconstruction" if sequence == "known" else "reconstructed"
+        assert f"{sequence}: {caption} (" in own.report
     assert own.report.count("a video without ground truth; no scores.") == 1
     scores = open_table("scores:own", own.store)
     items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
-    assert items == {"hug.video00 person 0", "hug.video00 person 1", "hug.video00 person 0 with 1"}
+    people = ("person 0", "person 1", "person 0 with 1")
+    assert items == {"known"} | {f"{video} {one}" for video in ("hug.video00", "known") for one in people}
 
 
 def error_m(found: np.ndarray, truth: np.ndarray) -> float:

@@ -56,7 +56,7 @@ def test_selected_pairs_random_ones_and_real_frames_are_compared_in_sets_of_one_
     assert found["random_pairs", 10.0] >= coverage_curve(PAIRS[:5], PAIRS[5:], [19]).cartesian_m[0]
     (table,) = set_table(scores)
     assert table.headings[2:] == ("selected pairs", "random pairs", "real frames")
-    assert [row[:2] for row in table.rows] == [("held out", size) for size in ("1", "3", "10")]
+    assert [row[:2] for row in table.rows] == [("held-out takes", size) for size in ("1", "3", "10")]
 
 
 def test_real_pairs_are_at_no_distance_from_themselves() -> None:

@@ -46,11 +46,11 @@ def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_key
         "Sources and licences",
     ]
     assert "<script>alert" not in text
-    assert "No data in this run: Sequences, Views, Chains" in text
+    assert "No data in this run: Film, Sequences, Views, Chains" in text
     assert "`" not in text.split("<script>")[0]
     assert "1 take" in card
     assert "No data in this run" not in card, "the card lists what the data skipped, not the page"
-    assert "made up (CC0)" in text
+    assert "made up (licence: CC0)" in text
 
 
 def test_a_page_of_30_takes_has_the_first_pictures_and_rows_and_names_what_lies_beside_it(

@@ -249,7 +249,7 @@ class Viewer:
         put["compare"] = gui.add_dropdown("compare", COMPARE)
         put["failing"] = self._button("Next failing frame", lambda _: self.next_failing(), "F")
         put["through"] = self._button("Look through its camera", lambda event: self.room.look_through(event.client))
-        put["said"] = gui.add_text("said", "", multiline=True, disabled=True)
+        put["said"] = gui.add_text("message", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
             put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
             put["loop"] = gui.add_checkbox("loop", initial_value=True)

@@ -155,7 +155,8 @@ def test_given_sequences_are_pictured_in_the_report_and_scored_where_their_take_
     scores = open_table("scores:own", own.store)
     items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
     people = ("person 0", "person 1", "person 0 with 1")
-    assert items == {"known"} | {f"{video} {one}" for video in ("hug.video00", "known") for one in people}
+    videos = {"hug.video00", "known"}
+    assert items == videos | {f"{video} {one}" for video in videos for one in people}
 
 
 def error_m(found: np.ndarray, truth: np.ndarray) -> float:

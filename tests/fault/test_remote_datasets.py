@@ -91,7 +91,7 @@ def test_faults_of_the_server_cost_time_and_nothing_else(
     def now_and_then(method: str, path: str) -> str:
         with lock:
             number = next(counter)
-        return fault if number in (5, 60) or (fault != "slow" and number % 12 == 5) else ""
+        return fault if number in (5, 75) or (fault != "slow" and number % 12 == 5) else ""
 
     timeout_s = 2.5 if fault == "slow" else 30.0  # of a server that shares two cores with others
     server.fault, server.slow_s = now_and_then, timeout_s + 1.0
@@ -99,7 +99,7 @@ def test_faults_of_the_server_cost_time_and_nothing_else(
     other = Store(tmp_path / "other")
     pull_dataset(remote_of(server, timeout_s), "toys", other)
     assert contents(other) == contents(store)
-    assert next(counter) > 60, "there were faults on both ways"
+    assert next(counter) > 75, "there were faults on both ways"
 
 
 def test_a_push_that_is_cut_off_shows_nothing_and_goes_on(

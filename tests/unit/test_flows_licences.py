@@ -46,7 +46,7 @@ def test_another_licence_is_a_new_version_and_reaches_exports_without_computing_
     assert call(study, "run", str(study), *STRICTER) == 0
     out = capsys.readouterr().out
     assert "released@2 is published" in out
-    assert "from: t0 (CC-BY-NC-ND-4.0); t1 (CC-BY-NC-ND-4.0)" in out
+    assert "from: t0 (licence: CC-BY-NC-ND-4.0); t1 (licence: CC-BY-NC-ND-4.0)" in out
     computed = [line.split()[0] for line in out.splitlines() if line.startswith(("bend", "judge")) and " 0  " in line]
     assert computed == ["bend", "judge"], "what was made of the takes is not made again"
     for reference in ("models:toy", "models:released@2"):

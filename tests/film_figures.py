@@ -17,34 +17,18 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from pasdedeux.film.annotating import annotate_shot
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.resolution import SequenceRows, resolve_sequence
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.crowds import SALSA_TAKES, salsa_couple
 from tests.builders.filmed_people import film as seen_by_detector
-from tests.builders.rendered_film import Film, render, salsa_bodies
+from tests.builders.rendered_film import Film, render, rows_of, salsa_bodies
 
 EVERY = 15
 
 
-def key_frames(film: Film, hidden: float) -> AnnotatedFrames:
-    """Return true joints every half second, hidden ones with a confidence of `hidden`."""
-    frames = sorted({*range(0, len(film.px), EVERY), len(film.px) - 1})
-    at = [(frame, person) for frame in frames for person in range(film.px.shape[1])]
-    return AnnotatedFrames(
-        "pair17",
-        ("film",) * len(at),
-        np.array([frame for frame, _ in at]),
-        np.array([person for _, person in at]),
-        np.stack([film.px[one] for one in at]),
-        np.stack([np.where(film.is_visible[one], 1.0, hidden) for one in at]),
-        rate_hz=30.0,
-    )
-
-
 def tracked(film: Film, hidden: float) -> dict[str, float]:
     """Return mean errors over visible joints between key frames, % of body height, and what is filled of them."""
-    given = key_frames(film, hidden)
+    given = rows_of(film, sorted({*range(0, len(film.px), EVERY), len(film.px) - 1}), hidden=hidden)
     start = time.process_time()
     frames = annotate_shot(given, iter(film.images), 0, len(film.images), is_key=True).frames
     seconds = time.process_time() - start

@@ -19,7 +19,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
-from pasdedeux.formats.positions_as_motion import motion_from_positions
+from pasdedeux.formats.positions_as_motion import source_from_positions
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
 from pasdedeux.skeletons import BODY22
@@ -237,15 +237,7 @@ def read_c3d(data: bytes, companion: bytes = b"", *, person: int = 0) -> SourceM
             "gaps in the program that captured it"
         )
     rate_hz = check_range(points.rate_hz, "the rate of this damaged C3D file", *RATE_HZ)
-    motion = motion_from_positions(BODY22, positions, rate_hz)
-    return SourceMotion(
-        skeleton=motion.skeleton,
-        rest_offsets=motion.rest_offsets_m,
-        root_translation=motion.root_translation_m,
-        local_unitquat=motion.local_unitquat,
-        rate_hz=rate_hz,
-        metres_per_unit=_METRES.get(points.unit),
-    )
+    return source_from_positions(BODY22, positions, rate_hz=rate_hz, metres_per_unit=_METRES.get(points.unit))
 
 
 C3D = MotionFormat(

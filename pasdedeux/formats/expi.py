@@ -15,7 +15,7 @@ import numpy as np
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.file_format import FileStart, MotionFormat
-from pasdedeux.formats.positions_as_motion import motion_from_positions
+from pasdedeux.formats.positions_as_motion import source_from_positions
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import Lines, parse_numbers
 from pasdedeux.skeletons import EXPI18
@@ -49,15 +49,7 @@ def read_expi(data: bytes, companion: bytes = b"", *, person: int = 0) -> Source
             raise FormatError("there is no frame after the line of names")
     positions = np.array(rows).reshape(-1, _NUM_PERSONS, len(_ORDER), 3)[:, person]
     ours = positions[:, [_ORDER.index(name) for name in EXPI18.joint_names]]
-    motion = motion_from_positions(EXPI18, ours, _RATE_HZ)
-    return SourceMotion(
-        skeleton=motion.skeleton,
-        rest_offsets=motion.rest_offsets_m,
-        root_translation=motion.root_translation_m,
-        local_unitquat=motion.local_unitquat,
-        rate_hz=_RATE_HZ,
-        metres_per_unit=_METRES_PER_UNIT,
-    )
+    return source_from_positions(EXPI18, ours, rate_hz=_RATE_HZ, metres_per_unit=_METRES_PER_UNIT)
 
 
 def _is_expi(start: FileStart) -> bool:

@@ -1,4 +1,4 @@
-"""Positions as a motion whose rotations are swings."""
+"""Positions as a motion whose rotations are swings: as motion, and as what a file gives."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics import Motion, bone_lengths, local_rotations, place_bones
 from pasdedeux.skeletons import Skeleton
 
@@ -32,4 +33,19 @@ def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float
         root_translation_m=positions_m[:, skeleton.root],
         local_unitquat=local_rotations(skeleton, rest, positions_m),
         rate_hz=rate_hz,
+    )
+
+
+def source_from_positions(
+    skeleton: Skeleton, positions: Array, *, rate_hz: float | None, metres_per_unit: float | None
+) -> SourceMotion:
+    """Return what a file of positions (frame, J, 3) gives, in its own unit; see `motion_from_positions`."""
+    motion = motion_from_positions(skeleton, positions, rate_hz or 1.0)
+    return SourceMotion(
+        skeleton=motion.skeleton,
+        rest_offsets=motion.rest_offsets_m,
+        root_translation=motion.root_translation_m,
+        local_unitquat=motion.local_unitquat,
+        rate_hz=rate_hz,
+        metres_per_unit=metres_per_unit,
     )

@@ -12,7 +12,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.npz import get_array, read_npz
-from pasdedeux.formats.positions_as_motion import motion_from_positions
+from pasdedeux.formats.positions_as_motion import source_from_positions
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
 from pasdedeux.skeletons import BODY22, Skeleton
@@ -36,15 +36,7 @@ def read_positions_npz(data: bytes, companion: bytes = b"") -> SourceMotion:
     rate_hz = None
     if "rate_hz" in arrays:
         rate_hz = check_range(float(get_array(arrays, "rate_hz", "fiu", ())), "'rate_hz'", *RATE_HZ)
-    motion = motion_from_positions(skeleton, positions, rate_hz or 1.0)
-    return SourceMotion(
-        skeleton=motion.skeleton,
-        rest_offsets=motion.rest_offsets_m,
-        root_translation=motion.root_translation_m,
-        local_unitquat=motion.local_unitquat,
-        rate_hz=rate_hz,
-        metres_per_unit=1.0,
-    )
+    return source_from_positions(skeleton, positions, rate_hz=rate_hz, metres_per_unit=1.0)
 
 
 POSITIONS_NPZ = MotionFormat(

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography.duets import make_duet
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
@@ -276,3 +277,17 @@ def _clutter(rng: np.random.Generator, size: tuple[int, int]) -> Image:
         else:
             cv2.ellipse(image, (corner.tolist(), (other - corner).tolist(), float(rng.uniform(0, 180))), colour, -1)
     return np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+
+
+def rows_of(film: Film, frames: list[int], *, hidden: float = 0.5) -> AnnotatedFrames:
+    """Return the true joints of some frames; those that are hidden have a low confidence."""
+    at = [(frame, person) for frame in frames for person in range(film.px.shape[1])]
+    return AnnotatedFrames(
+        "pair17",
+        ("film",) * len(at),
+        np.array([frame for frame, _ in at]),
+        np.array([person for _, person in at]),
+        np.stack([film.px[one] for one in at]),
+        np.stack([np.where(film.is_visible[one], 1.0, hidden) for one in at]),
+        rate_hz=30.0,
+    )

@@ -17,7 +17,7 @@ from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
 from pasdedeux.formats.annotation_csv import read_annotation_csv, write_annotation_csv
 from pasdedeux.skeletons import PAIR17
-from tests.builders.rendered_film import Film, duet_bodies, render, salsa_bodies
+from tests.builders.rendered_film import Film, duet_bodies, render, rows_of, salsa_bodies
 
 EVERY = 15
 WRIST = PAIR17.index("left_wrist")
@@ -31,20 +31,6 @@ def waltz() -> Film:
 @pytest.fixture(scope="module")
 def salsa(data_dir: Path) -> Film:
     return render(salsa_bodies(data_dir, "07", slice(300, 346)), yaw_rad=2.0, seed=1)
-
-
-def rows_of(film: Film, frames: list[int], *, hidden: float = 0.5) -> AnnotatedFrames:
-    """Return the true joints of some frames; those that are hidden have a low confidence."""
-    at = [(frame, person) for frame in frames for person in range(film.px.shape[1])]
-    return AnnotatedFrames(
-        "pair17",
-        ("film",) * len(at),
-        np.array([frame for frame, _ in at]),
-        np.array([person for _, person in at]),
-        np.stack([film.px[one] for one in at]),
-        np.stack([np.where(film.is_visible[one], 1.0, hidden) for one in at]),
-        rate_hz=30.0,
-    )
 
 
 def keys_of(film: Film, **options: float) -> AnnotatedFrames:

@@ -132,6 +132,7 @@ class Build:
             self._work[name] = _StageWork(first, urgency[name], dict.fromkeys(early, 0), made)
         self._begun, self._flying = set[str](), set[str]()
         self._made: dict[str, Manifest] = {}
+        self.done: list[ShardDone] = []
         self._tally = Tally(run.store, run.study.name)
         self._messages: SimpleQueue[ShardDone | ShardFailed | Exception | None] = SimpleQueue()
         self._is_over = False
@@ -208,6 +209,7 @@ class Build:
         self._tally.end(ended)
         if isinstance(ended, ShardDone):
             self._made[shard.key] = self._run.store.manifest(ended.ref)
+            self.done.append(ended)
             self._run.listener.shard_done(ended)
         elif ended.error.is_fatal:
             raise ended.error

@@ -52,6 +52,10 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in build.outcomes], peak)
     reporting = [one for one in build.outcomes if one.name in run.graph.reporting]
     report = copy_report(run.store, folder, [ref for one in reporting for ref in one.artifacts])
+    if run.is_profiled:
+        from flows.profiling import write_profile  # draws: what is not profiled need not wait for it
+
+        run.listener.note(f"profile: {write_profile(folder.path / 'report', run.store, build.done)}")
     return Outcome(folder.run_id, build.outcomes, report, peak)
 
 

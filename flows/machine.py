@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import pasdedeux
 from pasdedeux.errors import InputError
 from tasks.shards import ClusterSettings, worker_environment
 from tasks.shards.cluster import pinned_instructions
@@ -20,6 +22,8 @@ from tasks.shards.profiles import read_profile
 GIB = 1024**3
 WORKER_MEMORY_GB = 2.0
 """Of one local worker, by default."""
+_KERNEL_BYTES = 64 * 1024**2
+"""Room for all compiled kernels."""
 
 
 def usable_cores() -> int:
@@ -84,6 +88,18 @@ def thread_settings() -> dict[str, str]:
     settings = pinned_instructions() | worker_environment()
     settings.pop("NUMBA_CACHE_DIR", None)
     return settings
+
+
+def kernel_cache() -> tuple[Path, str]:
+    """Return where compiled kernels are kept, and why they cannot be, found by trying; empty where they can."""
+    folder = Path(worker_environment().get("NUMBA_CACHE_DIR") or Path(pasdedeux.__file__).parent)
+    try:
+        with tempfile.NamedTemporaryFile(dir=nearest_folder(folder)):
+            pass
+    except OSError as error:
+        return folder, f"{folder} cannot be written to: {error.strerror}"
+    is_full = free_bytes(folder) < _KERNEL_BYTES
+    return folder, f"the disk of {folder} has {free_bytes(folder) / 1e6:.0f} MB left" if is_full else ""
 
 
 def free_bytes(folder: Path) -> int:

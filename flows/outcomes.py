@@ -18,13 +18,14 @@ from tasks.summary import stage_verdict
 
 @dataclass(frozen=True)
 class Run:
-    """What one run builds; the pool that computes its shards comes separately."""
+    """What one run builds; the pool that computes its shards comes separately.  `is_profiled`: with its profile."""
 
     study: Study
     graph: Graph
     store: Store
     selection: Selection = field(default_factory=Selection)
     listener: Listener = field(default_factory=Listener)
+    is_profiled: bool = False
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,12 @@ So what plans, or shows what is there, need not wait for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import update_wrapper
+from pathlib import Path
 from threading import RLock
 from types import ModuleType
 from typing import Any
@@ -47,9 +51,7 @@ class _Kernel:
     def _make(self) -> Any:
         """Hand the function to numba; the kernels that it calls, itself perhaps, are put in their places."""
         if self._begun is None:
-            from numba import njit
-
-            self._begun = njit(cache=True, nogil=True, **self._options)(self._function)
+            self._begun = _compiled_once(self._function, self._options)
             used, names = self._function.__globals__, self._function.__code__.co_names
             modules = [found.__dict__ for name in names if isinstance(found := used.get(name), ModuleType)]
             try:
@@ -71,3 +73,54 @@ class _Intrinsic(_Kernel):
 
             self._begun = intrinsic(self._function)
         return self._begun
+
+
+def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Return what numba makes of a function, compiled once for arguments of a type.
+
+    Numba would compile it for each constant that a kernel passes, and in every process that asks at the same time: here
+    one compiles, the others wait and load.  Where nothing can be kept, each process compiles for itself.
+    """
+    from numba import njit
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.types import unliteral
+
+    try:
+        made = njit(cache=True, nogil=True, **options)(function)
+    except RuntimeError:  # no folder that it may write to
+        made = njit(nogil=True, **options)(function)
+    compile_anew = made.compile
+
+    def compile_once(signature: tuple[Any, ...]) -> Any:
+        arguments = tuple(unliteral(one) for one in signature)
+        if arguments in made.overloads:
+            return made.overloads[arguments].entry_point
+        # Numba's own lock first: who waits for a file here holds all files that other threads may wait for.
+        with global_compiler_lock, _alone(made.stats.cache_path, f"{function.__module__}.{function.__qualname__}"):
+            try:
+                return compile_anew(arguments)
+            except OSError:  # the disk of the cache is full, or was taken away
+                if arguments not in made.overloads:
+                    raise
+                return made.overloads[arguments].entry_point
+
+    made.compile = compile_once
+    return made
+
+
+@contextmanager
+def _alone(folder: str | None, name: str) -> Iterator[None]:
+    """Let no other process of this machine be in this block for the kernel of this name; where files can be locked.
+
+    Kernels call each other in one direction, so processes never wait in a circle.
+    """
+    handle = None
+    if folder is not None:
+        with suppress(OSError):
+            handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)

@@ -37,7 +37,7 @@ from flows.console.context import (
 from flows.console.display import cost_lines, counted, make_listener, outcome_lines, plan_lines, summary_lines
 from flows.costs import estimate_cost, planned_work
 from flows.execution import open_pool, outcome_of_fresh
-from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, nearest_folder
+from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server
@@ -84,6 +84,9 @@ def run(
     until: UntilOption = None,
     force: ForceOption = None,
     is_preview: Annotated[bool, Option("--preview", help=f"{PREVIEW_S:g} s of each take, as <study>-preview.")] = False,
+    is_profiled: Annotated[
+        bool, Option("--profile", help="Also write which process computed what when, beside the report.")
+    ] = False,
     fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -111,7 +114,8 @@ def run(
     worst = None if fail_on is None else Level(fail_on)
     opened = open_store(store)
     graph = with_page(chosen, graph, opened, selection)
-    build_and_report(Run(chosen, graph, opened, selection), where, fail_on=worst, as_json=as_json)
+    to_build = Run(chosen, graph, opened, selection, is_profiled=is_profiled)
+    build_and_report(to_build, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         typer.echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
 
@@ -224,6 +228,8 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
     """Run what is not fresh: Prefect's server and the workers start while Prefect is loaded, and only here."""
     listener = make_listener(is_quiet=is_quiet)
     run = replace(run, listener=listener)
+    if why_not := kernel_cache()[1]:
+        listener.note(f"compiled kernels cannot be kept, so each process compiles its own, for minutes: {why_not}")
     try:
         if named := os.environ.get("PREFECT_API_URL"):
             check_server(named)

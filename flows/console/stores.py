@@ -29,10 +29,15 @@ from tasks.summary import stage_verdict
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Show what is in a store: the studies built in it, their verdicts, its runs and its size."""
     opened = open_store(store)
-    lasts = [last for name in latest_studies(opened) if (last := read_last_run(opened, name)) is not None]
-    found = {last.study: last_manifests(opened, last) for last in lasts}
-    described = _describe(opened, lasts, found)
+    described, lasts, found = describe_store(opened)
     answer(described, _status_lines(opened, described, lasts, found), as_json=as_json)
+
+
+def describe_store(store: Store) -> tuple[dict[str, Any], list[LatestRun], dict[str, dict[str, list[Manifest]]]]:
+    """Return what `status` says of a store as JSON values, the last run of each study, and what is there of it."""
+    lasts = [last for name in latest_studies(store) if (last := read_last_run(store, name)) is not None]
+    found = {last.study: last_manifests(store, last) for last in lasts}
+    return _describe(store, lasts, found), lasts, found
 
 
 @app.command()

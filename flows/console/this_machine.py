@@ -18,7 +18,7 @@ from typer import Argument
 import pasdedeux.benchmarks
 from flows.console.context import JsonOption, StoreOption, answer, app
 from flows.console.display import format_table
-from flows.machine import GIB, free_bytes, memory_bytes, nearest_folder, usable_cores
+from flows.machine import GIB, free_bytes, kernel_cache, memory_bytes, nearest_folder, usable_cores
 from flows.planning import PlanError
 from flows.prefect_server import ServerError, check_server, telemetry_off
 from pasdedeux.benchmarks.benchmark import BenchmarkResult
@@ -79,13 +79,9 @@ def _check_store(store: Path) -> str:
 
 
 def _check_kernel_cache() -> str:
-    """Say where compiled kernels are kept, trying to write there."""
-    folder = Path(worker_environment().get("NUMBA_CACHE_DIR") or Path(pasdedeux.__file__).parent)
-    try:
-        with tempfile.NamedTemporaryFile(dir=folder):
-            return f"kept in {folder}"
-    except OSError as error:
-        raise _BadError(f"{folder} cannot be written to: {error.strerror}") from None
+    """Say where compiled kernels are kept."""
+    folder, why_not = kernel_cache()
+    return _at_least(not why_not, why_not or f"kept in {folder}")
 
 
 def _check_prefect() -> str:
@@ -131,9 +127,10 @@ def bench(
 
 
 def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Return the benchmarks of every stage that has a module of its name in `pasdedeux.benchmarks`."""
+    """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands."""
     names = [module.name for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__)]
     modules = {name: importlib.import_module(f"pasdedeux.benchmarks.{name}") for name in names}
+    modules["commands"] = importlib.import_module("flows.console.command_benchmarks")
     return {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}
 
 

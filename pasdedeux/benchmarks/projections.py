@@ -29,6 +29,7 @@ from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
 from pasdedeux.reconstruction.live.person import NUM_CANDIDATES
+from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
@@ -237,8 +238,33 @@ def _live() -> BenchmarkResult:
     )
 
 
+def _reconstruct() -> BenchmarkResult:
+    """Measure what `pasdedeux reconstruct` computes of film of two people, beside the nearest pose of each frame."""
+    searcher = Searcher.of(made_up_database())
+    camera, places = searcher.database.camera, np.array([[760.0, 540.0], [1160.0, 540.0]])
+    motions = [made_up_database(_LIVE_FRAMES, seed=seed).poses_m.astype(np.float64) for seed in (1, 2)]
+    noise = np.random.default_rng(2)
+    px = [camera.project(one) * [350.0, -350.0] + place for one, place in zip(motions, places, strict=True)]
+    px = [one + noise.normal(0.0, 1.0, one.shape) for one in px]
+    lens = Lens.assumed(1920, 1080, np.stack(px, axis=1))
+    tracks = [Track(one, np.ones(one.shape[:2]), 24.0, lens, person_id=number) for number, one in enumerate(px)]
+    forms = {"fit, scene, clean-up and bodies": Method.FIT, "nearest pose and bodies": Method.NEAREST}
+    rates = [
+        measure(name, partial(reconstruct_people, searcher, tracks, [method]), count=2 * _LIVE_FRAMES, repeats=1)
+        for name, method in forms.items()
+    ]
+    return BenchmarkResult(
+        "reconstruction of film",
+        "frames of a person",
+        *rates[0],
+        *rates[1],
+        f"{_LIVE_FRAMES} frames of two people, {searcher.database.num_projections:,} projections",
+    )
+
+
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "query": _query,
     "published": _published,
     "live": _live,
+    "reconstruct": _reconstruct,
 }

@@ -6,16 +6,20 @@ triangulation is in `triangulation`.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.triangulation import jitter
 
 Edges = npt.NDArray[np.int32]
 
-_MAX_POINTS = 1 << 31
+_CORNERS = {dimension: np.triu_indices(dimension + 1, k=1) for dimension in (2, 3)}
+"""Both ends of the edges of a simplex."""
+_jitter = lru_cache(maxsize=8)(jitter)
 
 
 def delaunay_edges(points: Array) -> Edges:
@@ -36,16 +40,18 @@ def delaunay_edges(points: Array) -> Edges:
     from scipy.spatial import Delaunay, QhullError  # here: planning need not wait for it
 
     try:
-        simplices = Delaunay(points + jitter(num_points, dimension)).simplices
+        simplices = Delaunay(points + _jitter(num_points, dimension)).simplices
     except QhullError:
         # Flat even after the jitter, by Qhull's own tolerance: let Qhull joggle (its QJ option is deterministic).
-        simplices = Delaunay(points + jitter(num_points, dimension), qhull_options="QJ Qbb Qc").simplices
-    columns = [simplices[:, [i, j]] for i in range(dimension + 1) for j in range(i)]
-    return _sorted_edges(np.concatenate(columns))
+        simplices = Delaunay(points + _jitter(num_points, dimension), qhull_options="QJ Qbb Qc").simplices
+    one, other = _CORNERS[dimension]
+    is_joined = np.zeros((num_points, num_points), dtype=bool)
+    is_joined[simplices[:, one], simplices[:, other]] = True
+    # Flags, as sorting pairs of points takes as long as Qhull.
+    return np.stack(np.nonzero((is_joined | is_joined.T) & _is_above(num_points)), axis=1).astype(np.int32)
 
 
-def _sorted_edges(pairs: npt.NDArray[np.integer]) -> Edges:
-    # An edge as one number sorts alike, and numpy's unique rows cost many times as much.
-    ordered = np.sort(pairs.astype(np.int64), axis=1)
-    keys = np.unique(ordered[:, 0] * _MAX_POINTS + ordered[:, 1])
-    return np.stack(np.divmod(keys, _MAX_POINTS), axis=1).astype(np.int32)
+@lru_cache(maxsize=8)
+def _is_above(num_points: int) -> Flags:
+    """Return which pairs i, j of points have i < j, (n, n)."""
+    return np.triu(np.ones((num_points, num_points), dtype=bool), k=1)

@@ -51,15 +51,20 @@ def pair_table(pairs_m: Array) -> PairTable:
     Raises:
         InputError: A coordinate is not finite.
     """
-    points = np.asarray(pairs_m, dtype=np.float64)
-    points = points.reshape(len(points), points.shape[1] * points.shape[2], 3)
-    points = np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
+    points = _centred(pairs_m)
     table = edge_table_3d(points)
     num_points = points.shape[1]
     width = -(-num_points // _LANES) * _LANES
     ring = np.zeros((len(points), num_points // 2, width), dtype=np.float32)
     _fill_ring(table.edges, table.weights, table.counts, num_points, ring)
     return PairTable(points, table.edges, table.weights, table.counts, ring)
+
+
+def _centred(pairs_m: Array) -> Array:
+    """Return the joints of both people (pair, n, 3) about their mean."""
+    points = np.asarray(pairs_m, dtype=np.float64)
+    points = points.reshape(len(points), points.shape[1] * points.shape[2], 3)
+    return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
 
 
 class Coverage:
@@ -110,6 +115,20 @@ def interaction_distances(first_m: Array, second_m: Array) -> Array:
     first, second = pair_table(first_m), pair_table(second_m)
     distances = np.empty((len(first_m), len(second_m)))
     _fill_distances(first, second, distances)
+    return distances
+
+
+def cartesian_distances(first_m: Array, second_m: Array) -> Array:
+    """Return D_C (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
+
+    Raises:
+        InputError: A coordinate is not finite.
+    """
+    first, second = _centred(first_m), _centred(second_m)
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        raise InputError("distances between pairs need finite joints, found one that is not")
+    distances = np.empty((len(first), len(second)))
+    _fill_cartesian(first, second, distances)
     return distances
 
 
@@ -204,7 +223,7 @@ def _lower_minima(real, others, best):  # type: ignore[no-untyped-def]
     x, y, z = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
     for row in range(real.points.shape[0]):
         for column in range(others.points.shape[0]):
-            total = _aligned(real, row, others, column, key, m, q, rotmat, difference) / num_points
+            total = _aligned(real.points[row], others.points[column], key, m, q, rotmat, difference) / num_points
             best[1, row] = min(best[1, row], total)
             for k in range(size):
                 at = k % num_points
@@ -220,14 +239,23 @@ def _fill_distances(first, second, distances):  # type: ignore[no-untyped-def]
     difference = np.empty((first.points.shape[1], 3))
     for row in range(first.points.shape[0]):
         for column in range(second.points.shape[0]):
-            _aligned(first, row, second, column, key, m, q, rotmat, difference)
+            _aligned(first.points[row], second.points[column], key, m, q, rotmat, difference)
             distances[row, column] = _side_sum(difference, first, row) + _side_sum(difference, second, column)
 
 
 @compiled()
-def _aligned(first, row, second, column, key, m, q, rotmat, difference):  # type: ignore[no-untyped-def]
-    """Write the difference of one pair, turned onto another, to it; return the sum of its lengths."""
-    fixed, moving = first.points[row], second.points[column]
+def _fill_cartesian(first, second, distances):  # type: ignore[no-untyped-def]
+    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    difference = np.empty(first.shape[1:])
+    for row in range(first.shape[0]):
+        for column in range(second.shape[0]):
+            total = _aligned(first[row], second[column], key, m, q, rotmat, difference)
+            distances[row, column] = total / first.shape[1]
+
+
+@compiled()
+def _aligned(fixed, moving, key, m, q, rotmat, difference):  # type: ignore[no-untyped-def]
+    """Write the difference of one pair (n, 3), turned onto another, to it; return the sum of its lengths."""
     best_turn(moving, fixed, key, m, q, rotmat)
     total = 0.0
     for k in range(moving.shape[0]):

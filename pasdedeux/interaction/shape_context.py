@@ -29,6 +29,8 @@ INNER_RADIUS_M = 0.1
 NUM_PLANE_BINS = NUM_SHELLS * NUM_SECTORS
 _NUM_PAIR_BINS = NUM_PLANE_BINS * NUM_BANDS
 _CHUNK = 512
+_ESTIMATE_SLACK = 1e-9
+"""By which sums in another order may differ; a thousand terms differ by 1e-13."""
 
 
 def plane_polar(points_m: Array) -> tuple[Bins, Array]:
@@ -109,9 +111,11 @@ class ShapeCoverage:
 
     def add(self, draws_m: Array) -> None:
         """Take more pairs (draw, person=2, joint=17, 3), metres, into account."""
+        gains = shared_gains(self._counts.shape[1] - 1)
+        sums = np.insert(gains.cumsum(axis=0), 0, 0.0, axis=0)
         for start in range(0, len(draws_m), _CHUNK):
             bins = shape_bins(draws_m[start : start + _CHUNK])
-            lower_shape_minima(self._counts, bins, shared_gains(bins.shape[2]), self._best)
+            lower_shape_minima(self._counts, bins.astype(np.uint16), gains, sums, self._best)
             self.num_draws += len(bins)
 
     @property
@@ -121,32 +125,57 @@ class ShapeCoverage:
 
 
 @compiled()
-def lower_shape_minima(counts, bins, gains, best):  # type: ignore[no-untyped-def]
+def lower_shape_minima(counts, bins, gains, sums, best):  # type: ignore[no-untyped-def]
     """Lower the running minima of D_S of each real pair to what others reach.
 
     With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count.
+    Few of the others come near: whether one does is estimated first, each bin taken once, and joint by joint until it
+    is known that it does not.
 
     Args:
         counts: Joints in each bin, (real, joint, bin), uint8.
-        bins: Bins of the others, (other, joint, joint - 1).
+        bins: Bins of the others, (other, joint, joint - 1), uint16.
         gains: What one joint more in a bin takes off the cost, see `shared_gains`.
+        sums: What the first joints in a bin take off together, (joint, joint).
         best: Running minima (real,); changed in place.
     """
-    num_joints = bins.shape[1]
-    own = np.zeros(counts.shape[2], dtype=np.int64)
+    num_others, num_joints, num_seen = bins.shape
+    distinct, numbers = np.empty(bins.shape, np.uint16), np.empty(bins.shape, np.uint8)
+    before, num_distinct = np.empty(bins.shape, np.uint8), np.empty((num_others, num_joints), np.int64)
+    own = np.zeros(counts.shape[2], dtype=np.uint8)
+    for column in range(num_others):
+        for joint in range(num_joints):
+            for k in range(num_seen):
+                at = bins[column, joint, k]
+                before[column, joint, k] = own[at]
+                own[at] += 1
+            count = 0
+            for k in range(num_seen):
+                at = bins[column, joint, k]
+                if own[at] > 0:
+                    distinct[column, joint, count], numbers[column, joint, count] = at, own[at]
+                    own[at] = 0
+                    count += 1
+            num_distinct[column, joint] = count
     for row in range(counts.shape[0]):
-        for column in range(bins.shape[0]):
+        for column in range(num_others):
             limit = best[row] * num_joints
             cost = 0.0
             for joint in range(num_joints):
-                cost += 1.0
-                for at in bins[column, joint]:
-                    cost -= gains[own[at], counts[row, joint, at]]
-                    own[at] += 1
-                for at in bins[column, joint]:
-                    own[at] = 0
-                if cost >= limit:
+                shared = 0.0
+                for k in range(num_distinct[column, joint]):
+                    shared += sums[numbers[column, joint, k], counts[row, joint, distinct[column, joint, k]]]
+                cost += 1.0 - shared
+                if cost >= limit + _ESTIMATE_SLACK:
                     break
+            if cost >= limit + _ESTIMATE_SLACK:
+                continue
+            cost = 0.0
+            for joint in range(num_joints):
+                cost += 1.0
+                for k in range(num_seen):
+                    at = bins[column, joint, k]
+                    cost -= gains[before[column, joint, k], counts[row, joint, at]]
             if cost < limit:
                 best[row] = cost / num_joints
 

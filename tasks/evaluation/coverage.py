@@ -27,7 +27,7 @@ from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_tab
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.coverage import CoverageCurve, coverage_curve
-from pasdedeux.interaction.nearest import Coverage
+from pasdedeux.interaction.nearest import cartesian_distances
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
@@ -259,12 +259,15 @@ def set_scores(
         _SELECTED: np.stack(selected.columns["pair17_m"]),
         _RANDOM: np.stack([parts[at][row] for at, row in zip(part, some - starts[part], strict=True)]),
     }
-    curves = {name: coverage_curve(truth, pairs.astype(np.float64), sizes) for name, pairs in sets.items()}
+    distances = {name: cartesian_distances(truth, pairs.astype(np.float64)) for name, pairs in sets.items()}
+    covered = {
+        name: [float(own[:, :size].min(axis=1).mean()) for size in sizes if size <= own.shape[1]]
+        for name, own in distances.items()
+    }
     scores = [
-        Score(_SET_METRIC, name, float(value), "m", split=split, at=float(size), count=len(truth))
-        for name, curve in {**curves, _REAL: levels}.items()
-        for size, value in zip(curve.num_draws, curve.cartesian_m, strict=True)
-        if size in sizes
+        Score(_SET_METRIC, name, value, "m", split=split, at=float(size), count=len(truth))
+        for name, values in {**covered, _REAL: levels.cartesian_m.tolist()}.items()
+        for size, value in zip(sizes, values, strict=False)
     ]
     return scores, [f"Selected were {selected.in_words()}."]
 
@@ -328,10 +331,7 @@ def realism_scores(
     """
     real = real_m[generator.permutation(len(real_m))[:_MAX_REAL]]
     some = [np.asarray(pairs[:_MAX_DRAWS], dtype=np.float64) for pairs in draws.values()]
-    nearest = Coverage(np.concatenate(some))  # of all methods at once: tetrahedra of the real pairs are found once
-    nearest.add(real)
-    ends = np.cumsum([len(pairs) for pairs in some])
-    distances = dict(zip(draws, np.split(nearest.cartesian_m, ends[:-1]), strict=True))
+    distances = {name: cartesian_distances(own, real).min(axis=1) for name, own in zip(draws, some, strict=True)}
     return summarise(distances, "draw_to_nearest_real_D_C", "m", split=split)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import platform
 import queue
 import sys
 import threading
@@ -14,7 +16,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from threadpoolctl import ThreadpoolController
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 RunShard = Callable[[Shard, Store], ArtifactRef]
+Result: TypeAlias = "tuple[ArtifactRef, float, Place | None]"
 
 _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone
 _COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
@@ -38,12 +41,28 @@ _GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the schedu
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where and when a shard was computed.
+
+    Args:
+        process: Machine and number of the process.
+        began_s: Seconds since 1970 when it began.
+        memory_bytes: The most memory that the process had held by the end.
+    """
+
+    process: str
+    began_s: float
+    memory_bytes: int
+
+
+@dataclass(frozen=True)
 class ShardDone:
-    """What a finished shard leaves: its artifact and how long it took in the worker."""
+    """What a finished shard leaves: its artifact, how long it took in the worker, and where, unless it was there."""
 
     shard: Shard
     ref: ArtifactRef
     seconds: float
+    place: Place | None = None
 
 
 @dataclass(frozen=True)
@@ -59,10 +78,11 @@ class ShardFailed:
         return self.error.where != _where(self.shard)
 
 
-def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> tuple[ArtifactRef, float]:
+def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Result:
     """Compute one shard in this process: the only function that workers are sent, with what those before it gave.
 
-    Returns the artifact and the seconds it took: one that is there is not computed again, unless it is to be replaced.
+    Returns the artifact, the seconds it took, and where: one that is there is not computed again, unless it is to be
+    replaced.
     Whatever goes wrong is raised as a ShardError, which survives the way back from the worker even where the original
     error would not.
 
@@ -77,11 +97,11 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> tuple
 
         time.sleep(_GIVE_BACK_S)
         raise Reschedule
-    started = time.perf_counter()
+    began_s, started = time.time(), time.perf_counter()
     try:
         store = Store(store_root)
         if not shard.replaces and (found := store.find(shard.stage, shard.key)) is not None:
-            return found.ref, found.timings.get(SHARD_S, 0.0)
+            return found.ref, found.timings.get(SHARD_S, 0.0), None
         store.measure()
         with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
             ref = run_shard(shard, store)
@@ -91,7 +111,8 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> tuple
             reason += f"; {dropped} is damaged and was removed, the same command computes it again"
         failure = ShardError(_where(shard), type(error).__name__, reason, trace)
     else:
-        return ref, time.perf_counter() - started
+        process = f"{platform.node()} {os.getpid()}"
+        return ref, time.perf_counter() - started, Place(process, began_s, peak_memory_bytes(None))
     raise failure  # out here it drags no original error along, which may not be picklable
 
 
@@ -164,8 +185,8 @@ class Pool:
         """Return the most memory that this process, or any that computes, has held."""
         return peak_memory_bytes(None)
 
-    def _result(self, future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
-        result: tuple[ArtifactRef, float] = future.result()
+    def _result(self, future: Any, shard: Shard) -> Result:
+        result: Result = future.result()
         return result
 
 
@@ -178,9 +199,9 @@ class Call:
     function: Callable[..., Any] = field(compare=False)
     arguments: tuple[Any, ...] = field(compare=False)
 
-    def make(self) -> tuple[ArtifactRef, float]:
+    def make(self) -> Result:
         """Make the call; raises what futures among its arguments failed with."""
-        result: tuple[ArtifactRef, float]
+        result: Result
         result = self.function(*(one.result() if isinstance(one, Future) else one for one in self.arguments))
         return result
 
@@ -272,13 +293,13 @@ class ClusterPool(Pool):
             if refused:
                 raise ClusterError(f"{refused[-1]}; no other worker came for {_NO_WORKER_S:g} s")
 
-    def _result(self, future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
+    def _result(self, future: Any, shard: Shard) -> Result:
         """Return a finished future's result; only `.result()` tells of a dead worker."""
         from distributed import KilledWorker
 
         try:
             with _scheduler_is_there():
-                result: tuple[ArtifactRef, float] = future.result(timeout=_FETCH_S)
+                result: Result = future.result(timeout=_FETCH_S)
         except KilledWorker as error:
             reason = (
                 f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "

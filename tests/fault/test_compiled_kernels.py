@@ -70,6 +70,53 @@ def test_two_caches_that_were_filled_in_different_orders_agree(tmp_path: Path) -
     assert len([line for line in found[0] if line]) == len(names)
 
 
+COUNTED = """
+from numba.core import event
+
+counter = event.RecordingListener()
+event.register("numba:compile", counter)
+"""
+SAID = """
+ended = [(one.data["dispatcher"].py_func, one.data["args"]) for _, one in counter.buffer if one.is_end]
+own = [f"{made.__module__}.{made.__name__}{taken}" for made, taken in ended if made.__module__.startswith("pasdedeux")]
+print("compiled", *(name.replace(" ", "") for name in own))
+"""
+
+
+def test_of_two_processes_one_compiles_a_kernel_and_the_other_waits_for_it(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", COUNTED + SCRIPT + SAID, "bones", "lists"]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate()[0].splitlines() for process in both]
+    assert said[0][:2] == said[1][:2]
+    compiled = [name for lines in said for name in lines[2].split()[1:]]
+    assert len(compiled) == len(set(compiled)) > 1
+
+
+FULL = """
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+"""
+
+
+@pytest.mark.parametrize("trouble", ["no folder", "full disk"])
+def test_kernels_that_cannot_be_kept_are_compiled_all_the_same(tmp_path: Path, trouble: str) -> None:
+    (tmp_path / "file").touch()
+    cache = tmp_path / "file" if trouble == "no folder" else tmp_path / "cache"
+    only = {"NUMBA_CACHE_DIR": str(cache), "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+    script = (FULL if trouble == "full disk" else "") + SCRIPT
+    said = subprocess.run(
+        [sys.executable, "-c", script, "bones"],
+        env={**os.environ, **only, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert said.stdout.startswith("bones ")
+    assert not list(cache.rglob("*.nbc"))
+
+
 PINNED = """
 from importlib.util import find_spec
 import numpy as np

@@ -57,11 +57,27 @@ def factorial(number: int) -> int:
     return 1 if number < 2 else number * factorial(number - 1)
 
 
+@compiled()
+def power(base: int, exponent: int) -> int:
+    return base**exponent
+
+
+@compiled()
+def powers(base: int) -> int:
+    return power(base, 1) + power(base, 2) + power(3, 3) + power(base, base)
+
+
 def test_a_kernel_calls_kernels_inlines_them_and_calls_itself() -> None:
     values = np.linspace(-1.0, 1.0, 5)
     assert total(values) == total(values=values) == 5.0
     assert factorial(10) == 3628800
     assert twice(3) == 6.0  # also once it is known to have been called by another
+
+
+def test_a_kernel_is_compiled_once_whatever_constants_others_pass() -> None:
+    assert powers(2) == 2 + 4 + 27 + 4
+    powers._made.recompile()  # what was loaded from the cache asked for nothing
+    assert len(power.overloads) == 1  # its place was taken by what numba made
 
 
 def test_a_kernel_keeps_its_name_and_docstring() -> None:

@@ -1,0 +1,119 @@
+"""The profile of a run: which process computed which shard when, what stages and the longest shards took."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pasdedeux.evaluation.pictures import Picture, figure_svg, label_axis, legend_beside, new_figure
+from pasdedeux.evaluation.report import Report, Section, render
+from pasdedeux.evaluation.score_tables import TextTable
+from storage_schema import Manifest, Store
+from storage_schema.store import PROCESSOR_S
+from tasks.shards import ShardDone
+from tasks.summary import summary_of
+
+PROFILE_FILE = "profile.html"
+_NUM_LONGEST = 10
+_HEADINGS = ("clock", "processor", "part of all", "peak memory", "written")
+
+
+@dataclass(frozen=True)
+class _Bar:
+    """A shard that was computed: its artifact, where, and from when to when in seconds of the run."""
+
+    manifest: Manifest
+    process: str
+    memory_bytes: int
+    start_s: float
+    end_s: float
+
+    @property
+    def seconds(self) -> float:
+        """What it took by the clock."""
+        return self.end_s - self.start_s
+
+
+def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path:
+    """Write the profile of a run's shards to `profile.html` in a folder; gives the file.
+
+    Shards that were there, and so were not computed, are not in it.
+    """
+    computed = [(one, one.place) for one in done if one.place is not None]
+    origin_s = min((place.began_s for _, place in computed), default=0.0)
+    bars = []
+    for one, place in computed:
+        start_s = place.began_s - origin_s
+        manifest = store.manifest(one.ref)
+        bars.append(_Bar(manifest, place.process, place.memory_bytes, start_s, start_s + one.seconds))
+    bars.sort(key=lambda bar: bar.start_s)
+    sections = [_time_line(bars), _tables(bars)] if bars else []
+    summary = summary_of([bar.manifest for bar in bars])
+    words = f"{len(bars)} shards that this run computed; what was there already is not among them."
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / PROFILE_FILE
+    path.write_text(render("report.html", report=Report("Profile of a run", words, summary, sections)), "utf-8")
+    return path
+
+
+def _time_line(bars: Sequence[_Bar]) -> Section:
+    """Show when each process computed what, and how busy they were."""
+    processes = list(dict.fromkeys(bar.process for bar in bars))
+    stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))
+    end_s = max(bar.end_s for bar in bars)
+    figure, ((axis,),) = new_figure(9.5, 1.3 + 0.35 * len(processes))
+    for number, stage in enumerate(stages):
+        own = [bar for bar in bars if bar.manifest.ref.stage == stage]
+        rows, starts = [processes.index(bar.process) for bar in own], [bar.start_s for bar in own]
+        lengths = [bar.seconds for bar in own]
+        axis.barh(rows, lengths, left=starts, color=f"C{number}", edgecolor="white", linewidth=0.3, label=stage)
+    axis.set_yticks(range(len(processes)), [f"process {number}" for number in range(1, len(processes) + 1)])
+    axis.invert_yaxis()
+    label_axis(axis, "seconds since the first shard began")
+    legend_beside(axis)
+    busy = sum(bar.seconds for bar in bars) / (len(processes) * end_s) if end_s else 0.0
+    said = f"{len(processes)} processes for {end_s:.1f} s, at work {busy:.0%} of that; memory is of the process so far."
+    caption = "Shards on processes over time, coloured by stage; white is waiting."
+    return Section("Time line", (said,), pictures=(Picture("time-line.svg", caption, figure_svg(figure)),))
+
+
+def _tables(bars: Sequence[_Bar]) -> Section:
+    """Lay out what stages and the longest shards took."""
+    stages: dict[str, list[_Bar]] = defaultdict(list)
+    for bar in bars:
+        stages[bar.manifest.ref.stage].append(bar)
+    total_s = sum(bar.seconds for bar in bars)
+    order = sorted(stages, key=lambda stage: -sum(bar.seconds for bar in stages[stage]))
+    longest = sorted(bars, key=lambda bar: -bar.seconds)[:_NUM_LONGEST]
+    return Section(
+        "Stages and shards",
+        tables=(
+            TextTable(
+                "Stages",
+                ("stage", "shards", *_HEADINGS),
+                tuple((stage, str(len(stages[stage])), *_row(stages[stage], total_s)) for stage in order),
+            ),
+            TextTable(
+                f"The {len(longest)} longest shards",
+                ("stage", "partition", "shard", *_HEADINGS),
+                tuple(
+                    (bar.manifest.ref.stage, bar.manifest.partition, bar.manifest.name, *_row([bar], total_s))
+                    for bar in longest
+                ),
+            ),
+        ),
+    )
+
+
+def _row(bars: Sequence[_Bar], total_s: float) -> tuple[str, ...]:
+    """Return what shards took in the columns of `_HEADINGS`; the clock's includes what comes before the commit."""
+    seconds = sum(bar.seconds for bar in bars)
+    return (
+        f"{seconds:.2f} s",
+        f"{sum(bar.manifest.timings.get(PROCESSOR_S, 0.0) for bar in bars):.2f} s",
+        f"{seconds / total_s:.1%}" if total_s else "-",
+        f"{max(bar.memory_bytes for bar in bars) / 1e6:.0f} MB",
+        f"{sum(bar.manifest.num_bytes for bar in bars) / 1e6:.2f} MB",
+    )

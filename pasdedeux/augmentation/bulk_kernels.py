@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 
 AnyFloat = npt.NDArray[np.floating]
 
@@ -111,7 +111,7 @@ class Memory(NamedTuple):
     products: AnyFloat
 
 
-@compiled(error_model="numpy")
+@compiled()
 def pull(form: Form, now: Batch) -> None:
     """Leave z - u = 2 z - v in `aim` and b + penalty S^T (z - u - S r) in `offsets`.
 
@@ -186,7 +186,7 @@ def pull(form: Form, now: Batch) -> None:
             row += 1
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _spread(pairs: Pairs, e: int, aims: AnyFloat, row: int, rhs: AnyFloat, t: int) -> None:
     """Add weight B^T a to the right-hand side (point, 3 variant) of a frame."""
     for corner in range(4):
@@ -195,7 +195,7 @@ def _spread(pairs: Pairs, e: int, aims: AnyFloat, row: int, rhs: AnyFloat, t: in
             rhs[t, point, k] += factor * aims[row, k]
 
 
-@compiled(error_model="numpy")
+@compiled()
 def advance(form: Form, now: Batch) -> None:
     """Move v by `change`, relaxation (s - z), s what x gives."""
     first, edges, near, contacts = form.first, form.edges, form.near, form.contacts
@@ -224,7 +224,7 @@ def advance(form: Form, now: Batch) -> None:
             row += 1
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _combine(pairs: Pairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, row: int) -> None:
     """Leave what x of a frame's points makes of a pair's vector in a row of `vectors`."""
     a, b, c, d = pairs.points[e, 0], pairs.points[e, 1], pairs.points[e, 2], pairs.points[e, 3]
@@ -233,7 +233,7 @@ def _combine(pairs: Pairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, 
         vectors[row, k] = (p * points[t, a, k] + q * points[t, b, k]) + (r * points[t, c, k] + s * points[t, d, k])
 
 
-@compiled(error_model="numpy")
+@compiled()
 def remember(form: Form, now: Batch, memory: Memory, slot: int, used: int, stride: int) -> None:
     """Put the newest move in `slot`, and compare the changes of every `stride`-th frame."""
     first, contacts = form.first, form.contacts
@@ -282,7 +282,7 @@ def remember(form: Form, now: Batch, memory: Memory, slot: int, used: int, strid
                 products[1, i, t // stride, n] = (pulled[n] + pulled[count + n]) + pulled[2 * count + n]
 
 
-@compiled(error_model="numpy")
+@compiled()
 def fade_over_time(values: Array, keep: float) -> None:
     """Sum values (m, T, variant) over frames in place, those a frame further away by `keep` less."""
     size, frames, count = values.shape
@@ -300,7 +300,7 @@ def fade_over_time(values: Array, keep: float) -> None:
                 values[i, t, n] += ahead[t, n]
 
 
-@compiled(error_model="numpy")
+@compiled()
 def mix(
     form: Form, gram: Array, pulls: Array, used: int, stride: int, ridge: float, moves: AnyFloat, state: AnyFloat
 ) -> None:
@@ -335,7 +335,7 @@ def mix(
                 i += 1
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _solve_shares(gram: Array, pulls: Array, used: int, ridge: float, lower: Array, trace: Array, x: Array) -> None:
     """Leave in `x` (m, variant) the solution of (gram + ridge trace) x = pulls, by Cholesky."""
     count = pulls.shape[1]
@@ -384,7 +384,7 @@ def _solve_shares(gram: Array, pulls: Array, used: int, ridge: float, lower: Arr
             value[n] /= b[n]
 
 
-@compiled(error_model="numpy")
+@compiled()
 def mean_change(values: AnyFloat, first: Integers, num_rows: int) -> Array:
     """Return the mean over frames of the root mean square of a frame's first rows of `values` (row, 3, variant)."""
     count, frames = values.shape[2], len(first) - 1
@@ -401,7 +401,7 @@ def mean_change(values: AnyFloat, first: Integers, num_rows: int) -> Array:
     return total
 
 
-@compiled(error_model="numpy")
+@compiled()
 def add_stencils(points: Integers, shares: Array, weights: Array, matrix: Array) -> None:
     """Add sum w B^T B to `matrix` (T, n, n)."""
     frames, num_pairs, size = points.shape

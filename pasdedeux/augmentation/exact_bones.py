@@ -32,7 +32,7 @@ def project_to_bones(points: Array, lengths_m: Array, *, is_nearest: bool = Fals
     return points
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _meet_lengths(people: Array, parents: Integers, bones: Integers, lengths_m: Array, num_steps: int) -> None:
     """Move joints of `people` as little as they can, over all joints together, until bones have other lengths.
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Integers
-from pasdedeux.compiled import compiled, intrinsic
+from pasdedeux.compiled import compiled, inner_kernel, intrinsic
 
 Array = npt.NDArray[np.floating]
 
@@ -92,7 +92,7 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
     return Factor(inverse=inverse, lag1=outer, lag2=same)
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _forward(
     rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
 ) -> None:
@@ -115,7 +115,7 @@ def _forward(
                 work[i, shift + v] = rhs[k, i, axis, v] - c * rhs[k - 1, i, axis, v]
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _backward(
     rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
 ) -> None:
@@ -171,7 +171,7 @@ def _multiply_tile(_: Any, matrix: Any, row: Any, right: Any, column: Any, produ
     return types.none(matrix, row, right, column, product), generate
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _multiply(matrix: Array, right: Array, product: Array) -> None:
     """Set a product of contiguous matrices (m, k) and (k, n): m is a multiple of 4, as 44 a person is, n one of 16."""
     for column in range(0, right.shape[1], _COLUMNS):
@@ -179,7 +179,7 @@ def _multiply(matrix: Array, right: Array, product: Array) -> None:
             _multiply_tile(matrix, row, right, column, product)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers) -> None:
     blocks, size, _, count = rhs.shape
     work = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)

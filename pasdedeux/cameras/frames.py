@@ -14,8 +14,8 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.orthographic import project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.compiled import compiled
-from pasdedeux.kinematics.rotation_kernels import Vector, cross, dot, inner_kernel, length, mix, row_of, subtract
+from pasdedeux.compiled import compiled, inner_kernel
+from pasdedeux.kinematics.rotation_kernels import Vector, cross, dot, length, mix, row_of, subtract
 from pasdedeux.kinematics.rotation_kernels import normalise as unit
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
@@ -75,7 +75,7 @@ def _frames(roots: Array, backbones: Array) -> Array:
     return axes
 
 
-@inner_kernel
+@inner_kernel()
 def frame_columns(between: Vector, backbone_a: Vector, backbone_b: Vector) -> tuple[Vector, Vector, Vector]:
     """Return i, j, k of one pair, from the vector between its roots and its backbones."""
     a, b = unit(backbone_a), unit(backbone_b)
@@ -99,7 +99,7 @@ def frame_columns(between: Vector, backbone_a: Vector, backbone_b: Vector) -> tu
     return i, j, cross(i, j)
 
 
-@inner_kernel
+@inner_kernel()
 def square_to(axis: Vector) -> Vector:
     """Return what is square to a unit vector of the world axis that is most so."""
     x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])

@@ -17,7 +17,7 @@ Lanes = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=True)
 def fill_residuals(points: Lanes, tilt: Lanes, direction: Lanes, image: Lanes, joints: Indices, out: Lanes) -> None:
     """Write the squared distance of every draw, seen from one view and turned best in the plane, from an image.
 

@@ -128,7 +128,7 @@ class BoneForest:
         return BoneState(roots, _turn(state.directions, tangents, step, shape.parents, shape.starts))
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _directions(positions: Array, parents: Integers) -> Array:
     """Return the unit vector of each bone; up for roots and where there is none."""
     directions = np.empty(positions.shape)
@@ -147,7 +147,7 @@ def _directions(positions: Array, parents: Integers) -> Array:
     return directions
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _place(
     roots_m: Array, directions: Array, lengths: Array, parents: Integers, order: Integers, roots: Integers
 ) -> Array:
@@ -165,7 +165,7 @@ def _place(
     return positions
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _tangents(directions: Array) -> Array:
     """Return two unit vectors across each direction, the first across x as well, or y where that is too near."""
     tangents = np.empty((*directions.shape, 2))
@@ -181,7 +181,7 @@ def _tangents(directions: Array) -> Array:
     return tangents
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _turn(directions: Array, tangents: Array, step: Array, parents: Integers, starts: Integers) -> Array:
     """Return the directions of bones after a step along their tangents; roots' as they were."""
     turned = directions.copy()

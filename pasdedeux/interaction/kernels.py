@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M, edge_weights
 from pasdedeux.interaction.graph import delaunay_edges
@@ -60,7 +60,7 @@ def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.i
     return EdgeTable(edges=edges, weights=weights, counts=counts)
 
 
-@compiled()
+@inner_kernel()
 def fill_edge_weights(x, y, edges, count, weights):  # type: ignore[no-untyped-def]
     """Write the weights of eq. 8 of one planar point set into `weights`; they sum to 1."""
     total = 0.0
@@ -73,7 +73,7 @@ def fill_edge_weights(x, y, edges, count, weights):  # type: ignore[no-untyped-d
         weights[e] /= total
 
 
-@compiled()
+@inner_kernel()
 def side_sum(dx, dy, edges, count, weights):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8: the weighted sum over edges of the length of the difference of edge vectors.
 
@@ -87,7 +87,7 @@ def side_sum(dx, dy, edges, count, weights):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled()
+@inner_kernel()
 def keep_seen_edges(edges, count, weights, is_seen, kept, kept_weights):  # type: ignore[no-untyped-def]
     """Write the edges of which both ends are seen, and their weights scaled to sum to 1; give their number."""
     number, total = 0, 0.0
@@ -111,7 +111,7 @@ def _minor(m, r0, r1, r2, c0, c1, c2):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled()
+@inner_kernel()
 def _null_vector(key, shift, m, q):  # type: ignore[no-untyped-def]
     """Write the unit vector that `key` - `shift` maps nearest to zero into q (from the adjugate); false if zero."""
     scale = 0.0

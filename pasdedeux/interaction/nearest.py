@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M
 from pasdedeux.interaction.kernels import best_turn, edge_table_3d, turned_gap
@@ -159,7 +159,7 @@ def _fill_image_distances(  # type: ignore[no-untyped-def]
                 distances[row, column] = total
 
 
-@compiled()
+@inner_kernel()
 def _shared_side(points, edges, count, is_shared, dx, dy):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8 over the edges of which both ends are shared."""
     total, weights = 0.0, 1e-300
@@ -173,7 +173,7 @@ def _shared_side(points, edges, count, is_shared, dx, dy):  # type: ignore[no-un
     return total / weights
 
 
-@compiled()
+@inner_kernel()
 def _plane_gaps(moving, fixed, is_shared, dx, dy):  # type: ignore[no-untyped-def]
     """Write the differences of points turned and shifted onto others where both are there; give their number."""
     count = 0
@@ -253,7 +253,7 @@ def _fill_cartesian(first, second, distances):  # type: ignore[no-untyped-def]
             distances[row, column] = total / first.shape[1]
 
 
-@compiled()
+@inner_kernel()
 def _aligned(fixed, moving, key, m, q, rotmat, difference):  # type: ignore[no-untyped-def]
     """Write the difference of one pair (n, 3), turned onto another, to it; return the sum of its lengths."""
     best_turn(moving, fixed, key, m, q, rotmat)
@@ -265,7 +265,7 @@ def _aligned(fixed, moving, key, m, q, rotmat, difference):  # type: ignore[no-u
     return total
 
 
-@compiled(fastmath=_REORDERED)
+@inner_kernel(fastmath=_REORDERED)
 def _estimate(x, y, z, one, other):  # type: ignore[no-untyped-def]
     """Estimate both sides of D_I from the differences of aligned points, repeated beyond the last, and two rings."""
     total = np.float32(0.0)
@@ -280,7 +280,7 @@ def _estimate(x, y, z, one, other):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled()
+@inner_kernel()
 def _side_sum(difference, table, row):  # type: ignore[no-untyped-def]
     """Return the side of D_I over the edges of one pair of a table."""
     edges, weights, total = table.edges[row], table.weights[row], 0.0

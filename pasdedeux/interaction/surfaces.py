@@ -78,7 +78,7 @@ def parents_of(skeleton: Skeleton, num_people: int) -> Indices:
     return np.concatenate([parents + person * skeleton.num_joints for person in range(num_people)])
 
 
-@compiled(error_model="numpy")
+@compiled()
 def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Array) -> tuple[Array, Array]:
     """Return where on their bones (T, pair, 2) the nearest points are, 0 at the parent, and the gap of the surfaces.
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 
 Workspace = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]
 
@@ -68,7 +68,7 @@ def _in_conflict(x, y, triangles, t, px, py, infinity):  # type: ignore[no-untyp
     return determinant > 0.0
 
 
-@compiled()
+@inner_kernel()
 def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no-untyped-def]
     """Write the Delaunay edges (i < j) of points `x`, `y` (already jittered) into `edges`; give their number.
 

@@ -9,86 +9,89 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import inner_kernel
 
 Vector = Any  # (x, y, z); numba infers the tuple type
 Quaternion = Any  # (x, y, z, w)
 _TINY = 1e-12
 
-inner_kernel = compiled(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""For functions that only compiled code calls: without the entries from Python they compile in a third of the time."""
 
-
-@inner_kernel
+@inner_kernel()
 def row_of(points: Any, row: int) -> Vector:
     """Return row `row` of an array (n, 3) as a vector."""
     return (points[row, 0], points[row, 1], points[row, 2])
 
 
-@inner_kernel
+@inner_kernel()
 def put_row(points: Any, row: int, vector: Vector) -> None:
     """Set row `row` of an array (n, 3)."""
     points[row, 0], points[row, 1], points[row, 2] = vector
 
 
-@inner_kernel
+@inner_kernel()
 def unitquat_of(rotations: Any, row: int) -> Quaternion:
     """Return row `row` of an array (n, 4) as a rotation."""
     return (rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3])
 
 
-@inner_kernel
+@inner_kernel()
 def put_unitquat(rotations: Any, row: int, q: Quaternion) -> None:
     """Set row `row` of an array (n, 4)."""
     rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q
 
 
-@inner_kernel
+@inner_kernel()
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inner_kernel
+@inner_kernel()
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@inner_kernel
+@inner_kernel()
 def length(a: Vector) -> float:
     """Return the length of a vector."""
     return math.sqrt(dot(a, a))
 
 
-@inner_kernel
+@inner_kernel()
 def subtract(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@inner_kernel
+@inner_kernel()
 def scale(factor: float, a: Vector) -> Vector:
     """Return a vector `factor` times as long."""
     return (factor * a[0], factor * a[1], factor * a[2])
 
 
-@inner_kernel
+@inner_kernel()
+def divide(a: Vector, size: float) -> Vector:
+    """Return a / size."""
+    return (a[0] / size, a[1] / size, a[2] / size)
+
+
+@inner_kernel()
 def mix(s: float, a: Vector, t: float, b: Vector) -> Vector:
     """Return s a + t b."""
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
 
 
-@inner_kernel
+@inner_kernel()
 def normalise(a: Vector) -> Vector:
     """Return the unit vector along `a`; zero where `a` is."""
     size = length(a)
     if size > _TINY:
-        return (a[0] / size, a[1] / size, a[2] / size)
+        return divide(a, size)
     return (0.0, 0.0, 0.0)
 
 
-@inner_kernel
+@inner_kernel()
 def carry(start: Vector, end: Vector, vector: Vector) -> Vector:
     """Return `vector` carried along the shortest turn from unit `start` to unit `end`."""
     total = (start[0] + end[0], start[1] + end[1], start[2] + end[2])
@@ -101,7 +104,7 @@ def carry(start: Vector, end: Vector, vector: Vector) -> Vector:
     )
 
 
-@inner_kernel
+@inner_kernel()
 def closest_on_segments(aa: float, bb: float, ab: float, ag: float, bg: float, parallel: float) -> tuple[float, float]:
     """Return where on segments a and b (0 at their starts, 1 at their ends) the points closest to each other are.
 
@@ -129,7 +132,7 @@ def closest_on_segments(aa: float, bb: float, ab: float, ag: float, bg: float, p
     return s, inside
 
 
-@inner_kernel
+@inner_kernel()
 def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
     """Compose rotations: `right` first, then `left`."""
     return (
@@ -140,13 +143,13 @@ def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
     )
 
 
-@inner_kernel
+@inner_kernel()
 def conjugate(q: Quaternion) -> Quaternion:
     """Invert a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
-@inner_kernel
+@inner_kernel()
 def rotate(q: Quaternion, v: Vector) -> Vector:
     """Rotate a vector by a unit quaternion: v + w t + q x t of t = 2 q x v."""
     t = scale(2.0, cross(q, v))
@@ -157,7 +160,7 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
     )
 
 
-@inner_kernel
+@inner_kernel()
 def unitquat_from_rotvec(rotvec: Vector) -> Quaternion:
     """Return the unit quaternion of a rotation vector in radians; zero gives the identity."""
     angle = length(rotvec)
@@ -165,7 +168,7 @@ def unitquat_from_rotvec(rotvec: Vector) -> Quaternion:
     return (rotvec[0] * factor, rotvec[1] * factor, rotvec[2] * factor, math.cos(0.5 * angle))
 
 
-@inner_kernel
+@inner_kernel()
 def rotvec_from_unitquat(q: Quaternion) -> Vector:
     """Return the shortest rotation vector in radians of a unit quaternion."""
     if q[3] < 0.0:
@@ -174,7 +177,7 @@ def rotvec_from_unitquat(q: Quaternion) -> Vector:
     return scale(2.0 if sine < _TINY else 2.0 * math.atan2(sine, q[3]) / sine, q)
 
 
-@inner_kernel
+@inner_kernel()
 def swing_between(start: Vector, end: Vector) -> Quaternion:
     """Return the shortest rotation of direction `start` into `end`, which need not be unit.
 
@@ -192,7 +195,7 @@ def swing_between(start: Vector, end: Vector) -> Quaternion:
     return (axis[0] * norm, axis[1] * norm, axis[2] * norm, (1.0 + cosine) * norm)
 
 
-@inner_kernel
+@inner_kernel()
 def unitquat_from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
     """Return the unit quaternion, w >= 0, of the rotation matrix with these columns."""
     trace = x[0] + y[1] + z[2]

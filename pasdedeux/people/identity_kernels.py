@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.skeletons import OP14
 
 _TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))
@@ -22,7 +22,7 @@ _PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
 """Alpha-beta filter of a joint: near the critically damped pair beta = alpha^2 / (2 - alpha), a little slower."""
 
 
-@compiled(error_model="numpy")
+@compiled()
 def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Array, Array]:
     """Return keypoints (n, j, 2), NaN where not seen, confidences, 0 there, trust (n, j) in them, and sizes (n,).
 
@@ -49,7 +49,7 @@ def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array,
     return points, seen, trust, size
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def size_in_image(points: Array, is_seen: Flags) -> float:
     """Do `identity.body_size_px` for one person (j, 2)."""
     box, count = _diagonal(points, is_seen, np.arange(points.shape[0]))
@@ -61,7 +61,7 @@ def size_in_image(points: Array, is_seen: Flags) -> float:
     return max(box, _MIN_SIZE_PX)
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _diagonal(points: Array, is_seen: Flags, joints: Integers) -> tuple[float, int]:
     """Return the diagonal of the box of the seen joints, and how many they are."""
     count = 0
@@ -74,7 +74,7 @@ def _diagonal(points: Array, is_seen: Flags, joints: Integers) -> tuple[float, i
     return (np.hypot(high_x - low_x, high_y - low_y) if count >= 2 else np.nan), count
 
 
-@compiled(error_model="numpy")
+@compiled()
 def predict_joints(place: Array, speed: Array, is_known: Flags, body_s: float, limb_s: float) -> Array:
     """Return where a person's joints (j, 2) are expected: median speed works for `body_s`, what is left `limb_s`."""
     out = np.empty(place.shape)
@@ -85,7 +85,7 @@ def predict_joints(place: Array, speed: Array, is_known: Flags, body_s: float, l
     return out
 
 
-@compiled(error_model="numpy")
+@compiled()
 def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Array, trust: Array, size: Array) -> Array:
     """Return what each detection (n,) costs a person: mean distance of its joints from the prediction in sizes.
 
@@ -124,7 +124,7 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
     return cost
 
 
-@compiled(error_model="numpy")
+@compiled()
 def update_joints(
     place: Array, speed: Array, is_known: Flags, predicted: Array, seen: Array, trust: Array, passed: float, fade: float
 ) -> None:

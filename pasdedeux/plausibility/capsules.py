@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, inner_kernel, mix, row_of, subtract
+from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, mix, row_of, subtract
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import LAYOUTS
@@ -113,7 +113,7 @@ def radius_per_height(skeleton: Skeleton) -> Array:
     return np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
 
 
-@compiled(error_model="numpy")
+@compiled()
 def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> float:
     """Return the distance between segments a and b, all ends (3,); a segment may be a point."""
     a = (start_a[0], start_a[1], start_a[2])
@@ -123,7 +123,7 @@ def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array)
     return _distance(along_a, along_b, subtract(a, b))
 
 
-@inner_kernel
+@inner_kernel()
 def _distance(u: Any, v: Any, gap: Any) -> float:
     """Return the distance of segments along u and v whose starts are `gap` apart."""
     s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, gap), dot(v, gap), 0.0)
@@ -131,7 +131,7 @@ def _distance(u: Any, v: Any, gap: Any) -> float:
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@inner_kernel
+@inner_kernel()
 def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child_b: int, reach: float) -> float:
     """Return the penetration depth of two capsules whose radii sum to `reach`; 0 when they are apart."""
     start_a, start_b = row_of(a, parent_a), row_of(b, parent_b)
@@ -144,7 +144,7 @@ def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child
     return max(reach - _distance(u, v, gap), 0.0)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def pair_penetration(
     people: Array, radii: Array, parents: Integers, within: Integers, between: Integers, out: Array
 ) -> float:
@@ -180,7 +180,7 @@ def pair_penetration(
     return everything
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _penetrations(people: Array, radii: Array, parents: Integers, within: Integers, between: Integers) -> Array:
     sums = np.empty((people.shape[0], people.shape[1] + 1))
     for row in range(people.shape[0]):

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.kinematics.rotation_kernels import (
     carry,
     cross,
     dot,
-    inner_kernel,
     length,
     mix,
     normalise,
@@ -49,8 +48,6 @@ _HIP = ANGLE_INDEX["left_hip", "flexion"]
 _KNEE = ANGLE_INDEX["left_knee", "flexion"]
 _TWO_PI = 2.0 * math.pi
 
-_UNLIMITED = np.array([np.full(NUM_ANGLES, -np.inf), np.full(NUM_ANGLES, np.inf)])
-
 assert PAIR17.indices(("left_shoulder", "right_shoulder", "left_hip", "right_hip")) == [5, 8, 11, 14]
 
 
@@ -61,47 +58,51 @@ class _Walk(NamedTuple):
         points: Pose (17, 3), metres; joints move where an angle is out of range.
         limits: Smallest and greatest valid angles, (2, 29), radians.
         measured: The angles as they were found, and the slack of their ranges, (2, 29), radians.
+        is_limited: Whether any angle is out of range at all; else joints stay.
     """
 
     points: Array
     limits: Array
     measured: Array
+    is_limited: bool
 
 
-@inner_kernel
+@inner_kernel()
 def _bone_of(points: Array, start: int, end: int) -> Vector:
     """Return the unit direction from joint `start` to joint `end`; zero when they coincide."""
     return normalise(subtract(row_of(points, end), row_of(points, start)))
 
 
-@inner_kernel
+@inner_kernel()
 def _arcsin(value: float) -> float:
     return math.asin(min(1.0, max(-1.0, value)))
 
 
-@inner_kernel
+@inner_kernel()
 def _angle(sine: float, cosine: float) -> float:
     """Return the angle of a sine and a cosine of any common size; 0, not half a turn, where an empty bone has -0."""
     return math.atan2(sine, cosine + 0.0)
 
 
-@inner_kernel
+@inner_kernel()
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % _TWO_PI - math.pi
 
 
-@inner_kernel
+@inner_kernel()
 def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
     """Return the unit direction from joint `right` to joint `left`, made square to `up`."""
     across = subtract(row_of(points, left), row_of(points, right))
     return normalise(mix(1.0, across, -dot(across, up), up))
 
 
-@inner_kernel
+@inner_kernel()
 def _change(walk: _Walk, index: int, value: float, slack: float) -> float:
     """Note an angle and its slack; return what brings it to its nearest limit, 0 within the range."""
     walk.measured[0, index] = value
     walk.measured[1, index] = slack
+    if not walk.is_limited:
+        return 0.0
     low, high = walk.limits[0, index] - slack, walk.limits[1, index] + slack
     if (low - TINY <= value <= high + TINY) or high - low >= _TWO_PI:
         return 0.0
@@ -109,7 +110,7 @@ def _change(walk: _Walk, index: int, value: float, slack: float) -> float:
     return -above if abs(above) < abs(below) else -below
 
 
-@inner_kernel
+@inner_kernel()
 def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine: float, sine: float) -> None:
     """Turn joints `first` to `last` about a unit axis through joint `pivot`; not at all about an empty one."""
     if dot(axis, axis) == 0.0:
@@ -124,7 +125,7 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
         points[joint, 2] = pz + cosine * v[2] + sine * c[2] + along * axis[2]
 
 
-@inner_kernel
+@inner_kernel()
 def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
     """Turn joints `first` to `last` (inclusive) about joint `pivot` by the shortest turn between unit directions."""
     turned = cross(before, after)
@@ -142,7 +143,7 @@ def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, a
     _turn(points, first, last, pivot, axis, math.cos(angle), math.sin(angle))
 
 
-@inner_kernel
+@inner_kernel()
 def _girdle(walk: _Walk, centre: int, up: Vector, left: int, right: int, index: int, spread_index: int) -> None:
     points = walk.points
     for side in range(2):
@@ -165,7 +166,7 @@ def _girdle(walk: _Walk, centre: int, up: Vector, left: int, right: int, index: 
         _turn(points, right, right + 2, centre, up, cosine, sine)
 
 
-@inner_kernel
+@inner_kernel()
 def _swing(
     walk: _Walk, joint: int, end: int, first: int, last: int, up: Vector, left: Vector, front: Vector, index: int
 ) -> None:
@@ -186,7 +187,7 @@ def _swing(
     _turn_to(points, first, last, joint, direction, after)
 
 
-@inner_kernel
+@inner_kernel()
 def _arm(walk: _Walk, shoulder: int, back: Vector, across: Vector, index: int) -> None:
     points = walk.points
     direction = _bone_of(points, shoulder, shoulder + 1)
@@ -211,7 +212,7 @@ def _arm(walk: _Walk, shoulder: int, back: Vector, across: Vector, index: int) -
     _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
-@inner_kernel
+@inner_kernel()
 def _hinge(
     walk: _Walk, joint: int, rest: Vector, bend: Vector, outward: Vector, rotation_index: int, flexion_index: int
 ) -> None:
@@ -236,7 +237,7 @@ def _hinge(
         _turn(points, joint + 2, joint + 2, joint + 1, above, math.cos(change), handed * math.sin(change))
 
 
-@inner_kernel
+@inner_kernel()
 def _walk(walk: _Walk) -> None:
     points = walk.points
     y = _bone_of(points, PELVIS, SPINE)
@@ -274,16 +275,16 @@ def _walk(walk: _Walk) -> None:
         _hinge(walk, hip, down, scale(-1.0, z), scale(-1.0, outward), leg + 2, _KNEE + side)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def measure_poses(poses: Array) -> Array:
     """Return the angles and their slack (n, 2, 29), radians, of poses (n, 17, 3)."""
     measured = np.empty((poses.shape[0], 2, NUM_ANGLES))
     for row in range(poses.shape[0]):
-        _walk(_Walk(poses[row], _UNLIMITED, measured[row]))
+        _walk(_Walk(poses[row], measured[row], measured[row], False))
     return measured
 
 
-@compiled(error_model="numpy")
+@compiled()
 def move_to_nearest_valid(pose: Array, limits: Array, measured: Array, valid: Array) -> tuple[int, float]:
     """Find the nearest valid pose of one pose, as `JointLimits.nearest_valid` does.
 
@@ -301,14 +302,14 @@ def move_to_nearest_valid(pose: Array, limits: Array, measured: Array, valid: Ar
     for joint in range(17):
         for axis in range(3):
             valid[joint, axis] = pose[joint, axis]
-    _walk(_Walk(valid, _UNLIMITED, measured))
+    _walk(_Walk(valid, limits, measured, False))
     num_invalid = 0
     for index in range(NUM_ANGLES):
         low, high = limits[0, index] - measured[1, index], limits[1, index] + measured[1, index]
         num_invalid += not (low - TINY <= measured[0, index] <= high + TINY) and high - low < _TWO_PI
     if num_invalid == 0:
         return 0, 0.0
-    _walk(_Walk(valid, limits, measured))
+    _walk(_Walk(valid, limits, measured, True))
     squared = 0.0
     for joint in range(17):
         for axis in range(3):
@@ -316,7 +317,7 @@ def move_to_nearest_valid(pose: Array, limits: Array, measured: Array, valid: Ar
     return num_invalid, squared
 
 
-@compiled(error_model="numpy")
+@compiled()
 def move_poses(poses: Array, limits: Array) -> tuple[Array, Integers, Array]:
     """Return the nearest valid poses (n, 17, 3), how many angles were invalid (n,), and the squared distances (n,)."""
     valid, measured = np.empty(poses.shape), np.empty((2, NUM_ANGLES))

@@ -120,7 +120,7 @@ class Database:
         return np.asarray(self.camera.project(turned), dtype=np.float32)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _turned(poses: Floats32, rows: Integers, yaw_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return poses of some rows (k, joint, 3), each turned by its yaw (k,)."""
     out = np.empty((rows.shape[0], poses.shape[1], 3))

@@ -146,7 +146,7 @@ def refine_placement(
     return Placement(scale, _smooth_path(place, window))
 
 
-@compiled(error_model="numpy")
+@compiled()
 def match_scale(points: Array, weight: Array, match: Array) -> Array:
     """Return the scale of a frame by its match, and the weighted means of both images.
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 
 _LANES = 16
 """Projections a leaf and children a node: wide enough for the processor's vector unit."""
@@ -175,7 +175,7 @@ def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32) -> None:
                 leaves[leaf, dim, lane] = flat[number[at], dim]
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32, out: Floats32) -> None:
     """Return the least weighted distance sums that the boxes of a node's children allow."""
     joints, lanes = weight.shape[0], centre.shape[1]
@@ -190,7 +190,7 @@ def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32,
             out[lane] += w * np.sqrt(dx * dx + dy * dy)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32) -> None:
     """Return the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
     joints, lanes = weight.shape[0], leaf.shape[1]

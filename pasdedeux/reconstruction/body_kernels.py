@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.kinematics.rotation_kernels import (
     Quaternion,
     Vector,
@@ -56,7 +56,7 @@ _GIVES = np.array([0.7, 1.0, 1.0, 1.0, 1.0, 1.0])
 """How much pelvis tilt, three spine joints and two collars give, against each other, when the chain is closed."""
 
 
-@compiled(error_model="numpy")
+@compiled()
 def held_hips(positions: Array, lengths: Array, width: float) -> Array:
     """Return op14 positions (frame, 14, 3) of bones (14,) whose hips are `width` apart under the neck; the ankles stay.
 
@@ -76,20 +76,20 @@ def held_hips(positions: Array, lengths: Array, width: float) -> Array:
         down = subtract(mix(0.5, first, 0.5, second), neck)
         down = normalise(subtract(down, scale(dot(down, across), across)))
         ahead = cross(down, across)
-        facing = np.array([ahead[0], ahead[1], ahead[2]])
         for side in range(2):
             hip, knee, ankle = _OP14_LEGS[side, 0], _OP14_LEGS[side, 1], _OP14_LEGS[side, 2]
             aside = out if side == 0 else out - width
-            place, end = np.empty(3), pose[ankle].copy()
-            for axis in range(3):
-                place[axis] = neck[axis] + drop * down[axis] + aside * across[axis]
-            shift = place - pose[hip]
-            pose[knee], pose[ankle] = bend_one_leg(place, pose[knee] + shift, end + shift, end, facing)
-            pose[hip] = place
+            place, end = mix(1.0, mix(1.0, neck, drop, down), aside, across), row_of(pose, ankle)
+            shift = subtract(place, row_of(pose, hip))
+            moved_knee, moved_end = mix(1.0, row_of(pose, knee), 1.0, shift), mix(1.0, end, 1.0, shift)
+            new_knee, new_ankle = bend_one_leg(place, moved_knee, moved_end, end, ahead)
+            put_row(pose, hip, place)
+            put_row(pose, knee, new_knee)
+            put_row(pose, ankle, new_ankle)
     return held
 
 
-@compiled(error_model="numpy")
+@compiled()
 def pose_bodies(
     poses: Array, trunk: Array, bent: Array, nose: Array, offsets: Array, rest: Array, least_toe: float
 ) -> tuple[Array, Array]:
@@ -111,7 +111,7 @@ def pose_bodies(
             _reach(pose, _OP14_ARMS[side], bent[at], _ARMS[side], world, points, offsets, _COLLARS[side])
             _reach(pose, _OP14_LEGS[side], bent[at], _LEGS[side], world, points, offsets, _PELVIS)
             _put_down(_LEGS[side, 2], _TOES[side], bent[at], world, points, offsets, least_toe)
-        pelvis[at] = points[_PELVIS]
+        put_row(pelvis, at, row_of(points, _PELVIS))
         put_unitquat(local[at], _PELVIS, unitquat_of(world, _PELVIS))
         for joint in _ORDER:
             put_unitquat(
@@ -120,7 +120,7 @@ def pose_bodies(
     return pelvis, local
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None:
     """Turn the pelvis so that the line of its hips is that of the pose, and put it there."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
@@ -130,14 +130,14 @@ def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None
     _place_pelvis(mix(0.5, left, 0.5, right), world, points, rest)
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _place_pelvis(middle: Vector, world: Array, points: Array, rest: Array) -> None:
     """Put the pelvis where its hips have this middle."""
     up = rotate(unitquat_of(world, _PELVIS), row_of(rest, _PELVIS))
     put_row(points, _PELVIS, mix(1.0, middle, 1.0, up))
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) -> None:
     """Turn and place the trunk from a joint on as the match has it: spine, and collars with the shoulders."""
     if first == _SPINE1:
@@ -147,14 +147,14 @@ def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) 
         _place(joint, world, points, offsets)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
     parent = _PARENTS[joint]
     bone = rotate(unitquat_of(world, parent), row_of(offsets, joint))
     put_row(points, joint, mix(1.0, row_of(points, parent), 1.0, bone))
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets: Array, rest: Array) -> None:
     """Turn pelvis, spine and collars until the shoulders are where they are: Newton steps of least weighted turning."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
@@ -208,7 +208,7 @@ def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets:
         _bend(bent, world, points, offsets, _PELVIS)
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _face(
     pose: Array, bent: Array, trunk: Quaternion, nose: Vector, world: Array, points: Array, offsets: Array
 ) -> None:
@@ -222,33 +222,29 @@ def _face(
             _place(joint, world, points, offsets)
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _reach(
     pose: Array, wanted: Integers, bent: Array, limb: Integers, world: Array, points: Array, offsets: Array, above: int
 ) -> None:
     """Turn a limb (its joint, hinge and end) that hangs on `above` until it is where the pose has it."""
-    start, hinge, end = limb
+    start, hinge, end = limb[0], limb[1], limb[2]
     _place(start, world, points, offsets)
-    first, second = pose[wanted[1]].copy(), pose[wanted[2]].copy()
-    away = 0.0
-    for axis in range(3):
-        away = max(away, abs(points[start, axis] - pose[wanted[0], axis]))
-    if away > _CLOSED_M:
-        shift = points[start] - pose[wanted[0]]
+    first, second = row_of(pose, wanted[1]), row_of(pose, wanted[2])
+    shift = subtract(row_of(points, start), row_of(pose, wanted[0]))
+    if max(abs(shift[0]), abs(shift[1]), abs(shift[2])) > _CLOSED_M:
         aside = rotate(unitquat_of(world, above), (0.0, 0.0, 1.0))
-        first, second = bend_one_leg(
-            points[start].copy(), first + shift, second + shift, second, np.array([aside[0], aside[1], aside[2]])
-        )
+        hinged, ended = mix(1.0, first, 1.0, shift), mix(1.0, second, 1.0, shift)
+        first, second = bend_one_leg(row_of(points, start), hinged, ended, second, aside)
     for joint, child, target in ((start, hinge, first), (hinge, end, second)):
         turn = multiply(unitquat_of(world, _PARENTS[joint]), unitquat_of(bent, joint))
         bone = rotate(turn, row_of(offsets, child))
-        aim = subtract((target[0], target[1], target[2]), row_of(points, joint))
+        aim = subtract(target, row_of(points, joint))
         put_unitquat(world, joint, _unit(multiply(swing_between(bone, aim), turn)))
         _place(child, world, points, offsets)
     put_unitquat(world, end, multiply(unitquat_of(world, hinge), unitquat_of(bent, end)))
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, offsets: Array, least_toe: float) -> None:
     """Tilt the foot until its ball is not below `least_toe`."""
     _place(toe, world, points, offsets)
@@ -264,7 +260,7 @@ def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, of
     put_unitquat(world, toe, multiply(unitquat_of(world, ankle), unitquat_of(bent, toe)))
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _unit(q: Quaternion) -> Quaternion:
     norm = 1.0 / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return q[0] * norm, q[1] * norm, q[2] * norm, q[3] * norm

@@ -91,7 +91,7 @@ def place_bone_rotations(bone_unitquat: Array, lengths_m: Array, root_m: Array) 
     return np.asarray(placed + np.asarray(root_m)[..., None, :])
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _bone_rotations(positions: Array) -> Array:
     """Do `bone_rotations` for poses (n, 14, 3)."""
     local = np.empty((*positions.shape[:2], 4))
@@ -121,7 +121,7 @@ def _bone_rotations(positions: Array) -> Array:
     return local
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _place_bones(unitquat: Array, lengths: Array) -> Array:
     """Return positions (n, 14, 3) about the mid-hip of rotations (n, 14, 4) of bones of these lengths (n, 14)."""
     positions = np.zeros((*unitquat.shape[:2], 3))

@@ -7,6 +7,7 @@ is left is taken up by the legs: hips and feet are given, and the knee keeps the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,11 +15,12 @@ from itertools import combinations
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.rotation_kernels import Vector, divide, dot, length, mix, put_row, row_of, subtract
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import retarget_proportions
@@ -100,7 +102,7 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
         one = positions[:, person]
         for side, (hip, knee, ankle) in enumerate(_LEGS):
             target = _targets(one[:, ankle], is_planted[:, person, side], floor, rate_hz)
-            facing = np.stack([facing_of(pose) for pose in np.ascontiguousarray(one)])
+            facing = _facings(np.ascontiguousarray(one))
             one[:, knee], one[:, ankle] = bend_leg(one[:, hip], one[:, knee], one[:, ankle], target, fallback=facing)
     batch = positions_m.shape[:-2]
     return CleanedMotion(
@@ -134,39 +136,59 @@ def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fa
     reach is approached along its line.  A leg that is straight bends towards `fallback` (frame, 3).
     """
     knees, ankles = np.empty(hip_m.shape), np.empty(hip_m.shape)
-    for at, leg in enumerate(zip(hip_m, knee_m, ankle_m, target_m, fallback, strict=True)):
-        knees[at], ankles[at] = bend_one_leg(*leg)
+    _bend_legs(hip_m, knee_m, ankle_m, target_m, fallback, knees, ankles)
     return knees, ankles
 
 
-@compiled(error_model="numpy")
-def bend_one_leg(start: Array, middle: Array, end: Array, target: Array, fallback: Array) -> tuple[Array, Array]:
-    """Do `bend_leg` for one leg, each argument (3,)."""
-    thigh, shank = np.sqrt(((middle - start) ** 2).sum()), np.sqrt(((end - middle) ** 2).sum())
-    old_line, line = end - start, target - start
-    old_reach, reach = np.sqrt((old_line**2).sum()), np.sqrt((line**2).sum())
-    down = np.array([0.0, -1.0, 0.0])
-    old_line = old_line / old_reach if old_reach > 1e-12 else down
-    line = line / reach if reach > 1e-12 else down
+@compiled()
+def _bend_legs(
+    hips: Array, knees: Array, ankles: Array, targets: Array, fallback: Array, new_knees: Array, new_ankles: Array
+) -> None:
+    """Do `bend_leg`, all arguments (frame, 3)."""
+    for at in range(hips.shape[0]):
+        hip, knee, ankle, target = row_of(hips, at), row_of(knees, at), row_of(ankles, at), row_of(targets, at)
+        knee, ankle = bend_one_leg(hip, knee, ankle, target, row_of(fallback, at))
+        put_row(new_knees, at, knee)
+        put_row(new_ankles, at, ankle)
+
+
+@inner_kernel()
+def bend_one_leg(start: Vector, middle: Vector, end: Vector, target: Vector, fallback: Vector) -> tuple[Vector, Vector]:
+    """Do `bend_leg` for one leg."""
+    above, old_line, line = subtract(middle, start), subtract(end, start), subtract(target, start)
+    thigh, shank = length(above), length(subtract(end, middle))
+    old_reach, reach = length(old_line), length(line)
+    down = (0.0, -1.0, 0.0)
+    old_line = divide(old_line, old_reach) if old_reach > 1e-12 else down
+    line = divide(line, reach) if reach > 1e-12 else down
     reach = min(max(reach, abs(thigh - shank) + _MIN_BEND_M), _STRAIGHT * (thigh + shank))
-    bend = (middle - start) - ((middle - start) * old_line).sum() * old_line
-    if np.sqrt((bend**2).sum()) <= _MIN_BEND_M:
+    bend = mix(1.0, above, -dot(above, old_line), old_line)
+    if length(bend) <= _MIN_BEND_M:
         bend = fallback
-    pole = bend - (bend * line).sum() * line
-    length = np.sqrt((pole**2).sum())
-    pole = pole / length if length > 1e-12 else np.array([0.0, 0.0, 1.0])
+    pole = mix(1.0, bend, -dot(bend, line), line)
+    size = length(pole)
+    pole = divide(pole, size) if size > 1e-12 else (0.0, 0.0, 1.0)
     along = (thigh**2 - shank**2 + reach**2) / (2.0 * reach)
-    aside = np.sqrt(max(thigh**2 - along**2, 0.0))
-    return start + along * line + aside * pole, start + reach * line
+    aside = math.sqrt(max(thigh**2 - along**2, 0.0))
+    return mix(1.0, mix(1.0, start, along, line), aside, pole), mix(1.0, start, reach, line)
 
 
-@compiled(error_model="numpy")
-def facing_of(pose: Array) -> Array:
-    """Return where the body of a pose (14, 3) faces (3,), level; +Z where its hips are in one place."""
-    across = pose[_LEFT_HIP] - pose[_RIGHT_HIP]
-    facing = np.array([-across[2], 0.0, across[0]])
-    length = np.sqrt((facing**2).sum())
-    return facing / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+@inner_kernel()
+def facing_of(pose: Array) -> Vector:
+    """Return where the body of a pose (14, 3) faces, level; +Z where its hips are in one place."""
+    across = subtract(row_of(pose, _LEFT_HIP), row_of(pose, _RIGHT_HIP))
+    facing = (-across[2], 0.0, across[0])
+    size = length(facing)
+    return divide(facing, size) if size > 1e-9 else (0.0, 0.0, 1.0)
+
+
+@compiled()
+def _facings(poses: Array) -> Array:
+    """Return `facing_of` poses (frame, 14, 3)."""
+    facings = np.empty((poses.shape[0], 3))
+    for at in range(poses.shape[0]):
+        put_row(facings, at, facing_of(poses[at]))
+    return facings
 
 
 def _correct_paths(feet: Array, is_planted: Flags, touching: Sequence[tuple[int, int, Flags]], floor: float) -> Array:

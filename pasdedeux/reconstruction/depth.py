@@ -142,7 +142,7 @@ def decode_depths(
     return np.stack([vector for vector, _ in found]), np.stack([depth for _, depth in found])
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _vote_signs(image: Array, vectors: Array, log_weight: Array, noise: float) -> tuple[Array, Array, Array]:
     """Return how deep each bone is by the image, and the log likelihood of each choice of signs by the candidates.
 
@@ -180,7 +180,7 @@ def _vote_signs(image: Array, vectors: Array, log_weight: Array, noise: float) -
     return size, deviation, score
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _extend_signs(
     old_cost: Array, old_size: Array, old_deviation: Array, size: Array, deviation: Array, score: Array, moved: float
 ) -> tuple[Array, Integers]:
@@ -214,7 +214,7 @@ def _extend_signs(
     return cost, back
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _trace_signs(cost: Array, back: Integers) -> Array:
     """Return sign of each bone's depth (n, 14) by the best path to the last frame, whose choices cost `cost`."""
     count = back.shape[0]
@@ -229,7 +229,7 @@ def _trace_signs(cost: Array, back: Integers) -> Array:
     return sign
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _prior_of_frame(
     size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array
 ) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
 
@@ -71,7 +71,7 @@ def retarget_image(points: Array, ratio: Array) -> Array:
     return _retarget_images(flat, ratio).reshape(points.shape)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _retarget_images(images: Array, ratio: Array) -> Array:
     """Do `retarget_image` for images (n, 14, 2)."""
     moved = images.copy()
@@ -80,12 +80,12 @@ def _retarget_images(images: Array, ratio: Array) -> Array:
     return moved
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _is_seen(point: Array) -> bool:
     return np.isfinite(point[0]) and np.isfinite(point[1])
 
 
-@compiled(error_model="numpy")
+@inner_kernel()
 def _retarget(points: Array, ratio: Array, moved: Array) -> None:
     neck = points[_NECK].copy()
     if not _is_seen(neck):

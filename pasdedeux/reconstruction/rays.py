@@ -15,7 +15,7 @@ _MIN_DEPTH = 0.1
 """Rays that leave the turned camera flatter than this, depth over length of its axis, cannot be seen."""
 
 
-@compiled(error_model="numpy")
+@compiled()
 def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
     """Return keypoints as a camera turned towards mid-hip sees them and the direction (frame, 3) back to the camera.
 
@@ -43,7 +43,7 @@ def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tu
     return straight, towards
 
 
-@compiled(error_model="numpy")
+@compiled()
 def camera_turns(directions: Array) -> Array:
     """Return the shortest rotations (n, 4) of the camera's axis, +Z, into directions (n, 3)."""
     turns = np.empty((directions.shape[0], 4))

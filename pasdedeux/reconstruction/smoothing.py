@@ -77,7 +77,7 @@ class OneEuroFilter:
         return self._value
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _filter(
     value: Array, velocity: Array, new: Array, rate: float, min_cutoff: float, beta: float, derivative_cutoff: float
 ) -> tuple[Array, Array]:

@@ -188,7 +188,7 @@ def choose_window(
     return ranks
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _extend_paths(
     pose: Floats32, following: Floats32, emission: Array, share: Array, weight: Array, cost: Array, motion: Floats32
 ) -> tuple[Array, Floats32, Integers]:

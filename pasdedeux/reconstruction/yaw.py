@@ -63,7 +63,7 @@ def refine_yaws(
     return replace(neighbours, projection=projection, distance_m=distance), yaw
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array, total: float, rays: Array) -> float:
     """Return the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
@@ -79,7 +79,7 @@ def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array
     return summed / total
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _refine(
     query: Array,
     weight: Array,

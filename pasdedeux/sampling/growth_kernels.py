@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 
 LANES = 64
 """Entries that lie side by side in memory; arithmetic runs over them, so that no sum is ever put in another order."""
@@ -18,7 +18,7 @@ _MIN_DEPTH_M = 1e-4
 """Depth that a bone without any keeps: its side of the image plane, metres."""
 
 
-@compiled(error_model="numpy")
+@compiled()
 def place_bones(
     image: Array, depth: Array, lengths: Array, order: Indices, parents: Indices, tightness: Array, out: Array
 ) -> None:
@@ -70,7 +70,7 @@ def place_bones(
             out[person, j, 2] = out[person, p, 2] + scale * z
 
 
-@compiled(error_model="numpy")
+@compiled()
 def fill_residuals(
     points: Array,
     spread: Array,
@@ -128,7 +128,7 @@ def fill_residuals(
         residual[entry] = math.sqrt(max(squared, 0.0) / num_points)
 
 
-@compiled()
+@inner_kernel()
 def _covariances(points: Array, images: Array, sums: Array) -> None:
     """Write the sums over the joints (2, 3, LANES) of the images (2, n, LANES) times the pair (3, n); n is even."""
     sums[:] = 0.0

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn, turned_gap
 
@@ -159,12 +159,12 @@ def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-unt
     return row, count
 
 
-@compiled()
+@inner_kernel()
 def _is_within(limit_m, one, row, other, column, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     return _least_gap(limit_m, one, row, other, column, key, m, q, rotmat) < limit_m
 
 
-@compiled()
+@inner_kernel()
 def _least_gap(limit_m, one, row, other, column, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     """Return D_C of two pairs, or infinity where a bound shows that it is not below a limit.
 

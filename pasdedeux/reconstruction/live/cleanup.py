@@ -13,6 +13,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.floor import StandingSettings
+from pasdedeux.kinematics.rotation_kernels import mix, put_row, row_of
 from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg, facing_of
 from pasdedeux.skeletons import OP14
 
@@ -105,14 +106,14 @@ class LiveCleanUp:
         return _clean_pose(positions_m, passed_s, self.floor_m, *feet)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _low_quantile(values: Array, share: float) -> float:
     """Return the value that this share of the finite ones is below."""
     known = np.sort(values[np.isfinite(values)])
     return known[int(share * (known.shape[0] - 1))]
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _clean_pose(
     pose: Array, passed: float, floor: float, is_planted: Flags, raw: Array, anchor: Array, offset: Array, shift: Array
 ) -> Array:
@@ -169,9 +170,10 @@ def _clean_pose(
                 offset[foot] *= MAX_BEND_M / np.sqrt(squared)
         else:
             offset[foot] *= np.exp(-passed / BLEND_S)
-        target = cleaned[ankle] + offset[foot]
-        target[up] = max(target[up], floor)
-        cleaned[knee], cleaned[ankle] = bend_one_leg(
-            cleaned[hip], cleaned[knee].copy(), cleaned[ankle].copy(), target, facing
-        )
+        end = row_of(cleaned, ankle)
+        target = mix(1.0, end, 1.0, row_of(offset, foot))
+        target = (target[0], max(target[1], floor), target[2])
+        new_knee, new_ankle = bend_one_leg(row_of(cleaned, hip), row_of(cleaned, knee), end, target, facing)
+        put_row(cleaned, knee, new_knee)
+        put_row(cleaned, ankle, new_ankle)
     return cleaned

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.cameras.frames import angle_between_directions, project_pair
 from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity, plane_residual
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs
@@ -126,7 +126,7 @@ def matched_scale(likelihood: AlignedLikelihood, pairs: AnnotatedPairs) -> float
     return float(np.median(interaction)) / median if median > 0.0 else 1.0
 
 
-@compiled()
+@inner_kernel()
 def align_lanes(x, y, lanes, count, cosine, sine):  # type: ignore[no-untyped-def]
     """Write cosine and sine of the best turn of centred points onto each candidate, a candidate per lane.
 

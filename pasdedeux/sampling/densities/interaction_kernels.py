@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pasdedeux.cameras.frames import frame_columns, square_to
-from pasdedeux.compiled import compiled
+from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.interaction.kernels import fill_edge_weights, keep_seen_edges, side_sum
 from pasdedeux.interaction.triangulation import triangulate, workspace
 from pasdedeux.kinematics.rotation_kernels import cross, dot, mix, normalise, row_of, subtract
@@ -95,7 +95,7 @@ class _Side(NamedTuple):
     rough_weights: np.ndarray
 
 
-@compiled()
+@inner_kernel()
 def _empty_side(count):  # type: ignore[no-untyped-def]
     starts, ends = np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.uint8)
     return _Side(np.empty((count, 2), dtype=np.int32), np.empty(count), starts, ends, np.empty(count, dtype=np.float32))
@@ -107,7 +107,7 @@ def _narrow(side, count):  # type: ignore[no-untyped-def]
         side.starts[e], side.ends[e], side.rough_weights[e] = side.edges[e, 0], side.edges[e, 1], side.weights[e]
 
 
-@compiled(fastmath={"contract"})
+@inner_kernel(fastmath={"contract"})
 def _estimate(  # type: ignore[no-untyped-def]
     image, pulls, constants, rank_x, rank_y, rank_squares, factors, count, work, turn, estimate
 ):
@@ -164,7 +164,7 @@ def _estimate(  # type: ignore[no-untyped-def]
         )
 
 
-@compiled()
+@inner_kernel()
 def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: ignore[no-untyped-def]
     """Project under every view and estimate d_I of all of its candidates.
 
@@ -208,7 +208,7 @@ def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: 
         least[view], first[view] = own[at], at
 
 
-@compiled()
+@inner_kernel()
 def _project(points, towards, x, y):  # type: ignore[no-untyped-def]
     """Write the centred orthographic image of points (n, 3) from a direction of any length, in any turn."""
     back = normalise(towards)
@@ -227,7 +227,7 @@ def _project(points, towards, x, y):  # type: ignore[no-untyped-def]
         y[k] -= mean_y
 
 
-@compiled(fastmath={"contract"})
+@inner_kernel(fastmath={"contract"})
 def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-untyped-def]
     """Take the springs of joints that a candidate does not show out of its estimate; float32.
 
@@ -283,7 +283,7 @@ def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-
         )
 
 
-@compiled(fastmath={"contract"})
+@inner_kernel(fastmath={"contract"})
 def _pull(springs, image, pulls, constants):  # type: ignore[no-untyped-def]
     """Write the springs (kind=3, n, n) times the image (2, n), and its own value under each; all float32."""
     num_points = image.shape[1]
@@ -304,7 +304,7 @@ def _pull(springs, image, pulls, constants):  # type: ignore[no-untyped-def]
                 constants[kind] += row[k] * image[axis, k]
 
 
-@compiled(fastmath={"contract", "reassoc"})
+@inner_kernel(fastmath={"contract", "reassoc"})
 def _rough_side(dx, dy, starts, ends, count, weights, squares):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8, float32: `dx`, `dy` are the differences of the turned pair from an annotation."""
     for e in range(count):
@@ -317,7 +317,7 @@ def _rough_side(dx, dy, starts, ends, count, weights, squares):  # type: ignore[
     return total
 
 
-@compiled()
+@inner_kernel()
 def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-def]
     """Write the candidates, but for one, whose estimate is at most the ceiling; give their number."""
     number = 0
@@ -328,7 +328,7 @@ def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-d
     return number
 
 
-@compiled()
+@inner_kernel()
 def _touch(slots, chosen, num_chosen, points, starts, ends, weights):  # type: ignore[no-untyped-def]
     """Read from every cache line that comparing these candidates will need, so that they come from memory together."""
     total = np.float32(0.0)

@@ -111,12 +111,12 @@ class SidePicture:
         if self._on_drag is None or not self._flats:
             self._held = None
             return
-        flat, largest = self._flats[0], _largest(self._flats)
-        panel = Panel.of(flat, largest)
+        flat, size = self._flats[0], picture_size(self._flats)
+        panel = Panel.of(flat, size)
         height, width = self._handle.image.shape[:2]
         placed = np.array([pointer.across * width, pointer.down * height])
         if pointer.phase == "down":
-            self._held = joint_at(flat, panel, placed, _REACH * largest[0]) or self.chosen
+            self._held = joint_at(flat, panel, placed, _REACH * size[0]) or self.chosen
         if self._held is not None:
             self._on_drag(Dragged(*self._held, panel.point(placed), is_last=pointer.phase == "up"))
         if pointer.phase == "up":
@@ -132,20 +132,21 @@ def joint_at(flat: Flat, panel: Panel, placed: Array, reach: float) -> tuple[int
     return int(person), int(joint)
 
 
-def _largest(flats: Sequence[Flat]) -> tuple[int, int]:
-    """Return the size of a panel of a picture of these 2D poses."""
-    if len(flats) > 1:
+def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
+    """Return width and height of a panel of a picture of these 2D poses: one by itself is as high as its image."""
+    if len(flats) != 1:
         return _SMALL_SIZE
-    return _SIZE if not flats or flats[0].image is None else _IMAGE_SIZE
+    width, height = _SIZE if flats[0].image is None else _IMAGE_SIZE
+    return width, min(height, int(width * flats[0].size_px[1] / flats[0].size_px[0]) + _TITLE_PX + 1)
 
 
 def flat_picture(flats: Sequence[Flat]) -> Array:
     """Return 2D poses as one image (height, width, 3), RGB, two panels in a row."""
-    largest = _largest(flats)
-    panels = [_drawn(flat, largest) for flat in flats] or [_paper(largest)]
+    size = picture_size(flats)
+    panels = [_drawn(flat, size) for flat in flats] or [_paper(size)]
     if len(panels) > 1:
         if len(panels) % 2:
-            panels.append(_paper(largest))
+            panels.append(_paper(size))
         panels = [np.hstack(panels[row : row + 2]) for row in range(0, len(panels), 2)]
     return np.vstack(panels)
 
@@ -154,19 +155,18 @@ def _paper(size: tuple[int, int]) -> Any:
     return np.full((*size[::-1], 3), PAPER, dtype=np.uint8)
 
 
-def _drawn(flat: Flat, largest: tuple[int, int]) -> Any:
+def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
     """Return a panel: the image or an empty frame, the bones of each person, and the title."""
     import cv2
 
-    panel, image = Panel.of(flat, largest), _paper(largest)
+    panel, image = Panel.of(flat, size), _paper(size)
     (left, top), (right, bottom) = np.round(panel.corner).astype(int), np.round(panel.corner + panel.size).astype(int)
     seen = None if flat.image is None else flat.image()
     if seen is None:
         cv2.rectangle(image, (left, top), (right, bottom), (200, 200, 200), 1)
     else:
-        size = right - left, bottom - top
-        image[top:bottom, left:right] = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
-    thick = max(2, largest[0] // 280)
+        image[top:bottom, left:right] = cv2.resize(seen, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+    thick = max(2, size[0] // 280)
     for person, points in enumerate(flat.points_px):
         colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
         placed = panel.place(points)
@@ -175,7 +175,7 @@ def _drawn(flat: Flat, largest: tuple[int, int]) -> Any:
                 start, end = (list(map(int, placed[joint] * 8)) for joint in (parent, child))
                 shade = shade_of(flat.skeleton.joint_names[child])
                 cv2.line(image, start, end, (shade * colour).tolist(), thick, cv2.LINE_AA, 3)
-    font = 0.55 if largest == _SMALL_SIZE else 0.6
-    title = flat.title[: int(0.06 * largest[0] / font)]
+    font = 0.55 if size == _SMALL_SIZE else 0.6
+    title = flat.title[: int(0.06 * size[0] / font)]
     cv2.putText(image, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, _INK, 1, cv2.LINE_AA)
     return image

@@ -14,7 +14,7 @@ from flows.viewing.editing import Editor
 from flows.viewing.kinds import KINDS
 from flows.viewing.scene import Flat
 from flows.viewing.shelf import open_shelf
-from flows.viewing.side import DRAG_LABEL, Panel
+from flows.viewing.side import DRAG_LABEL, Panel, picture_size
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
 from pasdedeux.formats.annotation_csv import read_annotation_csv
@@ -116,14 +116,17 @@ def screenshot(tab: Tab, name: str, folder: Path) -> None:
     assert tab.screenshot(kept / f"{name}.png").stat().st_size > 10_000
 
 
-PICTURE = f"[...document.querySelectorAll('img')].find((one) => one.closest('.mantine-Box-root:has(p)')?.textContent === '{DRAG_LABEL}')"
+PICTURE = (
+    "[...document.querySelectorAll('img')].find((one) => one.parentElement.parentElement.textContent === "
+    f"'{DRAG_LABEL}')"
+)
 
 
 def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
     """Drag a joint of the first person in the side picture to the right, by pixels of its image."""
     tab.run(f"{PICTURE}.scrollIntoView({{block: 'center'}})")
     x, y, width = tab.run(f"(() => {{ const b = {PICTURE}.getBoundingClientRect(); return [b.x, b.y, b.width]; }})()")
-    panel = Panel.of(flat, (640, 480))
+    panel = Panel.of(flat, picture_size([flat]))
     shown = [[0.0, 0.0], [0.5 * away_px, 3.0], [away_px, 0.0]]
     tab.mouse(*(np.array([x, y]) + width / 640 * panel.place(flat.points_px[0, joint] + one) for one in shown))
 
@@ -141,7 +144,7 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
         return np.asarray(middle + focal * own[:2] / own[2])
 
     hand = np.array(editor._hand.position)
-    tab.mouse(*(seen(hand + [across, 0.0, 0.0]) for across in (0.2, 0.25, 0.3)))
+    tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
     wait_until(lambda: viewer.pose is not None, "the drag", limit_s=60.0)
     assert np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02
     np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)

@@ -351,9 +351,8 @@ class _Seen:
         if not np.isfinite(px).any():
             return None
         size = found[0][1].size_px
-        data = self.store.read(self.ref, "annotations", columns=["focal_px"], rows=slice(0, 1))
-        stated = None if data.is_null("focal_px")[0] else float(data["focal_px"][0])
-        lens = Lens.assumed(*size, px, stated)
+        focal_px = _lens(self.store, self.ref)[2]
+        lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
         return PinholeCamera.locate(
             points,
             px,
@@ -382,20 +381,12 @@ class _Seen:
 
     def flats(self, frame: int, title: str) -> list[Flat]:
         """Return the 2D poses of a frame; none where it was not annotated."""
-        if self.ref is None:
-            return []
-        by_place = _people(self.store, self.ref)
-        people = {
-            who: px
-            for place, own in by_place.items()
-            if place[:2] == (self.sequence_id, frame)
-            for who, px in own.items()
-        }
-        if not people:
+        people = {} if self.ref is None else _people(self.store, self.ref).get((self.sequence_id, frame))
+        if self.ref is None or not people:
             return []
         points = np.stack([people[who] for who in sorted(people)])
-        size = self.camera.image_size_px if self.camera is not None else _size(np.nan, np.nan, points)
-        return [Flat(PAIR17, points, size, f"{title} frame {frame}", self.image(frame))]
+        width, height, _ = _lens(self.store, self.ref)
+        return [Flat(PAIR17, points, _size(width, height, points), f"{title} frame {frame}", self.image(frame))]
 
 
 @lru_cache(maxsize=4)
@@ -405,8 +396,20 @@ def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
 
 
 @lru_cache(maxsize=4)
-def _people(store: Store, ref: ArtifactRef) -> Mapping[Place, Mapping[int, Array]]:
-    return read_people(store, [ref], is_between=True, with_held_out=True)
+def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[int, Array]]:
+    """Return the people of each frame of each sequence, by their numbers."""
+    found: dict[tuple[str, int], dict[int, Array]] = {}
+    for place, people in read_people(store, [ref], is_between=True, with_held_out=True).items():
+        found.setdefault((place.sequence_id, place.frame), {}).update(people)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _lens(store: Store, ref: ArtifactRef) -> Array:
+    """Return width, height and focal length of the camera of an artifact of 2D poses, pixels, NaN where unknown."""
+    columns = ["image_width_px", "image_height_px", "focal_px"]
+    data = store.read(ref, "annotations", columns=columns, rows=slice(0, 1))
+    return np.array([np.nan if data.is_null(name)[0] else float(data[name][0]) for name in columns])
 
 
 @lru_cache(maxsize=4)

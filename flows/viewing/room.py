@@ -18,6 +18,7 @@ _APART_M = 0.5
 _MOVED_M = 2.0
 """Cameras follow where people are further than this from those before."""
 _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
+_FOV_RAD = float(np.deg2rad(75.0))
 _BEHIND_M = 1.0
 """The screen for film stands so far behind the farthest joint."""
 _GREY = (120, 120, 120)
@@ -125,6 +126,7 @@ class Room:
         """Give a browser the view of the camera that saw the scene."""
         if self._scene.camera is not None and client is not None:
             wxyz, position, fov = _view_of(self._scene.camera)
+            self._middle = np.full(3, np.inf)  # what is shown next is looked at from where it is seen well
             with client.atomic():
                 client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
 
@@ -164,6 +166,7 @@ class Room:
         """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
         is_narrow = client.camera.image_width < client.camera.image_height
         with client.atomic():
+            client.camera.fov = _FOV_RAD
             client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
             client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
 

@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,10 +20,10 @@ from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
 from flows.viewing.room import COMPARE, Room
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_in, moment_reference
+from flows.viewing.shelf import Item, Part, Shelf, figure_label, figure_words, moment_in, moment_reference
 from flows.viewing.side import Pointer, SidePicture, flat_picture
 from pasdedeux.arrays import Array
-from pasdedeux.errors import PasdedeuxError
+from pasdedeux.errors import InputError, PasdedeuxError
 from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
 from tasks.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision
@@ -69,6 +69,8 @@ class Viewer:
         self._started = (0.0, 0)
         self._handles: dict[str, Any] = {}
         self._curves: list[Array] = []
+        self._names: dict[str, str] = {}
+        """Names of figures by the words that the panel has for them."""
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
         self._looked = threading.Event()
@@ -127,7 +129,8 @@ class Viewer:
             self._figures = qualities(self.shelf, part)
             numbers = [name for name, value in next(iter(self._figures.values()), {}).items() if _is_number(value)]
             self._set("part", self._part_label(part))
-            self.gui_sort.options = (STORED_ORDER, *numbers)
+            self._names |= {figure_label(name)[0]: name for name in numbers}
+            self.gui_sort.options = (STORED_ORDER, *(figure_label(name)[0] for name in numbers))
             self.sort(index)
             self.show_item(index, row)
 
@@ -139,7 +142,7 @@ class Viewer:
         shown = [{ALL, str(row.get("verdict", "")), self._chosen(at)} for at, row in enumerate(rows)]
         order = [at for at, words in enumerate(shown) if at == kept or wanted in words]
         if by != STORED_ORDER:
-            order.sort(key=lambda at: -_number(rows[at].get(by)))
+            order.sort(key=lambda at: -_number(rows[at].get(self._names[by])))
         self.order = order
         self.gui_item.options = tuple(self._item_label(at) for at in order) or ("none",)
 
@@ -297,8 +300,8 @@ class Viewer:
             put["end"] = self._button("Clip ends here", lambda _: self.mark_clip("end"), "O")
         with gui.add_folder("Link and save", expand_by_default=False):
             put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
-            self._button("Save picture", lambda event: self._save(event.client, is_clip=False))
-            self._button("Save clip", lambda event: self._save(event.client, is_clip=True))
+            self._button("Save picture", lambda event: self._save(event.client, is_clip=False), is_alone=False)
+            self._button("Save clip", lambda event: self._save(event.client, is_clip=True), is_alone=False)
         self._scales: list[Any] = []
         changes: Mapping[str, Callable[[Any], None]] = {
             "part": lambda value: self.show_part(self.shelf.parts[put["part"].options.index(value)]),
@@ -324,20 +327,20 @@ class Viewer:
     def _bind(self, label: str, key: str, action: Callable[..., None]) -> None:
         self.server.gui.add_command(label, hotkey=key).on_trigger(self.safely(action))
 
-    def _button(self, label: str, action: Callable[..., None], key: str = "") -> Any:
+    def _button(self, label: str, action: Callable[..., None], key: str = "", *, is_alone: bool = True) -> Any:
         """Add a button, which a key may press too."""
         button = self.server.gui.add_button(f"{label} ({key})" if key else label)
-        button.on_click(self.safely(action))
+        button.on_click(self.safely(action, is_alone=is_alone))
         if key:
             self._bind(label, key, action)
         return button
 
-    def safely(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return a callback that says in the panel what went wrong with what the store holds."""
+    def safely(self, action: Callable[[Any], None], *, is_alone: bool = True) -> Callable[[Any], None]:
+        """Return a callback that says in the panel what went wrong; others wait for its end where it is alone."""
 
         def run(event: Any) -> None:
             try:
-                with self.lock:
+                with self.lock if is_alone else nullcontext():
                     action(event)
             except (PasdedeuxError, StorageError, OSError, RuntimeError, TimeoutError) as error:
                 self.tell(str(error) or type(error).__name__)
@@ -424,15 +427,20 @@ class Viewer:
         there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
         self._handles["strip"].visible = has_strip = scene.levels is not None or not there.all()
         self._handles["strip"].image = presence_strip(there, scene.levels)
-        known = [name for name, curve in scene.curves.items() if np.isfinite(curve).any() and np.ptp(curve) > 0]
+        known = {}
+        for name, curve in scene.curves.items():
+            label, factor, _ = figure_label(name)
+            values = factor * np.asarray(curve, dtype=np.float64)
+            if len(np.unique(values[np.isfinite(values)])) > 1:
+                known[label] = values
         chosen = self._handles["curve"]
         if known and tuple(known) != chosen.options:
             chosen.options = tuple(known)
         for handle in (chosen, self._handles["plot"]):
             handle.visible = bool(known)
         self._curve_folder.visible = bool(known) or has_strip
-        others = scene.others if known and chosen.value == known[0] else ()
-        self._curves = [*others, np.asarray(scene.curves[str(chosen.value)], dtype=np.float64)] if known else []
+        others = scene.others if known and chosen.value == next(iter(known)) else ()
+        self._curves = [*others, known[str(chosen.value)]] if known else []
         self._looked.set()
 
     def look(self) -> None:
@@ -524,21 +532,28 @@ class Viewer:
     # Pictures and clips.
 
     def _save(self, client: Any, *, is_clip: bool) -> None:
-        """Send a browser what it shows, as a picture or as a clip of some seconds."""
+        """Send a browser what it shows, as a picture or as a clip of some seconds; nobody waits for it meanwhile."""
         name = f"{self.part.table}-{'-'.join(self.item.names)}-{self.frame}".replace("/", "-")
         width, height = client.camera.image_width, client.camera.image_height
         if not is_clip:
             image = client.get_render(height, width, timeout=60.0)
             client.send_file_download(f"{name}.png", encode(image, ".png"), save_immediately=True)
             return
-        self.play(False)
-        rate = self.scene.rate_hz or STILLS_HZ
+        with self.lock:
+            self.play(False)
+            scene, first, rate = self.scene, self.frame, self.scene.rate_hz or STILLS_HZ
         step = max(1, round(rate / _CLIP_HZ))
-        images = []
-        for frame in range(self.frame, min(self.frame + int(_CLIP_S * rate), self.scene.num_frames), step):
-            self.seek(frame)
+        images, last = [], first
+        for frame in range(first, min(first + int(_CLIP_S * rate), scene.num_frames), step):
+            with self.lock:
+                if self.scene is not scene or self.frame != last:
+                    raise InputError("the clip was not saved: something else was shown meanwhile")
+                self.seek(frame)
+                last = frame
             images.append(client.get_render(height // 2, width // 2, timeout=60.0))
+            self.tell(f"saving a clip: {frame - first} of {min(int(_CLIP_S * rate), scene.num_frames - first)} frames")
         client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
+        self.tell(f"saved {name}.webp")
 
 
 def _is_number(value: Any) -> bool:

@@ -116,6 +116,7 @@ def screenshot(tab: Tab, name: str, folder: Path) -> None:
     assert tab.screenshot(kept / f"{name}.png").stat().st_size > 10_000
 
 
+FACTS = "[...document.querySelectorAll('textarea')].some((one) => one.value.startsWith('frame 0 of'))"
 PICTURE = (
     "[...document.querySelectorAll('img')].find((one) => one.parentElement.parentElement.textContent === "
     f"'{DRAG_LABEL}')"
@@ -157,6 +158,7 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
         wait_for(
             viewer, "the page", lambda: viewer.server.get_clients() and tab.run("!!document.querySelector('canvas')")
         )
+        wait_for(viewer, "the panel", lambda: tab.run(FACTS))
         tab.press("ArrowRight")
         wait_for(viewer, "a step", lambda: viewer.frame == 1)
         tab.press(" ")

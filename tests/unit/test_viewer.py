@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import http.client
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +20,7 @@ from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
 from flows.viewing.bodies import Bodies, capsules, marks
+from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
 from flows.viewing.images import encode, encode_clip, plot_curves
 from flows.viewing.kinds import qualities
@@ -29,6 +32,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
 from storage_schema import Store, new_run
+from tasks.curation import Choosing
 from tasks.ingest.films import digest_of
 from tasks.stage import SourceFile
 from tests.builders.ingest_runs import duet_store
@@ -305,3 +309,67 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path
         assert str(find_film(manifest, sections)) == (  # type: ignore[arg-type]
             "its film grey.avi is not where the study says, or has changed since"
         )
+
+
+def tree(store: Store) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in sorted(store.root.rglob("*"))}
+
+
+def test_looking_and_choosing_write_nothing_into_the_store(store: Store, tmp_path: Path) -> None:
+    before = tree(store)
+    shown = Viewer(open_shelf(Store(store.root), "short"), choosing=Choosing(tmp_path / "curation.txt"))
+    try:
+        Editor(shown, tmp_path / "restarts")
+        shown.step(3)
+        shown.decide("reject")
+        shown.describe_frame()
+    finally:
+        shown.stop()
+    assert tree(store) == before
+    assert "poses waltz" in (tmp_path / "curation.txt").read_text()
+
+
+@dataclass
+class Browser:
+    """A browser that renders images of different grey, and keeps files; `meanwhile` is done while it renders."""
+
+    meanwhile: Callable[[], None] = lambda: None
+    num_renders: int = 0
+    downloads: dict[str, bytes] = field(default_factory=dict)
+    camera: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(image_width=64, image_height=48))
+
+    def get_render(self, height: int, width: int, timeout: float) -> np.ndarray:
+        """Return an image."""
+        self.meanwhile()
+        self.num_renders += 1
+        return np.full((height, width, 3), 20 * self.num_renders, dtype=np.uint8)
+
+    def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
+        """Keep a file."""
+        self.downloads[name] = content
+
+
+def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> None:
+    viewer.seek(5)
+    browser = Browser()
+    viewer._save(browser, is_clip=True)
+    (content,) = browser.downloads.values()
+    found, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
+    step = max(1, round((viewer.scene.rate_hz or 0.0) / 10.0))
+    assert found
+    assert len(clip.frames) == len(range(5, viewer.scene.num_frames, step))
+
+
+def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer: Viewer) -> None:
+    viewer.seek(0)
+
+    def step_elsewhere() -> None:
+        other = threading.Thread(target=viewer.step, args=(4,))
+        other.start()
+        other.join(timeout=20.0)
+        assert not other.is_alive(), "it waits for the clip"
+
+    browser = Browser(step_elsewhere)
+    viewer.safely(lambda _: viewer._save(browser, is_clip=True), is_alone=False)(None)
+    assert viewer._handles["said"].value == "the clip was not saved: something else was shown meanwhile"
+    assert (viewer.frame, browser.downloads) == (4, {})

@@ -18,9 +18,14 @@ _APART_M = 0.5
 _MOVED_M = 2.0
 """Cameras follow where people are further than this from those before."""
 _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
+_FOV_RAD = float(np.deg2rad(75.0))
+_BEHIND_M = 1.0
+"""The screen for film stands so far behind the farthest joint."""
 _GREY = (120, 120, 120)
-_DARKER = 1.7
+_AMBIENT = 1.0
+_DARKER = 1.5
 """Exponent of colours: the lights of the room make them paler."""
+_LINE = (200, 200, 200)
 _NO_POINTS = np.empty((0, 3))
 
 
@@ -35,10 +40,14 @@ class Room:
         self._server = server
         self._nodes: dict[str, Any] = {}
         self._groups: set[str] = set()
-        self._rod, self._ball = _meshes()
+        self._rod, self._ball, self._mark = _meshes()
         self._middle = np.full(3, np.inf)
         self._grey: tuple[Any, Any] | None = None
         server.scene.set_up_direction("+y")
+        # Browsers that draw by software take three times as long with reflections, shadows and a shaded floor.
+        server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.add_light_ambient("/light", intensity=_AMBIENT)
         server.on_client_connect(self._aim)
 
     def show(self, shown: Scene, where: str) -> None:
@@ -52,8 +61,7 @@ class Room:
         floor = 0.0 if shown.has_floor and abs(low[1]) < 1.0 else float(low[1])
         middle = np.array([np.round((low[0] + high[0]) / 2), floor, np.round((low[2] + high[2]) / 2)])
         size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
-        grid = scene.add_grid("/floor", size, size, plane="xz", cell_size=1.0, section_size=1.0, position=middle)
-        grid.fade_distance = 1e3
+        scene.add_line_segments("/floor", _grid(size), _LINE, thickness=1.5, thickness_units="screen", position=middle)
         count = is_there.sum(axis=(1, 2))
         start = seen[: max(1, int(count[np.argmax(count > 0)]))].mean(axis=0)  # of the first frame with somebody
         middle = np.array([start[0], floor + 0.9, start[2]])
@@ -72,11 +80,14 @@ class Room:
             away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
             more = {} if where == "beside" else {"opacity": 0.3}
             self._grey = self._put_bodies(f"/{where}", self._behind, self._behind.colours(_GREY), away, **more)
+        self._show_node("/film", is_shown=False)
+        self._film: Any = None
         self._show_node("/camera", is_shown=shown.camera is not None)
         if shown.camera is not None:
             wxyz, position, fov = _view_of(shown.camera)
             width, height = shown.camera.image_size_px
             scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
+            self._far_m = float(-shown.camera.camera_from_world(seen)[:, 2].min()) + _BEHIND_M
 
     def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:
         """Send the bodies of a frame; return how many contacts and penetrations are marked.
@@ -102,10 +113,25 @@ class Room:
             _place(self._marks, places, None, sizes)
         return len(touch), len(through)
 
+    def show_film(self, image: Array | None) -> None:
+        """Show what the camera of the scene saw on a screen behind people: seen through the camera, they fall on it."""
+        camera = self._scene.camera
+        if image is None or camera is None:
+            self._show_node("/film", is_shown=False)
+        elif self._film is None:
+            wxyz, position, _ = _view_of(camera)
+            width, height = (self._far_m * side / camera.focal_px for side in camera.image_size_px)
+            middle = (np.array(camera.image_size_px) / 2 - camera.principal_point_px) * [1.0, -1.0] / camera.focal_px
+            centre = position + self._far_m * np.array([*middle, -1.0]) @ camera.camera_from_world_rotmat
+            self._film = self._server.scene.add_image("/film", image, width, height, wxyz=wxyz, position=centre)
+        else:
+            self._film.image, self._film.visible = image, True
+
     def look_through(self, client: Any) -> None:
         """Give a browser the view of the camera that saw the scene."""
         if self._scene.camera is not None and client is not None:
             wxyz, position, fov = _view_of(self._scene.camera)
+            self._middle = np.full(3, np.inf)  # what is shown next is looked at from where it is seen well
             with client.atomic():
                 client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
 
@@ -128,7 +154,7 @@ class Room:
         if (handle := self._nodes.get(name)) is not None:
             handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
             return handle
-        mesh = self._ball if name.endswith("balls") else self._rod
+        mesh = self._rod if name.endswith("rods") else self._mark if name.startswith("/marks") else self._ball
         turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(places), 1))
         self._nodes[name] = self._server.scene.add_batched_meshes_simple(
             name, mesh.vertices, mesh.faces, turns, places, batched_scales=sizes, batched_colors=pale, lod="off",
@@ -145,15 +171,25 @@ class Room:
         """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
         is_narrow = client.camera.image_width < client.camera.image_height
         with client.atomic():
+            client.camera.fov = _FOV_RAD
             client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
             client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
 
 
-def _meshes() -> tuple[Any, Any]:
-    """Return a rod (along z, of radius and length 1) and a ball (of radius 1)."""
+def _grid(size: float) -> Array:
+    """Return the lines of a square grid of metres on the floor about the origin, a metre at a time, (n, 2, 3)."""
+    at = np.arange(-size / 2, size / 2 + 0.5)
+    x, z = (one.ravel() for one in np.meshgrid(at, at[:-1]))
+    along = np.stack([np.stack([x, 0 * x, z], axis=-1), np.stack([x, 0 * x, z + 1.0], axis=-1)], axis=1)
+    return np.concatenate([along, along[..., ::-1]]).astype(np.float32)
+
+
+def _meshes() -> tuple[Any, Any, Any]:
+    """Return a rod (along z, of radius and length 1), a ball (of radius 1), and a coarser one for what is small."""
     import trimesh
 
-    return trimesh.creation.cylinder(1.0, 1.0, sections=20), trimesh.creation.icosphere(2, 1.0)
+    make = trimesh.creation
+    return make.cylinder(1.0, 1.0, sections=20), make.icosphere(2, 1.0), make.icosphere(1, 1.0)
 
 
 def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:

@@ -6,7 +6,7 @@ An item is what is played at once, such as a variant, a chain or a take; its row
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,8 +15,11 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 
 from flows.recorded import read_recorded
+from flows.records import last_sections
+from flows.viewing.films import find_film
 from pasdedeux.arrays import Integers
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.names import in_words
 from storage_schema import (
     TABLES,
     ArtifactRef,
@@ -91,12 +94,20 @@ class Shelf:
         shown: What was asked for.
         beside: What else is at hand: the rest of the study.
         tables: Tables to show, all that can be where none is given.
+        sections: The study as it was recorded: where its films are.
     """
 
     def __init__(
-        self, store: Store, shown: Iterable[ArtifactRef], beside: Iterable[ArtifactRef] = (), tables: Sequence[str] = ()
+        self,
+        store: Store,
+        shown: Iterable[ArtifactRef],
+        beside: Iterable[ArtifactRef] = (),
+        tables: Sequence[str] = (),
+        sections: Mapping[str, Any] | None = None,
     ) -> None:
         self.store = store
+        ingest = (sections or {}).get("ingest", {})
+        self.film = lru_cache(maxsize=None)(lambda ref: find_film(store.manifest(ref), ingest))
         self.beside = tuple(dict.fromkeys([*shown, *beside]))
         found: dict[tuple[str, str], list[ArtifactRef]] = {}
         for ref in dict.fromkeys(shown):
@@ -166,9 +177,11 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
             raise InputError(f"'{word}' has no people to look at; tables with people: {', '.join(GROUPS)}")
         last = read_latest(store, reference.study) if reference.study else None
         rest = [ref for stage in last.stages for ref in last.refs(stage)] if last else []
-        shelf = Shelf(store, refs, [ref for ref in rest if store.find(ref.stage, ref.key)], (reference.table,))
+        rest = [ref for ref in rest if store.find(ref.stage, ref.key)]
+        shelf = Shelf(store, refs, rest, (reference.table,), last_sections(store, last))
     elif "@" in word or word in {folder.run_id for folder in list_runs(store)}:
-        shelf = Shelf(store, [one.ref for one in read_recorded(store, word).artifacts.values()])
+        recorded = read_recorded(store, word)
+        shelf = Shelf(store, [one.ref for one in recorded.artifacts.values()], sections=recorded.sections)
     else:
         latest = read_latest(store, word)
         if latest is None:
@@ -177,7 +190,8 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
                 f"'{word}' is no file here, and no study, run or reference of the store {store}; studies: {there}"
             )
         refs = [ref for stage in latest.stages for ref in latest.refs(stage)]
-        shelf = Shelf(store, [ref for ref in refs if store.find(ref.stage, ref.key)])
+        refs = [ref for ref in refs if store.find(ref.stage, ref.key)]
+        shelf = Shelf(store, refs, sections=last_sections(store, latest))
     if not shelf.parts:
         raise InputError(f"'{word}' has no people to look at yet; tables with people: {', '.join(GROUPS)}")
     return shelf
@@ -214,17 +228,37 @@ def moment_in(text: str) -> str:
         raise InputError(f"'{text[:60]}' is no address of a moment") from None
 
 
+_SHOWN = {
+    "_m_s3": (1.0, "m/s^3", ".3g"),
+    "_m_s": (1.0, "m/s", ".3g"),
+    "_m": (100.0, "cm", ".2f"),
+    "_rad": (180.0 / np.pi, "degrees", ".3g"),
+    "_s": (1.0, "s", ".2f"),
+}
+"""By the ending of a figure's name the factor to the unit that people read, that unit, and the format."""
+
+
+def figure_label(name: str) -> tuple[str, float, str]:
+    """Return the words of a figure with the unit that people read, the factor to that unit, and the format.
+
+    >>> [figure_label(name)[0] for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
+    ['contact drift (cm)', 'R-hat, most', 'number of fail frames']
+    """
+    ending = next((one for one in _SHOWN if name.endswith(one)), "")
+    words = re.sub("^num ", "number of ", in_words(name.removesuffix(ending)))
+    factor, unit, form = _SHOWN.get(ending, (1.0, "", ".4g"))
+    return f"{words} ({unit})" if unit else words, factor, form
+
+
 def figure_words(name: str, value: Any) -> str:
-    """Return a figure by the name of its column, in a unit that people read.
+    """Return a figure in words, in a unit that people read.
 
     >>> figure_words("contact_drift_m", 0.00152), figure_words("rhat_max", 1.25), figure_words("bend_rad", np.pi)
-    ('contact drift 0.15 cm', 'rhat max 1.25', 'bend 180 degrees')
+    ('contact drift 0.15 cm', 'R-hat, most 1.25', 'bend 180 degrees')
     """
-    words, _, unit = name.rpartition("_")
-    scaled = {"m": (100.0, "cm", ".2f"), "rad": (180.0 / np.pi, "degrees", ".3g")}.get(unit)
-    if scaled is None or not _is_finite(value):
-        return f"{name.replace('_', ' ')} {plain(value)}"
-    return f"{words.replace('_', ' ')} {value * scaled[0]:{scaled[2]}} {scaled[1]}"
+    label, factor, form = figure_label(name)
+    words, _, unit = label.removesuffix(")").partition(" (")
+    return f"{words} {value * factor:{form}} {unit}".rstrip() if _is_finite(value) else f"{words} {plain(value)}"
 
 
 def _is_finite(value: Any) -> bool:

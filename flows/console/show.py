@@ -157,6 +157,8 @@ def export(
 
     named = parse_reference(reference)
     left_out = names_left_out(opened, named, choices_for(opened, named, curation))
+    if left_out:
+        typer.echo(f"left out, as somebody rejected it: {len(left_out)} of {named.table}")
     if pictures := Data(opened).pictures(reference, left_out):
         (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
         typer.echo(f"look at it: {out / LOOK}")

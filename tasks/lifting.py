@@ -33,7 +33,7 @@ from tasks.projections import ProjectionsParameters
 from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
-LIFTING = StageName("lifting", 8)
+LIFTING = StageName("lifting", 9)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -202,7 +202,7 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     return {
         **one.place._asdict(),
         "method": method,
-        "num_joints_seen": int(one.is_seen.sum()),
+        "num_joints_seen": one.num_seen,
         "residual_m": image_residual(pair_m, one.image_m),
         "draw": None,
         "hypothesis": None,

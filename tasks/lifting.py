@@ -390,6 +390,6 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="annotations lifted to 3D by the draws that look like them",
-    needs="annotations of two people ([[ingest.annotations]]), and draws of a density "
+    needs="annotations of two people ([[ingest.annotations]], [[ingest.videos]]), and draws of a density "
     "beside prior_only (chains.densities) or grown pairs (seeds.num_grown)",
 )

@@ -32,7 +32,9 @@ from tasks.facts import TopicFacts
 from tasks.ingest import films
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import open_film, read_film
-from tasks.ingest.parameters import FilmOptions
+from tasks.ingest.parameters import FilmOptions, IngestParameters
+from tasks.seeds.parameters import SeedsParameters
+from tasks.seeds.plan import check_study
 from tasks.stage import StageInputs, verdict_of
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
@@ -284,6 +286,14 @@ def test_the_shots_of_a_film_are_shards_of_ingest_and_their_annotations_an_attac
     assert page.name == "report" or page.partition == "report"
     film_sha = hashlib.sha256(film.read_bytes()).hexdigest()
     assert film_sha in {file.sha256 for file in shards[0].files}
+
+
+def test_film_can_be_lifted_from_2d_alone(film: Path, keys: Path) -> None:
+    seeds = SeedsParameters(num_seeds=0, num_lifted=2)
+    ingest = {"rate_hz": 30.0, "duets": [], "videos": [{"id": "walk", "path": film, "keys": keys}]}
+    check_study({"seeds": seeds, "ingest": IngestParameters.model_validate(ingest)})
+    with pytest.raises(InputError, match=r"no annotated pairs with views, neither of .*, \[\[ingest.videos\]\]"):
+        check_study({"seeds": seeds, "ingest": IngestParameters.model_validate({"duets": []})})
 
 
 def test_the_command_writes_annotations_a_sheet_and_an_overlay(

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from flows.curation import SECTION, recorded_choices
 from flows.outcomes import Outcome, Run
 from flows.recorded import read_environment
-from flows.records import ENVIRONMENT_FILE, STUDY_FILE
+from flows.records import ENVIRONMENT_FILE
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Level
 from storage_schema import (
@@ -23,6 +22,8 @@ from storage_schema import (
 from storage_schema.ancestry import has_lineage
 from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists
+from storage_schema.runs import STUDY_FILE
+from tasks.curation import SECTION, recorded_choices
 from tasks.summary import product_verdicts, summary_of
 
 

@@ -13,10 +13,11 @@ from typing import Any
 
 from flows.planning import PlanError
 from flows.reasons import changed_leaves
-from flows.records import ENVIRONMENT_FILE, STUDY_FILE, made_by, run_record
+from flows.records import ENVIRONMENT_FILE, made_by, run_record
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, list_runs, open_run
 from storage_schema.credits import merge_credits
 from storage_schema.datasets import open_dataset
+from storage_schema.runs import STUDY_FILE
 
 Place = tuple[str, str, str]
 """Where an artifact stands in a study: stage, partition, shard."""

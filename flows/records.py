@@ -27,9 +27,10 @@ from storage_schema import (
     record_latest,
 )
 from storage_schema.provenance import code_version, package_versions, source_digest
+from storage_schema.runs import STUDY_FILE
 
-STUDY_FILE, PLAN_FILE, ENVIRONMENT_FILE = "study.json", "plan.json", "environment.json"
-"""Files of a run's folder: the resolved study, what was planned, what it ran on."""
+PLAN_FILE, ENVIRONMENT_FILE = "plan.json", "environment.json"
+"""Files of a run's folder beside the resolved study: what was planned, what it ran on."""
 
 _RUN = "run.json"
 

@@ -29,6 +29,8 @@ from storage_schema.store import Store
 from storage_schema.store_reader import STORE_FILE
 from storage_schema.version import SCHEMA_VERSION
 
+STUDY_FILE = "study.json"
+"""File of a run's folder, and of a dataset: the resolved study."""
 _AT_ONCE = fcntl.LOCK_EX | fcntl.LOCK_NB
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 

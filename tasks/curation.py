@@ -1,12 +1,15 @@
 """What a person accepted or rejected: a small text file, a line a choice, that a study names.
 
 A choice is about one thing with one content: `reject variants waltz/A-uniform-0.80 3fa9c1d2e4b5 feet slide`.  It
-survives a rebuild that gives the same content; of other content nobody has said anything yet.
+survives a rebuild that gives the same content; of other content nobody has said anything yet.  A clip of a
+reconstruction is named by its frames, first and last: `reject motions video/fit@120-180 0a12...`.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +20,19 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import NOT_A_KEY, Settings
-from storage_schema import TABLES, Reference, Store, TableData, iter_rows
+from storage_schema import (
+    TABLES,
+    CorruptArtifact,
+    MissingArtifact,
+    Reference,
+    Store,
+    TableData,
+    iter_rows,
+    open_run,
+    read_latest,
+)
+from storage_schema.datasets import open_dataset
+from storage_schema.runs import STUDY_FILE
 
 Decision = Literal["accept", "reject"]
 DECISIONS: tuple[Decision, ...] = ("accept", "reject")
@@ -38,7 +53,11 @@ POSITIONS: Mapping[str, str] = {
     "annotations": "pair17_px",
 }
 """The column that is the content of such a thing."""
+CLIPPED = ("motions",)
+"""Tables of which clips are things, too."""
+SECTION = "curation"
 UNDECIDED = "undecided"
+_CLIP = re.compile(r"(.+)@(\d+)-(\d+)")
 _DIGITS = 12
 _HEADER = "# decision table name content reason\n"
 
@@ -66,6 +85,16 @@ class Choice:
     def about(self) -> str:
         """Return what it is about, content aside."""
         return f"{self.table} {self.name}"
+
+    @property
+    def words(self) -> str:
+        """Return what was decided, and why."""
+        return f"{self.decision}ed{f': {self.reason}' if self.reason else ''}"
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """Return first and last frame of a clip; (0, 0) of what is none."""
+        return clip_of(self.name)[1] or (0, 0)
 
     @property
     def line(self) -> str:
@@ -133,6 +162,35 @@ def choices_in(path: Path) -> dict[str, str]:
     return as_settings(read_choices(path))
 
 
+def choices_for(store: Store, reference: Reference, file: Path | None = None) -> dict[str, str]:
+    """Return choices as a study has them: of this file, else of a study as its file says now, of a dataset as it was.
+
+    Raises:
+        InputError: The file is not there, or holds something else.
+    """
+    if file is not None:
+        return choices_in(file)
+    if reference.dataset:
+        return recorded_choices(open_dataset(store, reference.dataset).path)
+    if not reference.study:
+        return {}
+    try:
+        last = read_latest(store, reference.study)
+        section = {} if last is None else json.loads(open_run(store, last.run_id).read(STUDY_FILE)).get(SECTION, {})
+    except (CorruptArtifact, MissingArtifact, ValueError):  # the record is gone: nothing is said
+        return {}
+    path = section.get("file")
+    return choices_in(Path(path)) if path and Path(path).is_file() else section.get("choices", {})
+
+
+def recorded_choices(folder: Path) -> dict[str, str]:
+    """Return the choices that went with a dataset in this folder; none where its study is not with it."""
+    path = folder / STUDY_FILE
+    sections: dict[str, Any] = json.loads(path.read_bytes()) if path.is_file() else {}
+    found: dict[str, str] = sections.get(SECTION, {}).get("choices", {})
+    return found
+
+
 def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
     """Return the content of each thing of a table that was rejected, by its name."""
     found = {about.partition(" ")[2]: said.split() for about, said in settings.items() if about.split()[0] == table}
@@ -141,13 +199,48 @@ def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
 
 def content_columns(table: str) -> list[str] | None:
     """Return the columns by which a thing of a table, and its content, are known; None of a table without things."""
-    return [*IDENTITY[table], POSITIONS[table]] if table in IDENTITY else None
+    frame = ["frame"] if table in CLIPPED else []
+    return [*IDENTITY[table], *frame, POSITIONS[table]] if table in IDENTITY else None
 
 
 def names_of(data: TableData) -> np.ndarray:
     """Return the name of what each row is of (row,)."""
     columns = (np.asarray(data[name]).astype(str) for name in IDENTITY[data.table.name])
     return np.array(["/".join(one) for one in zip(*columns, strict=True)])
+
+
+def clip_name(name: str, first: int, last: int) -> str:
+    """Return the name of a clip of a thing, by its first and its last frame.
+
+    >>> clip_name("video/fit", 12, 40)
+    'video/fit@12-40'
+    """
+    return f"{name}@{first}-{last}"
+
+
+def clip_of(name: str) -> tuple[str, tuple[int, int] | None]:
+    """Return of which thing a name is, and first and last frame where it is that of a clip.
+
+    >>> clip_of("video/fit@12-40"), clip_of("waltz")
+    (('video/fit', (12, 40)), ('waltz', None))
+    """
+    found = _CLIP.fullmatch(name)
+    return (name, None) if found is None else (found[1], (int(found[2]), int(found[3])))
+
+
+def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
+    """Return which rows (row,) are of a thing; of a clip those of its frames.
+
+    Args:
+        data: The rows; their frames are needed where the name is that of a clip.
+        name: What it is called.
+        names: What `names_of` gives for the rows.
+    """
+    whole, clip = clip_of(name) if data.table.name in CLIPPED else (name, None)
+    if clip is None:
+        return np.asarray(names == name)
+    frame = np.asarray(data["frame"])
+    return np.asarray((names == whole) & (frame >= clip[0]) & (frame <= clip[1]))
 
 
 def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) -> Collection[str]:
@@ -159,9 +252,11 @@ def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) ->
     """
     parts: dict[str, list[Any]] = {}
     for data in batches if rejected else ():
-        names = names_of(data)
-        for name in rejected.keys() & set(names.tolist()):
-            parts.setdefault(name, []).append(data[POSITIONS[data.table.name]][names == name])
+        names, positions = names_of(data), data[POSITIONS[data.table.name]]
+        there = set(names.tolist())
+        for name in (name for name in rejected if {name, clip_of(name)[0]} & there):
+            if (own := rows_of(data, name, names)).any():
+                parts.setdefault(name, []).append(positions[own])
     return {name for name, values in parts.items() if content_of(np.concatenate(values)) == rejected[name]}
 
 
@@ -181,7 +276,13 @@ def without(data: TableData, names: Collection[str]) -> TableData:
 
 def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
     """Return which rows (n,) are of nothing with one of these names."""
-    return np.flatnonzero(~np.isin(names_of(data), list(names))) if names else np.arange(data.num_rows)
+    if not names:
+        return np.arange(data.num_rows)
+    own = names_of(data)
+    is_out = np.isin(own, list(names))
+    for name in names if data.table.name in CLIPPED else ():
+        is_out |= rows_of(data, name, own)
+    return np.flatnonzero(~is_out)
 
 
 class Choosing:
@@ -199,13 +300,18 @@ class Choosing:
         """Return what was chosen, whatever the content was."""
         return read_choices(self.path).get(f"{table} {name}")
 
+    def clips(self, table: str, name: str) -> list[Choice]:
+        """Return what was chosen of clips of a thing, in order."""
+        found = [one for one in read_choices(self.path).values() if (one.table, clip_of(one.name)[0]) == (table, name)]
+        return sorted((one for one in found if one.name != name), key=lambda one: one.frames)
+
     def words(self, table: str, name: str, content: str) -> str:
         """Return what was chosen in words, and whether it was of this content."""
         choice = self.about(table, name)
         if choice is None:
             return UNDECIDED
-        said = f"{choice.decision}ed{f': {choice.reason}' if choice.reason else ''}"
-        return said if choice.content == content else f"{said} (it had other content then: choose again)"
+        is_same = choice.content == content
+        return choice.words if is_same else f"{choice.words} (it had other content then: choose again)"
 
     def decide(
         self, decision: Decision | Literal["undo"], table: str, name: str, content: str, reason: str = ""

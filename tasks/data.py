@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import html
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,11 +27,11 @@ from pasdedeux.evaluation.report import render
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
-from storage_schema import ArtifactRef, Manifest, Store, iter_rows, parse_reference, resolve
+from storage_schema import ArtifactRef, Manifest, Store, TableData, iter_rows, open_table, parse_reference, resolve
 from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows, find_contact_rows
-from tasks.curation import IDENTITY, choices_in, names_left_out, rows_without
+from tasks.curation import IDENTITY, choices_for, choices_in, content_columns, names_left_out, rows_without
 from tasks.facts import TakeFacts
 from tasks.takes import read_take, read_variants, take_of
 from tasks.training.items import interaction_of
@@ -203,34 +203,56 @@ class Pairs:
 class Data:
     """What studies have put into a store; `where` is `study`, `study/partition` or `dataset@version`.
 
+    What somebody rejected is left out, as in exports.
+
     Args:
         store: Store or its folder.
+        curation: File of choices; those of the study or dataset where none is given.
 
     Raises:
         UnknownReference: What is asked for is not there; says what is.
+        InputError: The file of choices is not there, or holds something else.
     """
 
-    def __init__(self, store: Store | str | Path = "store") -> None:
+    def __init__(self, store: Store | str | Path = "store", curation: str | Path | None = None) -> None:
         self.store = store if isinstance(store, Store) else Store(store)
         self.store.refresh()
+        self._curation = None if curation is None else Path(curation)
+        if self._curation is not None:
+            choices_in(self._curation)
+
+    def left_out(self, reference: str) -> Collection[str]:
+        """Return the names (`tasks.curation`) of what is rejected of what a reference names."""
+        parsed = parse_reference(reference)
+        if parsed.table not in IDENTITY:
+            return ()
+        return names_left_out(self.store, parsed, choices_for(self.store, parsed, self._curation))
+
+    def table(self, reference: str, columns: Sequence[str] | None = None) -> TableData:
+        """Return rows as `storage_schema.open_table` does, but those of what is rejected."""
+        left_out = self.left_out(reference)
+        if not left_out:
+            return open_table(reference, self.store, columns=columns)
+        needed = content_columns(parse_reference(reference).table) or []
+        rows = open_table(reference, self.store, columns=None if columns is None else [*{*columns, *needed}])
+        kept = rows.rows.take(rows_without(rows, left_out))
+        return TableData(rows.table, kept if columns is None else kept.select(columns))
 
     def takes(self, where: str) -> list[Clip]:
         """Return takes."""
-        return list(self._takes(f"poses:{where}"))
+        return list(self._kept(f"poses:{where}", self._takes(f"poses:{where}")))
 
     def variants(self, where: str) -> list[Clip]:
         """Return the variants of takes, each with its source."""
-        return list(self._variants(f"variants:{where}"))
+        return list(self._kept(f"variants:{where}", self.all_variants(f"variants:{where}")))
 
     def draws(self, where: str) -> Pairs:
         """Return draws."""
         return self.pairs(f"draws:{where}")
 
-    def pairs(self, reference: str, *, count: int | None = None, left_out: Collection[str] = ()) -> Pairs:
-        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread.
-
-        Those that are `left_out` (`tasks.curation`) are not among them.
-        """
+    def pairs(self, reference: str, *, count: int | None = None) -> Pairs:
+        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread."""
+        left_out = self.left_out(reference)
         names = IDENTITY[parse_reference(reference).table] if left_out else ()
         total = sum(rows.stop - rows.start for _, rows in find_rows(parse_reference(reference), self.store))
         wanted = np.asarray(range(total) if count is None else evenly_spread(total, count), dtype=np.int64)
@@ -243,22 +265,24 @@ class Data:
             first += batch.num_rows
         return Pairs(reference, np.concatenate(found), np.concatenate(kept))
 
-    def pictures(self, reference: str, left_out: Collection[str] = ()) -> list[Picture]:
-        """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people.
-
-        What is `left_out` (`tasks.curation`) is not shown.
-        """
+    def pictures(self, reference: str) -> list[Picture]:
+        """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
-            return [self.pairs(reference, count=_MAX_SHOWN, left_out=left_out).picture]
+            return [self.pairs(reference, count=_MAX_SHOWN).picture]
         if table == "motions":
-            from tasks.evaluation.reconstruction import motion_picture  # here: topics of the evaluation import this
+            from tasks.evaluation.reconstruction import motion_pictures  # here: topics of the evaluation import this
 
-            return [motion_picture(self.store, ref) for ref in resolve(reference, self.store)[:_MAX_PLAYERS]]
-        of_table = {"poses": self._takes, "variants": self._variants}
+            refs, left_out = resolve(reference, self.store), self.left_out(reference)
+            shown = (motion_pictures(self.store, ref, left_out) for ref in refs)
+            return [*islice(chain.from_iterable(shown), _MAX_PLAYERS)]
+        of_table = {"poses": self._takes, "variants": self.all_variants}
         clips = of_table[table](reference) if table in of_table else ()
-        shown = (one for one in clips if one.identity not in left_out)
-        return [one.picture for one in islice(shown, _MAX_PLAYERS)]
+        return [one.picture for one in islice(self._kept(reference, clips), _MAX_PLAYERS)]
+
+    def _kept(self, reference: str, clips: Iterable[Clip]) -> Iterator[Clip]:
+        left_out = self.left_out(reference)
+        return (one for one in clips if one.identity not in left_out)
 
     def _takes(self, reference: str) -> Iterator[Clip]:
         yield from map(self._take, resolve(reference, self.store))
@@ -267,7 +291,8 @@ class Data:
         manifest = self.store.manifest(ref)
         return Clip(TakeFacts.of(manifest).take_id, manifest, self.store)
 
-    def _variants(self, reference: str) -> Iterator[Clip]:
+    def all_variants(self, reference: str) -> Iterator[Clip]:
+        """Yield the variants of takes, rejected ones, too."""
         takes: dict[ArtifactRef, Clip] = {}
         for ref in resolve(reference, self.store):
             part = self.store.manifest(ref)
@@ -297,7 +322,8 @@ class PairDataset:
         stride: Frames from the start of a window to the next; half a window when not given.
         by: What stays together.
         seed: Decides which takes validate, and test where none is held out.
-        curation: File of choices: variants that it rejects are left out; the sides of takes stay.
+        curation: File of choices, else those of the study or dataset: variants that are rejected are left out; the
+            sides of takes stay.
 
     Raises:
         InputError: The reference is not of variants, nothing is on this side, or the file holds no choices.
@@ -324,9 +350,9 @@ class PairDataset:
             raise InputError(
                 f"split '{split}', window {window}: a split is train, validation or test, a window 1 or more"
             )
-        data, choices = Data(store), {} if curation is None else choices_in(Path(curation))
-        left_out = names_left_out(data.store, parse_reference(reference), choices)
-        clips = [one for one in data.variants(where) if one.verdict != "fail"]
+        data = Data(store, curation)
+        left_out = data.left_out(reference)
+        clips = [one for one in data.all_variants(reference) if one.verdict != "fail"]
         sides = _sides([one.take for one in clips], seed, is_by_take=by == "take")
         self.window = window
         self._read: dict[int, npt.NDArray[np.float64]] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +20,9 @@ def curate(
     decision: Annotated[Literal["accept", "reject", "undo"], Argument(help="What is decided; undo forgets it.")],
     reference: Annotated[str, Argument(metavar="REF", help="Any row of what it is about: variants:study/take#row.")],
     reason: Annotated[str, Option("--reason", metavar="TEXT", help="Why, for those who read it later.")] = "",
+    frames: Annotated[
+        str | None, Option(metavar="FIRST-LAST", help="Of a reconstructed motion: only this clip of it.")
+    ] = None,
     curation: CurationOption = CURATION,
     store: StoreOption = Path("store"),
 ) -> None:
@@ -27,6 +31,7 @@ def curate(
     \b
       pasdedeux curate reject "variants:duets/waltz#120" --reason "feet slide"
       pasdedeux curate undo "variants:duets/waltz#120"
+      pasdedeux curate reject "motions:duets/waltz#0" --frames 30-45 --reason "foot lost"
 
     Rows are counted from 0, as by `show`; a variant has a row for each frame and person, and any of them stands for
     all of it.  The answer names what was meant.  The file has a line for each choice: name and content of the thing,
@@ -40,12 +45,16 @@ def curate(
     from storage_schema.references import find_rows
     from tasks.curation import Choosing
 
+    clip = re.fullmatch(r"(\d+)-(\d+)", frames) if frames is not None else None
+    if frames is not None and clip is None:
+        raise InputError(f"--frames {frames}: a clip is FIRST-LAST, such as 30-45, frames counted from 0")
     opened = open_store(store)
     shelf = open_shelf(opened, reference)
 
     def thing(text: str) -> tuple[str, str, str]:
         part, index, row = shelf.find(text)
-        return part.table, *thing_of(shelf, part, shelf.items(part)[index], row)
+        only = None if clip is None else (int(clip[1]), int(clip[2]))
+        return part.table, *thing_of(shelf, part, shelf.items(part)[index], row, only)
 
     meant = thing(reference)
     if (parsed := parse_reference(reference)).row is None:

@@ -12,7 +12,7 @@ from flows.console.context import JsonOption, StoreOption, answer, app, open_sto
 from flows.console.display import counted
 from flows.planning import PlanError
 from flows.recorded import portable_files
-from flows.records import ENVIRONMENT_FILE, STUDY_FILE, mixture, read_last_run
+from flows.records import ENVIRONMENT_FILE, mixture, read_last_run
 from storage_schema import (
     ArtifactRef,
     Dataset,
@@ -24,6 +24,7 @@ from storage_schema import (
     source_credits,
 )
 from storage_schema.datasets import dataset_labels, open_dataset
+from storage_schema.runs import STUDY_FILE
 
 _group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(_group, name="dataset")

@@ -15,7 +15,6 @@ from typer import Argument, Option
 
 from flows.console.context import JsonOption, StoreOption, answer, app, open_store, say
 from flows.console.display import counted, format_table
-from flows.curation import choices_for
 from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, export_selection
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
@@ -32,7 +31,6 @@ from storage_schema import (
     source_files,
     table_files,
 )
-from tasks.curation import names_left_out
 
 SCORES = "scores"
 _ROWS, _SCORE_ROWS, _ROWS_OF_MANY, _MAX_STEPS = 5, 12, 3, 12
@@ -155,11 +153,10 @@ def export(
     say(map(str, written))
     from tasks.data import LOOK, Data, player_page  # here: half of the science, which `show` need not wait for
 
-    named = parse_reference(reference)
-    left_out = names_left_out(opened, named, choices_for(opened, named, curation))
-    if left_out:
-        typer.echo(f"left out, as somebody rejected it: {len(left_out)} of {named.table}")
-    if pictures := Data(opened).pictures(reference, left_out):
+    data = Data(opened, curation)
+    if left_out := data.left_out(reference):
+        typer.echo(f"left out, as somebody rejected it: {len(left_out)} of {parse_reference(reference).table}")
+    if pictures := data.pictures(reference):
         (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
         typer.echo(f"look at it: {out / LOOK}")
 

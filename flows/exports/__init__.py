@@ -12,14 +12,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from flows.curation import choices_for
 from flows.exports.contact_rows import CONTACTS, contact_rows, touching
 from flows.exports.credits import write_credits
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
 from storage_schema.encoding import encode
-from tasks.curation import IDENTITY, content_of, rejections
+from tasks.curation import IDENTITY, choices_for, content_of, rejections
 from tasks.selection import READS, select_pairs
 
 __all__ = [

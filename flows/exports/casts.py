@@ -30,7 +30,7 @@ from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.references import find_rows
-from tasks.curation import IDENTITY, rows_without
+from tasks.curation import IDENTITY, rows_without, without
 from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
 from tasks.stage import verdict_of
 from tasks.takes import read_motion, read_variants, take_of
@@ -166,7 +166,7 @@ def casts(export: Export) -> Iterator[Cast]:
         return
     make = {"poses": _take, "variants": _variants, "motions": _reconstructions}[export.reference.table]
     for ref in export.refs:
-        for cast in make(export.store, ref):
+        for cast in make(export, ref):
             if "/".join(map(str, cast.parts)) not in export.left_out:
                 yield cast
 
@@ -200,7 +200,8 @@ def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np
         yield key, np.array(part)
 
 
-def _take(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
+def _take(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
+    store = export.store
     facts = TakeFacts.of(store.manifest(ref))
 
     def rigs(rest_pose: RestPose) -> list[Rig]:
@@ -217,7 +218,8 @@ def _take(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
     )
 
 
-def _variants(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
+def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
+    store = export.store
     people = people_of_take(store, take_of(store, ref))
     take_id = VariantFacts.of(store.manifest(ref)).take_id
     quality = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
@@ -248,12 +250,13 @@ def _own_rig(person: Person, own: OwnSkeleton, wanted_m: Array | None, rest_pose
     return Rig(drawn.motion, radii, own=(person, own, wanted_m))
 
 
-def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
-    """Yield the people of each video and method, upright on one floor."""
-    rows = store.read(ref, "motions")
+def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
+    """Yield the people of each video and method, upright on one floor; what lies between rejected clips each apart."""
+    store = export.store
+    rows = without(store.read(ref, "motions"), export.left_out)
     # From the axes of a camera that looks down to a world in which people stand upright.
     camera = DatabaseCamera(math.radians(MotionFacts.of(store.manifest(ref)).pitch_deg))
-    for (sequence_id, method), part in groups(rows, "sequence_id", "method"):
+    for (sequence_id, method), part, *clip in _without_gaps(rows):
         ids = np.unique(rows["person_id"][part]).tolist()
         people = []
         for own in (part[rows["person_id"][part] == one] for one in ids):
@@ -275,7 +278,7 @@ def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
 
         who = ", ".join(f"{letter} is person {one}" for letter, one in zip(ascii_uppercase, ids, strict=False))
         yield Cast(
-            (sequence_id, method),
+            (sequence_id, method, *clip),
             BODY22,
             positions,
             rate_hz,
@@ -285,6 +288,16 @@ def _reconstructions(store: Store, ref: ArtifactRef) -> Iterator[Cast]:
             ref=ref,
             make_rigs=rigs,
         )
+
+
+def _without_gaps(rows: TableData) -> Iterator[tuple[Any, ...]]:
+    """Yield video and method, rows, and of several parts the frames of each: a reconstruction itself has no gaps."""
+    for key, own in groups(rows, "sequence_id", "method"):
+        frames = np.unique(rows["frame"][own])
+        parts = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+        for part in (one for one in parts if len(one) > 1):
+            is_part = np.isin(rows["frame"][own], part)
+            yield key, own[is_part], *([f"{part[0]}-{part[-1]}"] if len(parts) > 1 else [])
 
 
 def _pairs(export: Export) -> Iterator[Cast]:

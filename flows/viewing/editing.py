@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from flows.viewing.kinds import IMAGE_HEIGHT_M, KINDS
+from flows.viewing.kinds import IMAGE_HEIGHT_M, KINDS, placed_in_room
 from flows.viewing.shelf import Part
+from flows.viewing.side import Dragged
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
@@ -94,10 +95,11 @@ class Editor:
         self._lift.label = "Lift again" if viewer.scene.flat is not None else "Back to the 2D poses"
         self._save.visible = not self.is_image or is_on
         self._hand.visible = is_on
+        viewer.side.on_drag = self._drag_image if is_on and self.is_image else None
         if not is_on:
             return
         viewer.play(is_playing=False)
-        self._place = _PERSONS.index(self._person.value), PAIR17.index(self._joint.value)
+        self._place = viewer.side.chosen = _PERSONS.index(self._person.value), PAIR17.index(self._joint.value)
         at = self.pose[self._place]
         self._hand.position = np.where(np.isfinite(at), at, 0.0)
         self.show_limits()
@@ -112,15 +114,25 @@ class Editor:
         """Bring the chosen joint to a place: of a pair with exact bones, of 2D poses by itself."""
         if not self._hand.visible:
             return
-        person, joint = self._place
+        viewer, (person, joint) = self.viewer, self._place
         pose = self.pose.copy()
         if self.is_image:
             pose[person, joint] = [*target_m[:2], 0.0]
         else:
             pose = pull_joint(PAIR17, pose, person, joint, target_m)
-        self.viewer.pose = pose
-        self.viewer.show_frame()
+        viewer.pose = pose
+        viewer.show_frame()
+        if self.is_image:
+            viewer.image_px = self.image_px()
+            viewer.look()
         self.show_limits()
+
+    def _drag_image(self, dragged: Dragged) -> None:
+        """Bring a joint to where it was dragged in the side picture, and the handle with it."""
+        self._person.value, self._joint.value = _PERSONS[dragged.person], PAIR17.joint_names[dragged.joint]
+        self._place = dragged.person, dragged.joint
+        self._hand.position = at = np.array([*placed_in_room(dragged.point_px, self._size_px), 0.0])
+        self.drag(at)
 
     def show_limits(self) -> None:
         """Name the angles that are out of range."""
@@ -230,8 +242,12 @@ class Editor:
 
     def image_px(self) -> Array:
         """Return the 2D poses as they are now (person, joint, 2), pixels."""
-        width, height = self.viewer.scene.images(self.viewer.frame)[0].size_px
+        width, height = self._size_px
         return np.asarray(self.pose[..., :2] * [1.0, -1.0] * height / IMAGE_HEIGHT_M + [width / 2, height])
+
+    @property
+    def _size_px(self) -> tuple[int, int]:
+        return self.viewer.scene.images(self.viewer.frame)[0].size_px
 
     def _save_image(self) -> Path:
         """Write all 2D poses of the item, those of this frame as they are now, as CSV."""
@@ -250,7 +266,7 @@ class Editor:
             person_id=np.asarray(data["person_id"], dtype=np.int64),
             keypoints_px=points,
             confidence=confidence,
-            image_size_px=dict.fromkeys(sequences, viewer.scene.images(viewer.frame)[0].size_px),
+            image_size_px=dict.fromkeys(sequences, self._size_px),
             rate_hz=viewer.scene.rate_hz,
         )
         return self._write(

@@ -1,4 +1,4 @@
-"""Pictures of the viewer that are pixels: 2D poses, who is there over time, and clips."""
+"""Pictures of the viewer that are pixels: curves, who is there over time, and clips."""
 
 from __future__ import annotations
 
@@ -8,56 +8,23 @@ from typing import Any
 import numpy as np
 
 from flows.viewing.bodies import rgb
-from flows.viewing.scene import Flat
+from flows.viewing.side import PAPER
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
+from pasdedeux.evaluation.pictures import PERSON_COLOURS
 
-_PANEL = (320, 240)
-_PAPER, _INK = 250, (60, 60, 60)
-
-
-def flat_panels(flats: Sequence[Flat]) -> Array:
-    """Return 2D poses as one image (height, width, 3), RGB, two panels in a row."""
-    panels = [_panel(flat, 0.36 if len(flats) == 1 else 0.55) for flat in flats] or [
-        np.full((*_PANEL[::-1], 3), _PAPER, dtype=np.uint8)
-    ]
-    if len(panels) > 1:
-        if len(panels) % 2:
-            panels.append(np.full_like(panels[0], _PAPER))
-        panels = [np.hstack(panels[row : row + 2]) for row in range(0, len(panels), 2)]
-    return np.vstack(panels)
-
-
-def _panel(flat: Flat, font: float) -> Any:
-    import cv2
-
-    width, height = flat.size_px
-    scale = min(_PANEL[0] / width, (_PANEL[1] - 20) / height)
-    image = np.full((*_PANEL[::-1], 3), _PAPER, dtype=np.uint8)
-    low = np.array([(_PANEL[0] - scale * width) / 2, 20.0])
-    corner = low + scale * np.array([width, height])
-    cv2.rectangle(image, list(map(int, low)), list(map(int, corner)), (200, 200, 200), 1)
-    for person, points in enumerate(flat.points_px):
-        colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
-        placed = low + scale * points
-        for parent, child in flat.skeleton.bones:
-            if np.isfinite(placed[[parent, child]]).all():
-                start, end = (list(map(int, placed[joint] * 8)) for joint in (parent, child))
-                shade = shade_of(flat.skeleton.joint_names[child])
-                cv2.line(image, start, end, (shade * colour).tolist(), 2, cv2.LINE_AA, 3)
-    cv2.putText(image, flat.title[: int(19 / font)], (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, _INK, 1, cv2.LINE_AA)
-    return image
+_WIDTH = 640
+_INK = (60, 60, 60)
 
 
 def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
     """Return who is there (frame, person) and how each frame was judged (frame,) as a strip, time to the right."""
     rows = [
-        np.where(is_there[:, p, None], rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)]), _PAPER)
+        np.where(is_there[:, p, None], rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)]), PAPER)
         for p in range(is_there.shape[1])
     ]
     if levels is not None:
         rows.append(np.array([(120, 170, 120), (230, 170, 40), (200, 30, 50)])[levels])
-    columns = np.linspace(0, len(is_there) - 1, _PANEL[0] * 2).round().astype(int)
+    columns = np.linspace(0, len(is_there) - 1, _WIDTH).round().astype(int)
     return np.repeat(np.stack(rows)[:, columns], 12, axis=0).astype(np.uint8)
 
 
@@ -65,8 +32,8 @@ def plot_curves(curves: Sequence[Array], frame: int) -> Any:
     """Return figures over the frames as an image: the last of them over the others, and a line at a frame."""
     import cv2
 
-    height, width, edge = 170, 2 * _PANEL[0], 22
-    image = np.full((height, width, 3), _PAPER, dtype=np.uint8)
+    height, width, edge = 170, _WIDTH, 22
+    image = np.full((height, width, 3), PAPER, dtype=np.uint8)
     low, high = (take([take(one) for one in curves if np.isfinite(one).any()]) for take in (np.nanmin, np.nanmax))
     across = np.linspace(0, width - 1, len(curves[-1]))
     for number, curve in enumerate(curves, 1 - len(curves)):

@@ -5,23 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
+from flows.viewing.films import FilmReader
 from flows.viewing.scene import Flat, Grid, People, Scene
 from flows.viewing.shelf import GROUPS, SINGLE_IMAGES, Item, Part, Shelf, plain
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.retrieval import nearest_images
+from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, PAIR17
+from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_seen_pairs
-from tasks.curation import POSITIONS, content_columns, content_of, names_of
+from tasks.curation import CLIPPED, POSITIONS, clip_name, content_columns, content_of, names_of, rows_of
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.facts import MotionFacts, SequenceFacts
 from tasks.takes import read_motion, read_objects, take_of
@@ -29,6 +33,10 @@ from tasks.takes import read_motion, read_objects, take_of
 IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""
 _NUM_NEAREST = 3
+_NUM_LOCATED = 60
+"""Frames by which the camera of a reconstruction is located."""
+_LIMBS = [name for name in PAIR17.joint_names if name.endswith(("shoulder", "elbow", "wrist", "knee", "ankle"))]
+_LIMBS17, _LIMBS22 = ([one.index(name) for name in _LIMBS] for one in (PAIR17, BODY22))
 _LEVELS = {"pass": 0, "warn": 1, "fail": 2}
 
 
@@ -85,9 +93,9 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
     seen = _Seen.of(shelf, sequence_id)
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
+    facts = MotionFacts.of(store.manifest(item.pieces[0][0]))
     # From the axes of a camera that looks down to a world in which people stand upright.
-    pitch_deg = MotionFacts.of(store.manifest(item.pieces[0][0])).pitch_deg
-    camera_from_upright = DatabaseCamera(math.radians(pitch_deg)).camera_from_upright_rotmat
+    camera_from_upright = DatabaseCamera(math.radians(facts.pitch_deg)).camera_from_upright_rotmat
     shown = shown @ camera_from_upright.astype(np.float32)
     if truth is not None:  # on the floor, and the mid-hips of the first frame together
         truth = truth @ camera_from_upright
@@ -99,12 +107,16 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         rate_of(data["time_s"]),
         behind=None if truth is None else People(BODY22, truth),
         behind_name="as captured",
+        camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
+        film=seen.film_of(grid.frames),
+        first_number=int(grid.frames[0]),
         curves={"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)},
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
         facts=(
             f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
             f'people_file = "people.csv" in [[ingest.annotations]]',
+            *seen.film_words,
         ),
     )
 
@@ -120,14 +132,13 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     grid = Grid.of(np.array(where) if is_single else data["frame"], data["person_id"])
     image_px = grid.fill(data["pair17_px"])
     size = _size(data["image_width_px"][0], data["image_height_px"][0], image_px)
-    names, frames = grid.first(data["sequence_id"]), grid.first(data["frame"])
+    names, frames = grid.first(data["sequence_id"]), np.asarray(grid.first(data["frame"]))
     seen = _Seen.of(shelf, str(data["sequence_id"][0]))
     truth = None if is_single else seen.truth(grid.frames, grid.persons, "body22_m", in_world=True)
-    placed = (image_px - [size[0] / 2, size[1]]) * [1.0, -1.0] * IMAGE_HEIGHT_M / size[1]
-    image = People(PAIR17, np.insert(placed, 2, 0.0, axis=-1))
+    image = People(PAIR17, np.insert(placed_in_room(image_px, size), 2, 0.0, axis=-1))
 
     def images(frame: int) -> list[Flat]:
-        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}")]
+        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}", seen.image(frames[frame]))]
 
     return Scene(
         image if truth is None else People(BODY22, truth),
@@ -137,8 +148,13 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         camera=None if truth is None else seen.camera,
         images=images,
         say=lambda frame: [f"{int(np.isfinite(image_px[frame]).all(axis=-1).sum())} joints seen"],
-        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone",),
+        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone", *seen.film_words),
     )
+
+
+def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:
+    """Return where pixels (..., 2) of an image are that stands in the room: metres across and up."""
+    return np.asarray((points_px - [size_px[0] / 2, size_px[1]]) * [1.0, -1.0] * IMAGE_HEIGHT_M / size_px[1])
 
 
 def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[Any, People, Integers]:
@@ -209,7 +225,7 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
             truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
 
     def say(frame: int) -> list[str]:
-        return [" ".join(map(str, places[frame])), f"{data['num_joints_seen'][frame]} of 34 joints seen"]
+        return [" ".join(map(str, places[frame])), f"{data['num_joints_seen'][frame]} of 28 joints seen"]
 
     return Scene(
         people,
@@ -247,14 +263,33 @@ def is_each_frame(part: Part, item: Item) -> bool:
     return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
 
 
-def thing_of(shelf: Shelf, part: Part, item: Item, row: int) -> tuple[str, str]:
-    """Return name and content of what is accepted or rejected at a row of an item, which may hold more than that."""
+def thing_of(shelf: Shelf, part: Part, item: Item, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
+    """Return name and content of what is accepted or rejected at a row of an item, which may hold more than that.
+
+    Args:
+        shelf: What can be looked at.
+        part: A part of it.
+        item: An item of the part.
+        row: A row of the item.
+        clip: Only from this frame of a reconstruction to that one.
+
+    Raises:
+        InputError: Clips of this table cannot be chosen, or the item has no such frames.
+    """
     if KINDS[part.table].is_each:
         ref, at = item.row(row)
         item, row = Item(item.names, ((ref, np.array([at])),), item.label), 0
     data = item.read(shelf.store, part.table, content_columns(part.table) or [])
     names = names_of(data)
-    return str(names[row]), content_of(data[POSITIONS[part.table]][names == names[row]])
+    name = str(names[row])
+    if clip is not None:
+        if part.table not in CLIPPED:
+            raise InputError(f"clips are chosen of {', '.join(CLIPPED)}, not of {part.table}")
+        there = int(data["frame"].min()), int(data["frame"].max())
+        if not there[0] <= clip[0] <= clip[1] <= there[1]:
+            raise InputError(f"{name} has the frames {there[0]} to {there[1]}; there is no clip {clip[0]}-{clip[1]}")
+        name = clip_name(name, *clip)
+    return name, content_of(data[POSITIONS[part.table]][rows_of(data, name, names)])
 
 
 def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
@@ -280,13 +315,52 @@ class _Seen:
     store: Store
     ref: ArtifactRef | None
     sequence_id: str
+    film: FilmReader | str | None = None
 
     @classmethod
     def of(cls, shelf: Shelf, sequence_id: str) -> _Seen:
         for ref in shelf.having("annotations"):
             if sequence_id in SequenceFacts.of(shelf.store.manifest(ref)).sequence_ids:
-                return cls(shelf.store, ref, sequence_id)
+                return cls(shelf.store, ref, sequence_id, shelf.film(ref))
         return cls(shelf.store, None, sequence_id)
+
+    @property
+    def film_words(self) -> tuple[str, ...]:
+        """Why its film cannot be shown, where it has one."""
+        return (self.film,) if isinstance(self.film, str) else ()
+
+    def image(self, frame: int) -> Callable[[], Array | None] | None:
+        """Return what reads the image of a frame; None where there is no film."""
+        return partial(self.film.image, int(frame)) if isinstance(self.film, FilmReader) else None
+
+    def film_of(self, frames: Integers) -> Callable[[int], Array | None] | None:
+        """Return what reads the image of the nth of some frames; None where there is no film."""
+        film = self.film
+        return (lambda number: film.image(int(frames[number]))) if isinstance(film, FilmReader) else None
+
+    def locate_camera(
+        self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
+    ) -> PinholeCamera | None:
+        """Return the camera that sees a reconstruction (frame, person, 22, 3) where its people were seen in 2D."""
+        if self.ref is None:
+            return None
+        flats = [(at, self.flats(int(grid.frames[at]), "")) for at in evenly_spread(len(grid.frames), _NUM_LOCATED)]
+        found = [(upright_m[at], flat[0]) for at, flat in flats if flat and len(flat[0].points_px) == len(grid.persons)]
+        points = np.array([body[:, _LIMBS22] for body, _ in found]).reshape(-1, 3)
+        px = np.array([flat.points_px[:, _LIMBS17] for _, flat in found]).reshape(-1, 2)
+        if not np.isfinite(px).any():
+            return None
+        size = found[0][1].size_px
+        focal_px = _lens(self.store, self.ref)[2]
+        lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
+        return PinholeCamera.locate(
+            points,
+            px,
+            focal_px=lens_factor * lens.focal_px,
+            principal_point_px=np.array(lens.principal_point_px),
+            camera_from_world_rotmat=camera_from_upright,
+            image_size_px=size,
+        )
 
     @property
     def camera(self) -> PinholeCamera | None:
@@ -307,20 +381,12 @@ class _Seen:
 
     def flats(self, frame: int, title: str) -> list[Flat]:
         """Return the 2D poses of a frame; none where it was not annotated."""
-        if self.ref is None:
-            return []
-        by_place = _people(self.store, self.ref)
-        people = {
-            who: px
-            for place, own in by_place.items()
-            if place[:2] == (self.sequence_id, frame)
-            for who, px in own.items()
-        }
-        if not people:
+        people = {} if self.ref is None else _people(self.store, self.ref).get((self.sequence_id, frame))
+        if self.ref is None or not people:
             return []
         points = np.stack([people[who] for who in sorted(people)])
-        size = self.camera.image_size_px if self.camera is not None else _size(np.nan, np.nan, points)
-        return [Flat(PAIR17, points, size, f"{title} frame {frame}")]
+        width, height, _ = _lens(self.store, self.ref)
+        return [Flat(PAIR17, points, _size(width, height, points), f"{title} frame {frame}", self.image(frame))]
 
 
 @lru_cache(maxsize=4)
@@ -330,8 +396,20 @@ def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
 
 
 @lru_cache(maxsize=4)
-def _people(store: Store, ref: ArtifactRef) -> Mapping[Place, Mapping[int, Array]]:
-    return read_people(store, [ref], is_between=True, with_held_out=True)
+def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[int, Array]]:
+    """Return the people of each frame of each sequence, by their numbers."""
+    found: dict[tuple[str, int], dict[int, Array]] = {}
+    for place, people in read_people(store, [ref], is_between=True, with_held_out=True).items():
+        found.setdefault((place.sequence_id, place.frame), {}).update(people)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _lens(store: Store, ref: ArtifactRef) -> Array:
+    """Return width, height and focal length of the camera of an artifact of 2D poses, pixels, NaN where unknown."""
+    columns = ["image_width_px", "image_height_px", "focal_px"]
+    data = store.read(ref, "annotations", columns=columns, rows=slice(0, 1))
+    return np.array([np.nan if data.is_null(name)[0] else float(data[name][0]) for name in columns])
 
 
 @lru_cache(maxsize=4)

@@ -18,6 +18,9 @@ _APART_M = 0.5
 _MOVED_M = 2.0
 """Cameras follow where people are further than this from those before."""
 _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
+_FOV_RAD = float(np.deg2rad(75.0))
+_BEHIND_M = 1.0
+"""The screen for film stands so far behind the farthest joint."""
 _GREY = (120, 120, 120)
 _DARKER = 1.7
 """Exponent of colours: the lights of the room make them paler."""
@@ -72,11 +75,14 @@ class Room:
             away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
             more = {} if where == "beside" else {"opacity": 0.3}
             self._grey = self._put_bodies(f"/{where}", self._behind, self._behind.colours(_GREY), away, **more)
+        self._show_node("/film", is_shown=False)
+        self._film: Any = None
         self._show_node("/camera", is_shown=shown.camera is not None)
         if shown.camera is not None:
             wxyz, position, fov = _view_of(shown.camera)
             width, height = shown.camera.image_size_px
             scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
+            self._far_m = float(-shown.camera.camera_from_world(seen)[:, 2].min()) + _BEHIND_M
 
     def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:
         """Send the bodies of a frame; return how many contacts and penetrations are marked.
@@ -102,10 +108,25 @@ class Room:
             _place(self._marks, places, None, sizes)
         return len(touch), len(through)
 
+    def show_film(self, image: Array | None) -> None:
+        """Show what the camera of the scene saw on a screen behind people: seen through the camera, they fall on it."""
+        camera = self._scene.camera
+        if image is None or camera is None:
+            self._show_node("/film", is_shown=False)
+        elif self._film is None:
+            wxyz, position, _ = _view_of(camera)
+            width, height = (self._far_m * side / camera.focal_px for side in camera.image_size_px)
+            middle = (np.array(camera.image_size_px) / 2 - camera.principal_point_px) * [1.0, -1.0] / camera.focal_px
+            centre = position + self._far_m * np.array([*middle, -1.0]) @ camera.camera_from_world_rotmat
+            self._film = self._server.scene.add_image("/film", image, width, height, wxyz=wxyz, position=centre)
+        else:
+            self._film.image, self._film.visible = image, True
+
     def look_through(self, client: Any) -> None:
         """Give a browser the view of the camera that saw the scene."""
         if self._scene.camera is not None and client is not None:
             wxyz, position, fov = _view_of(self._scene.camera)
+            self._middle = np.full(3, np.inf)  # what is shown next is looked at from where it is seen well
             with client.atomic():
                 client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
 
@@ -145,6 +166,7 @@ class Room:
         """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
         is_narrow = client.camera.image_width < client.camera.image_height
         with client.atomic():
+            client.camera.fov = _FOV_RAD
             client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
             client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
 

@@ -27,12 +27,16 @@ class People:
 
 @dataclass(frozen=True)
 class Flat:
-    """2D poses of a frame (person, joint, 2), y down, NaN: missing, in an image of this size, and what it is called."""
+    """2D poses of a frame (person, joint, 2), y down, NaN: missing, in an image of this size, and what it is called.
+
+    `image` reads that image (height, width, 3), RGB, of any size, which may be gone; None where there never was one.
+    """
 
     skeleton: Skeleton
     points_px: Array
     size_px: tuple[int, int]
     title: str
+    image: Callable[[], Array | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,14 @@ class Scene:
         behind_name: What that is.
         ends_m: Ends of the axes of objects (frame, object, 2, 3), metres, with `radii_m` (object,).
         camera: Camera that saw it.
+        film: Gives the image that the camera saw in a frame (height, width, 3), RGB, None where there is none.
         curves: Figures over the frames (frame,), by name.
         others: The first of these figures for other chains of the same seed (frame,), NaN where they end.
         levels: Verdict of each frame: 0 passes, 1 warns, 2 fails.
         facts: What is known of the item, a line each.
         say: Gives what is known of a frame, a line each.
         images: Gives the 2D pictures that belong to a frame.
+        first_number: Number that the store has for the first frame.
         has_floor: The floor is at y = 0; else it is drawn under the lowest joint.
     """
 
@@ -66,12 +72,14 @@ class Scene:
     ends_m: Array | None = None
     radii_m: Array | None = None
     camera: PinholeCamera | None = None
+    film: Callable[[int], Array | None] | None = None
     curves: Mapping[str, Array] = field(default_factory=dict)
     others: Sequence[Array] = ()
     levels: Integers | None = None
     facts: tuple[str, ...] = ()
     say: Callable[[int], list[str]] = lambda frame: []
     images: Callable[[int], list[Flat]] = lambda frame: []
+    first_number: int = 0
     has_floor: bool = True
 
     @property

@@ -10,12 +10,14 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from flows.viewing.side import DRAG_LABEL, Pointer
 from pasdedeux.errors import InputError
 
 LOOPBACK = "127.0.0.1"
@@ -26,19 +28,50 @@ _POLICY = (
 )
 
 
-_TITLE = b"""<title>pasdedeux</title><script>
+_HEAD = """<title>pasdedeux</title><script>
 document.documentElement.addEventListener("keydown", (event) => {
   if (event.key.startsWith("Arrow")) event.stopPropagation();
-});</script>"""
-"""Viser turns its camera with the arrow keys, listening at the document; commands listen at the element below it."""
+});
+let held = null, isBusy = false;
+const moves = [];
+function isPicture(image) {
+  let at = image.tagName === "IMG" ? image : null;
+  while (at && !at.textContent.trim()) at = at.parentElement;
+  return at !== null && at.textContent.trim().startsWith("LABEL");
+}
+async function tell(phase, event) {
+  const box = held.getBoundingClientRect();
+  if (moves.at(-1)?.startsWith("move")) moves.pop();
+  const shares = [(event.clientX - box.x) / box.width, (event.clientY - box.y) / box.height];
+  moves.push([phase, ...shares.map((share) => share.toFixed(5))].join("/"));
+  if (isBusy) return;
+  isBusy = true;
+  while (moves.length) await fetch(`/pointer/${moves.shift()}`, {headers: {"X-Pointer": "1"}}).catch(() => {});
+  isBusy = false;
+}
+addEventListener("pointerdown", (event) => {
+  if (!isPicture(event.target)) return;
+  held = event.target;
+  tell("down", event);
+}, true);
+addEventListener("pointermove", (event) => { if (held) tell("move", event); }, true);
+addEventListener("pointerup", (event) => { if (held) tell("up", event); held = null; }, true);
+addEventListener("dragstart", (event) => { if (held) event.preventDefault(); }, true);
+</script>""".replace("LABEL", DRAG_LABEL)
+"""Viser turns its camera with the arrow keys, listening at the document; commands listen at the element below it.
+
+Of its pictures it tells no clicks, so the page tells the pointer over the one in which joints can be dragged.
+"""
+_POINTER = re.compile(r"/pointer/(down|move|up)/(-?\d+(?:\.\d+)?)/(-?\d+(?:\.\d+)?)")
 
 
-def start_server(port: int, on_visit: Callable[[str], None], label: str) -> Any:
+def start_server(port: int, on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None], label: str) -> Any:
     """Start a `viser.ViserServer` on this machine's loopback.
 
     Args:
         port: Port, 0 for any that is free.
         on_visit: Called, in a thread of its own, with the reference in the address of a page, `?at=REFERENCE`.
+        on_pointer: Called with what a pointer does over the side picture; must not wait.
         label: What stands over its panel.
 
     Raises:
@@ -50,7 +83,7 @@ def start_server(port: int, on_visit: Callable[[str], None], label: str) -> Any:
     except ImportError:
         raise InputError("the viewer needs viser, which is not installed: pip install 'pasdedeux[view]'") from None
     _refuse_used(port)
-    with _guarded(on_visit), contextlib.redirect_stdout(io.StringIO()):
+    with _guarded(on_visit, on_pointer), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
     server._websock_server.unregister_handler(ShareUrlRequest)
     return server
@@ -68,7 +101,7 @@ def _refuse_used(port: int) -> None:
 
 
 @contextlib.contextmanager
-def _guarded(on_visit: Callable[[str], None]) -> Iterator[None]:
+def _guarded(on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None]) -> Iterator[None]:
     """Put the checks in front of what a server that is started in this block answers."""
     import websockets.asyncio.server as sockets
 
@@ -80,12 +113,16 @@ def _guarded(on_visit: Callable[[str], None]) -> Iterator[None]:
             is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
             if (why := refusal(host, origin, is_socket=is_socket)) is not None:
                 return connection.respond(403, f"{why}\n")
+            # A page of another origin cannot set this header: it would have to ask first, and gets no answer.
+            if "X-Pointer" in request.headers and (moved := _POINTER.fullmatch(request.path)):
+                on_pointer(Pointer(moved[1], float(moved[2]), float(moved[3])))  # type: ignore[arg-type]
+                return connection.respond(204, "")
             if not is_socket and "Accept-Encoding" in request.headers:
                 del request.headers["Accept-Encoding"]  # the page is changed below
             response = process_request(connection, request)
             if response is not None:
-                response.body = response.body.replace(b"<title>Viser</title>", _TITLE, 1)
-                del response.headers["Content-Length"]
+                response.body = response.body.replace(b"<title>Viser</title>", _HEAD.encode(), 1)
+                response.headers.pop("Content-Length", None)  # of a path that is not there it lacks
                 response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Content-Security-Policy"] = _POLICY.format(sockets=f"ws://{host}")
                 response.headers["X-Content-Type-Options"] = "nosniff"

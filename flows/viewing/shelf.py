@@ -6,7 +6,7 @@ An item is what is played at once, such as a variant, a chain or a take; its row
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,6 +15,8 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 
 from flows.recorded import read_recorded
+from flows.records import last_sections
+from flows.viewing.films import find_film
 from pasdedeux.arrays import Integers
 from pasdedeux.errors import InputError
 from storage_schema import (
@@ -91,12 +93,20 @@ class Shelf:
         shown: What was asked for.
         beside: What else is at hand: the rest of the study.
         tables: Tables to show, all that can be where none is given.
+        sections: The study as it was recorded: where its films are.
     """
 
     def __init__(
-        self, store: Store, shown: Iterable[ArtifactRef], beside: Iterable[ArtifactRef] = (), tables: Sequence[str] = ()
+        self,
+        store: Store,
+        shown: Iterable[ArtifactRef],
+        beside: Iterable[ArtifactRef] = (),
+        tables: Sequence[str] = (),
+        sections: Mapping[str, Any] | None = None,
     ) -> None:
         self.store = store
+        ingest = (sections or {}).get("ingest", {})
+        self.film = lru_cache(maxsize=None)(lambda ref: find_film(store.manifest(ref), ingest))
         self.beside = tuple(dict.fromkeys([*shown, *beside]))
         found: dict[tuple[str, str], list[ArtifactRef]] = {}
         for ref in dict.fromkeys(shown):
@@ -166,9 +176,11 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
             raise InputError(f"'{word}' has no people to look at; tables with people: {', '.join(GROUPS)}")
         last = read_latest(store, reference.study) if reference.study else None
         rest = [ref for stage in last.stages for ref in last.refs(stage)] if last else []
-        shelf = Shelf(store, refs, [ref for ref in rest if store.find(ref.stage, ref.key)], (reference.table,))
+        rest = [ref for ref in rest if store.find(ref.stage, ref.key)]
+        shelf = Shelf(store, refs, rest, (reference.table,), last_sections(store, last))
     elif "@" in word or word in {folder.run_id for folder in list_runs(store)}:
-        shelf = Shelf(store, [one.ref for one in read_recorded(store, word).artifacts.values()])
+        recorded = read_recorded(store, word)
+        shelf = Shelf(store, [one.ref for one in recorded.artifacts.values()], sections=recorded.sections)
     else:
         latest = read_latest(store, word)
         if latest is None:
@@ -177,7 +189,8 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
                 f"'{word}' is no file here, and no study, run or reference of the store {store}; studies: {there}"
             )
         refs = [ref for stage in latest.stages for ref in latest.refs(stage)]
-        shelf = Shelf(store, [ref for ref in refs if store.find(ref.stage, ref.key)])
+        refs = [ref for ref in refs if store.find(ref.stage, ref.key)]
+        shelf = Shelf(store, refs, sections=last_sections(store, latest))
     if not shelf.parts:
         raise InputError(f"'{word}' has no people to look at yet; tables with people: {', '.join(GROUPS)}")
     return shelf

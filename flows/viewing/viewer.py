@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -14,17 +15,18 @@ from urllib.parse import quote
 
 import numpy as np
 
-from flows.viewing.images import encode, encode_clip, flat_panels, plot_curves, presence_strip
+from flows.viewing.images import encode, encode_clip, plot_curves, presence_strip
 from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
 from flows.viewing.room import COMPARE, Room
-from flows.viewing.scene import People, Scene
+from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_in, moment_reference
+from flows.viewing.side import Pointer, SidePicture, flat_picture
 from pasdedeux.arrays import Array
 from pasdedeux.errors import PasdedeuxError
 from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
-from tasks.curation import UNDECIDED, Choosing, Decision
+from tasks.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision
 
 TICK_S = 1.0 / 30.0
 STILLS_HZ = 10.0
@@ -56,6 +58,10 @@ class Viewer:
         self.is_playing = False
         self.pose: Array | None = None
         """Positions that are shown in place of the scene's, while somebody changes them."""
+        self.image_px: Array | None = None
+        """The same for the 2D poses of the side picture (person, joint, 2), pixels."""
+        self.clip: tuple[int, int] | None = None
+        """First and last frame of the clip that choices are about; the whole item where it is None."""
         self.on_moment: list[Callable[[], None]] = []
         self.wants_flat = False
         """Whether 2D poses are shown as such, where they could be shown as what was captured."""
@@ -66,13 +72,14 @@ class Viewer:
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
         self._looked = threading.Event()
+        self._pointers: queue.SimpleQueue[Pointer | None] = queue.SimpleQueue()
         first = shelf.find(at) if at is not None else None
         with self.lock:  # who visits early waits
-            self.server = start_server(port, self.visit, "pasdedeux")
+            self.server = start_server(port, self.visit, self._pointers.put, "pasdedeux")
             self.room = Room(self.server)
             self._build()
             self.show_part(first[0] if first else self.part, first[1] if first else 0, first[2] if first else None)
-        self._threads = [threading.Thread(target=run, daemon=True) for run in (self._play, self._look)]
+        self._threads = [threading.Thread(target=run, daemon=True) for run in (self._play, self._look, self._point)]
         for thread in self._threads:
             thread.start()
 
@@ -95,6 +102,7 @@ class Viewer:
         """End the clock and the server."""
         self.ended.set()
         self._looked.set()
+        self._pointers.put(None)
         for thread in self._threads:
             thread.join(timeout=5.0)
         with suppress(RuntimeError):
@@ -138,7 +146,7 @@ class Viewer:
     def show_item(self, index: int, row: int | None = None) -> None:
         """Read an item, and show it from its beginning or at one of its rows."""
         with self.lock:
-            self.index, self.pose = index, None
+            self.index, self.pose, self.image_px = index, None, None
             scene = KINDS[self.part.table].scene(self.shelf, self.part, self.item)
             if self.wants_flat and scene.flat is not None:
                 scene = replace(scene, people=scene.flat, camera=None)
@@ -149,19 +157,22 @@ class Viewer:
         row = self.scene.row_of(self.frame)
         rows = np.where(np.arange(len(self.scene.frame_of_row)) == row, 0, -1)
         pair, before = (People(PAIR17, one[None]) for one in (pair_m, before_m))
-        images = partial(self.scene.images, self.frame)
-        scene = Scene(pair, rows, behind=before, behind_name="before", images=lambda _: images(), has_floor=False)
+        flats = self.flats()
+        scene = Scene(pair, rows, behind=before, behind_name="before", images=lambda _: flats, has_floor=False)
         self._show_scene(scene, row)
 
     def _show_scene(self, scene: Scene, row: int | None) -> None:
         with self.lock:
             self.scene: Scene = scene
-            self._thing = ("", "")
+            self._thing, self.clip = ("", ""), None
             self._set("item", self._item_label(self.index))
             self.room.show(scene, str(self._handles["compare"].value))
             self._draw_curve()
-            for name, needed in (("compare", scene.behind), ("through", scene.camera), ("failing", scene.levels)):
+            known = {"compare": scene.behind, "through": scene.camera, "failing": scene.levels, "film": scene.film}
+            for name, needed in known.items():
                 self._handles[name].visible = needed is not None
+            for name in ("start", "end"):
+                self._handles[name].visible = self.part.table in CLIPPED
             self._handles["compare"].label = scene.behind_name or "compare"
             self._show_scales()
             self._handles["timeline"].max = max(scene.num_frames - 1, 1)
@@ -179,9 +190,9 @@ class Viewer:
         with self.lock:
             self.frame = int(np.clip(frame, 0, self.scene.num_frames - 1))
             self._started = (time.monotonic(), self.frame)
-            self.pose = None
+            self.pose = self.image_px = None
             self.show_frame()
-            self._looked.set()
+            self.look()
             for changed in self.on_moment:
                 changed()
 
@@ -198,7 +209,7 @@ class Viewer:
             if self.is_playing and self.frame == self.scene.num_frames - 1:
                 self.frame = 0
             self._started = (time.monotonic(), self.frame)
-            self._looked.set()
+            self.look()
 
     def next_failing(self) -> None:
         """Go to the next frame that fails, or that is a warning where none fails."""
@@ -216,12 +227,25 @@ class Viewer:
         """Accept or reject what is shown, for the reason that stands in the panel, and go on to the next thing."""
         with self.lock:
             name, content = self._thing_shown()
+            if decision == "undo" and self.clip is None:
+                at = self.scene.first_number + self.frame
+                here = (one.name for one in self._clips_chosen() if one.frames[0] <= at <= one.frames[1])
+                name = next(here, name)
             reason = str(self._handles["reason"].value)
             self.tell(self.choosing.decide(decision, self.part.table, name, content, reason))
             self._handles["reason"].value = ""
             self.sort(self.index)
             self._set("item", self._item_label(self.index))
             self.step(1 if is_each_frame(self.part, self.item) and decision != "undo" else 0)
+
+    def mark_clip(self, edge: Literal["start", "end"]) -> None:
+        """Let the clip that choices are about start or end at this frame; the other edge gives way."""
+        with self.lock:
+            first, last = self.clip or (0, self.scene.num_frames - 1)
+            frame = self.frame
+            self.clip = (frame, max(frame, last)) if edge == "start" else (min(first, frame), frame)
+            self._thing = ("", "")
+            self.look()
 
     def tell(self, text: str) -> None:
         """Say something in one line of the panel."""
@@ -245,10 +269,11 @@ class Viewer:
         put["play"] = self._button("Play", lambda _: self.play(), "space")
         put["timeline"] = gui.add_slider("frame", 0, 1, 1, initial_value=0)
         put["facts"] = gui.add_text("about", "", multiline=True, disabled=True)
-        put["picture"] = gui.add_image(flat_panels([]), label=None, visible=False)
+        self.side = SidePicture(gui)
         put["compare"] = gui.add_dropdown("compare", COMPARE)
         put["failing"] = self._button("Next failing frame", lambda _: self.next_failing(), "F")
         put["through"] = self._button("Look through its camera", lambda event: self.room.look_through(event.client))
+        put["film"] = gui.add_checkbox("film behind people", initial_value=True)
         put["said"] = gui.add_text("message", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
             put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
@@ -260,14 +285,16 @@ class Viewer:
         self._scales_folder = gui.add_folder("Scales", visible=False)
         self._curve_folder = gui.add_folder("Curve")
         with self._curve_folder:
-            put["strip"] = gui.add_image(flat_panels([]), label="who is there, and verdicts", visible=False)
+            put["strip"] = gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
             put["curve"] = gui.add_dropdown("figure", ("none",))
-            put["plot"] = gui.add_image(flat_panels([]), visible=False)
+            put["plot"] = gui.add_image(flat_picture([]), visible=False)
         with gui.add_folder("Accept or reject", expand_by_default=False):
             put["reason"] = gui.add_text("reason", "")
             self._button("Accept", lambda _: self.decide("accept"), "K")
             self._button("Reject", lambda _: self.decide("reject"), "X")
             self._button("Undo", lambda _: self.decide("undo"), "U")
+            put["start"] = self._button("Clip starts here", lambda _: self.mark_clip("start"), "I")
+            put["end"] = self._button("Clip ends here", lambda _: self.mark_clip("end"), "O")
         with gui.add_folder("Link and save", expand_by_default=False):
             put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
             self._button("Save picture", lambda event: self._save(event.client, is_clip=False))
@@ -280,6 +307,7 @@ class Viewer:
             "compare": lambda _: self.show_item(self.index, self.scene.row_of(self.frame)),
             "speed": lambda _: self.play(self.is_playing),
             "marks": lambda _: self.show_frame(),
+            "film": lambda _: self.look(),
             "curve": lambda _: self._draw_curve(),
             **dict.fromkeys(("filter", "sort"), lambda _: self._sorted_again()),
             "link": self.visit,
@@ -407,6 +435,10 @@ class Viewer:
         self._curves = [*others, np.asarray(scene.curves[str(chosen.value)], dtype=np.float64)] if known else []
         self._looked.set()
 
+    def look(self) -> None:
+        """Have the words, the curve and the pictures follow what is shown."""
+        self._looked.set()
+
     def _look(self) -> None:
         """Bring the words, the curve and the pictures after the bodies, at most ten times a second."""
         while not self.ended.is_set():
@@ -429,22 +461,46 @@ class Viewer:
             touch, through = self._num_marks
             if not scene.is_flat and self._handles["marks"].value:
                 lines.append(f"{touch} contacts, {through} penetrations")
-            chosen = self.choosing.words(self.part.table, *self._thing_shown())
-            self._set("facts", "\n".join([*lines, chosen, *self._item_lines()]))
+            marked = "" if self.clip is None else f"clip of frames {self.clip[0]} to {self.clip[1]}: "
+            chosen = [marked + self.choosing.words(self.part.table, *self._thing_shown())]
+            for one in self._clips_chosen():
+                clip = [frame - scene.first_number for frame in one.frames]
+                chosen.append(f"frames {clip[0]} to {clip[1]} {one.words}")
+            self._set("facts", "\n".join([*lines, *chosen, *self._item_lines()]))
             self._set("link", f"{self.url}/?at={quote(self.reference, safe='@')}")
             if self._curves:
                 self._handles["plot"].image = plot_curves(self._curves, frame)
             is_skipped = self.is_playing and scene.rate_hz is None
-        flats = [] if is_skipped else scene.images(frame)  # without the lock: a key need not wait for them
-        if flats and scene is self.scene:
-            self._handles["picture"].image = flat_panels(flats)
-        self._handles["picture"].visible = bool(flats)
+        flats = [] if is_skipped else self.flats()  # without the lock: a key need not wait for them
+        if scene is self.scene:
+            self.side.show(flats)
+            if scene.film is not None and scene.camera is not None:
+                self.room.show_film(scene.film(frame) if self._handles["film"].value else None)
+
+    def flats(self) -> list[Flat]:
+        """Return the 2D pictures of this moment, with the 2D poses of the first as they were changed."""
+        flats, changed = self.scene.images(self.frame), self.image_px
+        return flats if changed is None or not flats else [replace(flats[0], points_px=changed), *flats[1:]]
+
+    def _point(self) -> None:
+        """Follow the pointer over the side picture; of moves that wait the last counts."""
+        while (pointer := self._pointers.get()) is not None:
+            if pointer.phase != "move" or self._pointers.empty():
+                self.safely(self.side.point)(pointer)
 
     def _thing_shown(self) -> tuple[str, str]:
         """Return name and content of what would be accepted or rejected now; an item's is read once."""
         if is_each_frame(self.part, self.item) or not self._thing[0]:
-            self._thing = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame))
+            first = self.scene.first_number
+            clip = None if self.clip is None else (first + self.clip[0], first + self.clip[1])
+            self._thing = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame), clip)
         return self._thing
+
+    def _clips_chosen(self) -> list[Choice]:
+        """Return what was chosen of clips of the item, in their order."""
+        if self.part.table not in CLIPPED:
+            return []
+        return self.choosing.clips(self.part.table, "/".join(self.item.names))
 
     def _play(self) -> None:
         """Follow the clock while it plays: what is too slow leaves frames out, and time is kept."""
@@ -461,9 +517,9 @@ class Viewer:
                     self.show_frame()
                     self.play(False)
                 elif frame % scene.num_frames != self.frame:
-                    self.frame, self.pose = frame % scene.num_frames, None
+                    self.frame, self.pose, self.image_px = frame % scene.num_frames, None, None
                     self.show_frame()
-                    self._looked.set()
+                    self.look()
 
     # Pictures and clips.
 

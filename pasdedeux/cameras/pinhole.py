@@ -78,6 +78,32 @@ class PinholeCamera:
         y = self.principal_point_px[1] - scale * seen[..., 1]
         return Projection(px=np.stack([x, y], axis=-1), depth_m=depth)
 
+    @classmethod
+    def locate(
+        cls,
+        points_m: Array,
+        px: Array,
+        *,
+        focal_px: float,
+        principal_point_px: Array,
+        camera_from_world_rotmat: Array,
+        image_size_px: tuple[int, int],
+    ) -> PinholeCamera:
+        """Return the camera of this lens and orientation that sees world points (n, 3), metres, at pixels (n, 2).
+
+        Its place is by least squares: in camera axes every point, displaced by t, lies on its ray (u, v, -1), so that
+        x + t_x + u (z + t_z) = 0, and so with y, which is linear in t.  Two points determine it; NaN do not count.
+        """
+        is_known = np.isfinite(points_m).all(axis=-1) & np.isfinite(px).all(axis=-1)
+        own = np.asarray(points_m, dtype=np.float64)[is_known] @ camera_from_world_rotmat.T
+        ray = (px[is_known] - principal_point_px) * [1.0, -1.0] / focal_px  # at z = -1
+        zero, one = np.zeros(len(own)), np.ones(len(own))
+        rows = [np.stack([one, zero, ray[:, 0]], axis=-1), np.stack([zero, one, ray[:, 1]], axis=-1)]
+        known = -(own[:, :2] + ray * own[:, 2:])
+        displacement = np.linalg.lstsq(np.concatenate(rows), known.T.reshape(-1), rcond=None)[0]
+        position = -displacement @ camera_from_world_rotmat
+        return cls(focal_px, principal_point_px, camera_from_world_rotmat, position, image_size_px)
+
     def is_inside(self, px: Array) -> Flags:
         """Tell which pixels (*batch, 2) lie inside the image; NaN does not."""
         width, height = self.image_size_px

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -27,6 +27,7 @@ from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 from storage_schema import ArtifactRef, Store, TableData
+from tasks.curation import without
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
@@ -85,11 +86,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     refuse_overlap(f"the projection database of sequence {shard.name}", facts.database_takes, facts.sequence_takes)
     if not annotations:
         note = f"{shard.name}: a video without ground truth; no scores."
-        return TopicResult(pictures=[motion_picture(store, motions)], notes=[note])
+        return TopicResult(pictures=motion_pictures(store, motions), notes=[note])
     try:
         people, truth, film = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     except InputError as error:
-        return TopicResult(pictures=[motion_picture(store, motions)], notes=[f"{shard.name}: {error}; no scores."])
+        return TopicResult(pictures=motion_pictures(store, motions), notes=[f"{shard.name}: {error}; no scores."])
     split = "held_out" if any(one.is_held_out for one in SequenceFacts.read(store, annotations)) else "annotated"
     scores = [score for person in people for score in reconstruction_scores(person, split=split)]
     for one, other in combinations(people, 2):
@@ -377,9 +378,11 @@ def _middle(points: Array) -> Array:
     return np.median(known, axis=0) if len(known) else np.zeros(2)
 
 
-def motion_picture(store: Store, motions: ArtifactRef) -> Picture:
-    """Show what the last method made of a sequence."""
-    table = _read_motions(store, motions)
+def motion_pictures(store: Store, motions: ArtifactRef, left_out: Collection[str] = ()) -> list[Picture]:
+    """Show what the last method made of a sequence, but for what is left out (`tasks.curation`); one or none."""
+    table = without(_read_motions(store, motions), left_out)
+    if not table.num_rows:
+        return []
     method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
     is_shown = table["method"] == method
     frames, rows = np.unique(table["frame"][is_shown], return_inverse=True)
@@ -391,7 +394,7 @@ def motion_picture(store: Store, motions: ArtifactRef) -> Picture:
         "short or bent wrongly show from the side."
     )
     player = reconstruction_player(found, rate_hz=rate_of(table["time_s"]))
-    return Picture(_picture_name(sequence_id), caption, player)
+    return [Picture(_picture_name(sequence_id), caption, player)]
 
 
 TOPIC = Topic(

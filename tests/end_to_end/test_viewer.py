@@ -8,11 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from flows.viewing.editing import Editor
 from flows.viewing.kinds import KINDS
+from flows.viewing.scene import Flat
 from flows.viewing.shelf import open_shelf
+from flows.viewing.side import DRAG_LABEL, Panel, picture_size
 from flows.viewing.viewer import Viewer
+from pasdedeux.arrays import Array
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
@@ -112,6 +116,40 @@ def screenshot(tab: Tab, name: str, folder: Path) -> None:
     assert tab.screenshot(kept / f"{name}.png").stat().st_size > 10_000
 
 
+PICTURE = (
+    "[...document.querySelectorAll('img')].find((one) => one.parentElement.parentElement.textContent === "
+    f"'{DRAG_LABEL}')"
+)
+
+
+def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
+    """Drag a joint of the first person in the side picture to the right, by pixels of its image."""
+    tab.run(f"{PICTURE}.scrollIntoView({{block: 'center'}})")
+    x, y, width = tab.run(f"(() => {{ const b = {PICTURE}.getBoundingClientRect(); return [b.x, b.y, b.width]; }})()")
+    panel = Panel.of(flat, picture_size([flat]))
+    shown = [[0.0, 0.0], [0.5 * away_px, 3.0], [away_px, 0.0]]
+    tab.mouse(*(np.array([x, y]) + width / 640 * panel.place(flat.points_px[0, joint] + one) for one in shown))
+
+
+def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
+    """Drag the handle at a joint along its x axis, as the camera of the browser shows it."""
+    (client,) = viewer.server.get_clients().values()
+    before = editor.pose
+    turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
+    focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
+
+    def seen(point: Array) -> Array:
+        own = turn.inv().apply(point - client.camera.position)
+        middle = [client.camera.image_width / 2, client.camera.image_height / 2]
+        return np.asarray(middle + focal * own[:2] / own[2])
+
+    hand = np.array(editor._hand.position)
+    tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
+    wait_until(lambda: viewer.pose is not None, "the drag", limit_s=60.0)
+    assert np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02
+    np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
+
+
 def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Editor, tmp_path: Path) -> None:
     viewer = editor.viewer
     part_of(viewer, "variants")
@@ -145,8 +183,18 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
             wait_for(viewer, "its people", lambda: narrow.run("!!document.querySelector('canvas')"))
             screenshot(narrow, "variants-narrow", tmp_path)
             assert narrow.errors == []
-        part_of(viewer, "draws")
+        part_of(viewer, "annotations")
         tab.click("Change and restart")
+        tab.click("change this pair")
+        wait_for(viewer, "the 2D poses", lambda: tab.run(f"!!({PICTURE})"))
+        joint, before = PAIR17.index("left_wrist"), viewer.scene.images(viewer.frame)[0]
+        drag_joint(tab, before, joint, away_px=60.0)
+        wait_for(viewer, "the drag", lambda: viewer.image_px is not None)
+        wait_for(viewer, "its end", lambda: abs(viewer.image_px - before.points_px)[0, joint, 0] > 57.0)
+        screenshot(tab, "annotations-corrected", tmp_path)
+        part_of(viewer, "draws")
+        wait_for(viewer, "the handle", lambda: editor._hand.visible)
+        drag_hand(tab, viewer, editor)
         tab.click("Restart chains from here")
         wait_for(viewer, "the restart", lambda: editor.process is not None)
         assert tab.errors == []

@@ -96,3 +96,28 @@ def test_annotation_noise_and_occlusion_have_the_stated_size() -> None:
     assert np.nanstd(marked.px) == pytest.approx(3.0, rel=0.05)
     clean = annotate(np.random.default_rng(4), exact)
     assert np.array_equal(clean.px, exact)
+
+
+def test_a_camera_is_located_by_the_points_that_it_sees() -> None:
+    rng = np.random.default_rng(5)
+    camera = look_at_camera(
+        np.array([0.2, 1.0, -0.3]),
+        distance_m=4.0,
+        yaw_rad=0.8,
+        pitch_rad=0.3,
+        focal_px=700.0,
+        image_size_px=(640, 480),
+    )
+    points = rng.normal([0.2, 1.0, -0.3], 0.6, (60, 3))
+    px = camera.project(points).px
+    px[:7] = np.nan
+    found = PinholeCamera.locate(
+        points,
+        px,
+        focal_px=700.0,
+        principal_point_px=camera.principal_point_px,
+        camera_from_world_rotmat=camera.camera_from_world_rotmat,
+        image_size_px=(640, 480),
+    )
+    np.testing.assert_allclose(found.position_m, camera.position_m, atol=1e-9)
+    assert found.image_size_px == (640, 480)

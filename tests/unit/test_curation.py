@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
-from flows.exports import export_reference
+from flows.exports import Export, export_reference
+from flows.exports.casts import _without_gaps
 from flows.reasons import changed_leaves
 from flows.study import load_study, study_from_record
 from flows.study_files import StudyError
 from flows.viewing.kinds import thing_of
 from flows.viewing.shelf import Shelf
 from pasdedeux.errors import InputError
-from storage_schema import ShardRecord, Store, open_table, record_latest
+from storage_schema import ShardRecord, Store, open_table, parse_reference, record_latest, resolve
 from tasks.augmentation import AugmentationParameters
 from tasks.augmentation import plan as plan_variants
 from tasks.augmentation import run_shard as solve
@@ -27,9 +29,10 @@ from tasks.curation import (
     read_choices,
     rejected_names,
     rejections,
+    without,
     write_choices,
 )
-from tasks.data import LOOK, PairDataset
+from tasks.data import LOOK, Data, PairDataset
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training.items import StoredVariants
@@ -186,6 +189,84 @@ def test_a_single_image_is_decided_by_itself_and_what_reads_it_knows(tmp_path: P
     choice = Choice("reject", "annotations", name, content)
     settings = as_settings({choice.about: choice})
     assert rejected_names(rejections(settings, "annotations"), [store.read(ref, "annotations")]) == {"b"}
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> tuple[Store, str]:
+    """Return a store with a reconstruction of six frames of two people, and its reference."""
+    store = Store(tmp_path / "store")
+    columns = random_columns("motions", 12) | {"sequence_id": ["video"] * 12, "method": ["fit"] * 12}
+    columns |= {"person_id": [0, 1] * 6, "frame": np.repeat(np.arange(3, 9), 2), "time_s": np.repeat(np.arange(6), 2)}
+    ref = put(store, "reconstruction", "video", {"motions": columns}, {}).ref
+    return store, f"motions@{ref.key}"
+
+
+def reject_clip(store: Store, reference: str, file: Path, frames: str) -> int:
+    words = ["curate", "reject", f"{reference}#0", "--frames", frames, "--reason", "foot lost"]
+    return run_command_line([*words, "--curation", str(file), "--store", str(store.root)])
+
+
+def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(video: tuple[Store, str], tmp_path: Path) -> None:
+    (store, reference), file = video, tmp_path / "choices.txt"
+    assert reject_clip(store, reference, file, "5-6") == 0
+    (choice,) = read_choices(file).values()
+    whole = open_table(reference, store)
+    inside = np.isin(whole["frame"], [5, 6])
+    assert choice == Choice("reject", "motions", "video/fit@5-6", content_of(whole["body22_m"][inside]), "foot lost")
+    assert (choice.frames, Choosing(file).clips("motions", "video/fit")) == ((5, 6), [choice])
+    assert Choosing(file).about("motions", "video/fit") is None, "the rest is undecided"
+    chosen = Data(store, file).table(reference, ["frame", "person_id"])
+    assert chosen["frame"].tolist() == [3, 3, 4, 4, 7, 7, 8, 8]
+    assert len(chosen.table.columns) == len(whole.table.columns)
+    export_reference(store, reference, "npz", tmp_path / "out", curation=file)
+    with np.load(tmp_path / "out" / "motions.npz") as found:
+        np.testing.assert_array_equal(found["body22_m"], whole["body22_m"][~inside])
+    write_choices(file, [replace(choice, content="0" * 12)])
+    assert Data(store, file).table(reference).num_rows == 12, "it had other content then"
+
+
+def test_what_lies_between_rejected_clips_is_a_motion_of_its_own(video: tuple[Store, str], tmp_path: Path) -> None:
+    (store, reference), file = video, tmp_path / "choices.txt"
+    for frames in ("5-5", "8-8"):
+        assert reject_clip(store, reference, file, frames) == 0
+    parsed = parse_reference(reference)
+    export = Export(store, reference, parsed, tuple(resolve(parsed, store)), choices=as_settings(read_choices(file)))
+    rows = without(store.read(export.refs[0], "motions"), export.left_out)
+    parts = [(*key, *clip, sorted(set(rows["frame"][own]))) for key, own, *clip in _without_gaps(rows)]
+    assert parts == [("video", "fit", "3-4", [3, 4]), ("video", "fit", "6-7", [6, 7])]
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        ("7-5", "video/fit has the frames 3 to 8; there is no clip 7-5"),
+        ("0-5", "video/fit has the frames 3 to 8; there is no clip 0-5"),
+        ("5", "--frames 5: a clip is FIRST-LAST"),
+    ],
+)
+def test_a_clip_that_is_not_there_is_refused(
+    video: tuple[Store, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], frames: str, said: str
+) -> None:
+    file = tmp_path / "choices.txt"
+    assert reject_clip(*video, file, frames) == 2
+    assert said in capsys.readouterr().err
+    assert not file.exists()
+
+
+def test_objects_for_python_leave_out_what_the_study_rejects(built: tuple[Store, StageInputs], tmp_path: Path) -> None:
+    store, _ = built
+    file = tmp_path / "choices.txt"
+    rejected(store, file)
+    everything, chosen = Data(store), Data(store, file)
+    assert {one.name for one in everything.variants("short")} - {one.name for one in chosen.variants("short")} == {
+        "waltz, A-uniform-0.80"
+    }
+    rows = chosen.table("variants:short", ["frame"])
+    assert rows.num_rows == 0.75 * open_table("variants:short", store).num_rows
+    assert [column.name for column in rows.rows.schema] == ["frame"]
+    assert chosen.table("takes:short").num_rows == 2, "of a table without things every row is there"
+    with pytest.raises(InputError, match="there is no file"):
+        Data(store, tmp_path / "misspelt.txt")
 
 
 def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(

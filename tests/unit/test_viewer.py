@@ -7,6 +7,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,16 +18,21 @@ from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
 from flows.viewing.bodies import Bodies, capsules, marks
+from flows.viewing.films import FilmReader, find_film
 from flows.viewing.images import encode, encode_clip, plot_curves
 from flows.viewing.kinds import qualities
-from flows.viewing.scene import Grid, People
+from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
+from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
 from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
 from storage_schema import Store, new_run
+from tasks.ingest.films import digest_of
+from tasks.stage import SourceFile
 from tests.builders.ingest_runs import duet_store
+from tests.builders.rendered_film import write_film
 from tests.builders.storage_rows import put, random_columns
 from tests.builders.toy_runs import wait_until
 
@@ -207,3 +213,95 @@ def test_a_curve_is_drawn_where_it_is_known_and_the_cursor_at_its_frame() -> Non
         assert len(columns)
         assert (columns < 5).all() if is_left else (columns > image.shape[1] - 5).all()
     assert not np.array_equal(plot_curves([curve], 0), plot_curves([curve[::-1]], 0))
+
+
+@pytest.mark.parametrize("size_px", [(640, 480), (100, 900), (1920, 1080)])
+def test_a_pixel_is_found_again_where_its_panel_shows_it(size_px: tuple[int, int]) -> None:
+    panel = Panel.of(Flat(PAIR17, np.zeros((2, 17, 2)), size_px, "a"), (640, 480))
+    points = np.random.default_rng(3).uniform(0.0, size_px, (20, 2))
+    np.testing.assert_allclose([panel.point(panel.place(one)) for one in points], points, atol=1e-9)
+    np.testing.assert_array_equal(panel.point(np.array([-50.0, 9999.0])), [0.0, size_px[1]])
+
+
+def dragged(viewer: Viewer, points_px: np.ndarray, *pointers: Pointer) -> list[Dragged]:
+    heard: list[Dragged] = []
+    with viewer.server.gui.add_folder("picture"):
+        picture = SidePicture(viewer.server.gui)
+    picture.chosen = 1, 3
+    picture.show([Flat(PAIR17, points_px, (640, 460), "a")])
+    picture.point(pointers[0])
+    assert not heard, "nothing can be dragged yet"
+    picture.on_drag = heard.append
+    for pointer in pointers:
+        picture.point(pointer)
+    return heard
+
+
+def test_the_nearest_joint_follows_the_pointer_until_it_is_let_go(viewer: Viewer) -> None:
+    points = np.full((2, 17, 2), np.nan)
+    points[0, 4], points[1, 9] = (100.0, 100.0), (120.0, 100.0)
+    moves = [Pointer("down", 117 / 640, 120 / 480), Pointer("move", 300 / 640, 220 / 480)]
+    moves += [Pointer("up", 320 / 640, 220 / 480), Pointer("move", 0.9, 0.9)]
+    heard = dragged(viewer, points, *moves)
+    assert [(one.person, one.joint, one.is_last) for one in heard] == [(1, 9, False), (1, 9, False), (1, 9, True)]
+    np.testing.assert_allclose(heard[-1].point_px, [320.0, 200.0])
+
+
+def test_a_click_far_from_every_joint_places_the_one_that_is_chosen(viewer: Viewer) -> None:
+    heard = dragged(viewer, np.full((2, 17, 2), np.nan), Pointer("down", 0.5, 0.5), Pointer("up", 0.5, 0.5))
+    assert [(one.person, one.joint) for one in heard] == [(1, 3), (1, 3)]
+    np.testing.assert_allclose(heard[-1].point_px, [320.0, 220.0])
+
+
+def test_the_pointer_is_heard_from_the_page_alone(viewer: Viewer) -> None:
+    def status(path: str, **headers: str) -> int:
+        with closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=20.0)) as asked:
+            asked.request("GET", path, headers=headers)
+            return asked.getresponse().status
+
+    heard: list[Pointer] = []
+    viewer.side.point, plain = heard.append, viewer.side.point  # type: ignore[method-assign]
+    try:
+        own = {"X-Pointer": "1"}
+        assert status("/pointer/down/0.25/0.50000") == 404, "a page elsewhere cannot send this header"
+        assert status("/pointer/down/0.25/0.5", Origin="http://elsewhere.example", **own) == 403
+        assert status("/pointer/press/0.25/0.5", **own) == 404
+        assert status("/pointer/down/0.25/-0.5", **own) == 204
+        wait_until(lambda: bool(heard), "the pointer", limit_s=20.0)
+    finally:
+        viewer.side.point = plain  # type: ignore[method-assign]
+    assert heard == [Pointer("down", 0.25, -0.5)]
+
+
+def grey_film(path: Path, count: int) -> Path:
+    """Write a film whose frames are grey, each by its number."""
+    return write_film(path, [np.full((48, 64, 3), 6 * number, dtype=np.uint8) for number in range(count)])
+
+
+def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.viewing.films._NUM_KEPT", 8)
+    monkeypatch.setattr("flows.viewing.films._NUM_BEFORE", 4)
+    path = grey_film(tmp_path / "grey.avi", 40)
+    film = FilmReader((SourceFile(path=str(path), sha256=""),), 0, 0, None)
+    for number in (0, 1, 38, 36, 3, 39, 20, 21):
+        image = film.image(number)
+        assert image is not None
+        assert abs(float(image.mean()) - 6 * number) < 2.5, number
+    assert film.image(40) is None
+    assert film.image(4) is not None, "after its end it is read again"
+
+
+def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path) -> None:
+    path = grey_film(tmp_path / "grey.avi", 5)
+    told = {"num_given": 1, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
+    files = (("keys.csv", "0" * 64), (path.name, digest_of(path)))
+    manifest = SimpleNamespace(parameters=told, files=files)
+    ingest = {"videos": [{"id": "grey", "path": str(path)}]}
+    found = find_film(manifest, ingest)  # type: ignore[arg-type]
+    assert isinstance(found, FilmReader)
+    assert found.image(4) is not None
+    manifest.files = (files[0], (path.name, "1" * 64))
+    for sections in (ingest, {}):
+        assert str(find_film(manifest, sections)) == (  # type: ignore[arg-type]
+            "its film grey.avi is not where the study says, or has changed since"
+        )

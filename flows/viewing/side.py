@@ -1,0 +1,181 @@
+"""The picture beside the 3D: 2D poses, over the image they were seen in where there is one; joints can be dragged.
+
+A page tells the pointer over such a picture as shares of its size (`server.py`), so it may be shown at any size, as in
+the window that opens when it is enlarged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from flows.viewing.bodies import rgb
+from flows.viewing.scene import Flat
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
+
+DRAG_LABEL = "2D: drag a joint"
+"""What stands over the picture while joints can be dragged; the script in the page knows the picture by it."""
+PAPER = 250
+_INK = (60, 60, 60)
+_SIZE, _IMAGE_SIZE, _SMALL_SIZE = (640, 480), (960, 720), (320, 240)
+"""Largest panel of 2D poses alone, of an image, and of one of several."""
+_TITLE_PX = 20
+_REACH = 0.04
+"""A joint is taken hold of from so near, as a share of the panel's width."""
+
+
+@dataclass(frozen=True)
+class Pointer:
+    """Where a pointer is, as shares of the picture's width and height, and what it does."""
+
+    phase: Literal["down", "move", "up"]
+    across: float
+    down: float
+
+
+@dataclass(frozen=True)
+class Dragged:
+    """A joint that is dragged: whose, which, and to where, (2,) pixels of the image; and whether it was let go."""
+
+    person: int
+    joint: int
+    point_px: Array
+    is_last: bool
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Where the image of some 2D poses stands in the picture: its corner and size, and pixels for each of its own."""
+
+    corner: Array
+    size: Array
+    scale: float
+
+    @classmethod
+    def of(cls, flat: Flat, largest: tuple[int, int]) -> Panel:
+        """Return the panel of 2D poses, as large as fits below a title."""
+        scale = min(largest[0] / flat.size_px[0], (largest[1] - _TITLE_PX) / flat.size_px[1])
+        size = scale * np.array(flat.size_px)
+        return cls(np.array([(largest[0] - size[0]) / 2, _TITLE_PX]), size, scale)
+
+    def place(self, points_px: Array) -> Array:
+        """Return where pixels of the image (..., 2) are in the picture."""
+        return np.asarray(self.corner + self.scale * points_px)
+
+    def point(self, placed: Array) -> Array:
+        """Return the pixel of the image (2,) at a place of the picture, the nearest one where that is outside."""
+        return np.asarray(np.clip((placed - self.corner) / self.scale, 0.0, self.size / self.scale))
+
+
+class SidePicture:
+    """The picture in the panel; joints of its first 2D poses can be dragged while `on_drag` is set.
+
+    Args:
+        gui: The panel of the viewer.
+    """
+
+    def __init__(self, gui: Any) -> None:
+        self._handle = gui.add_image(flat_picture([]), label=None, visible=False)
+        self._on_drag: Callable[[Dragged], None] | None = None
+        self._flats: Sequence[Flat] = ()
+        self._held: tuple[int, int] | None = None
+        self.chosen: tuple[int, int] | None = None
+        """Person and joint that a click far from every joint places."""
+
+    @property
+    def on_drag(self) -> Callable[[Dragged], None] | None:
+        """What hears of joints that are dragged; nothing can be dragged where it is None."""
+        return self._on_drag
+
+    @on_drag.setter
+    def on_drag(self, heard: Callable[[Dragged], None] | None) -> None:
+        self._on_drag = heard
+        label = None if heard is None else DRAG_LABEL
+        if self._handle.label != label:
+            self._handle.label = label
+
+    def show(self, flats: Sequence[Flat]) -> None:
+        """Draw 2D poses, or nothing where there are none."""
+        self._flats = flats
+        if flats:
+            self._handle.image = flat_picture(flats)
+        if self._handle.visible is not bool(flats):
+            self._handle.visible = bool(flats)
+
+    def point(self, pointer: Pointer) -> None:
+        """Take hold of the joint under a pointer, drag it, or let it go."""
+        if self._on_drag is None or not self._flats:
+            self._held = None
+            return
+        flat, size = self._flats[0], picture_size(self._flats)
+        panel = Panel.of(flat, size)
+        height, width = self._handle.image.shape[:2]
+        placed = np.array([pointer.across * width, pointer.down * height])
+        if pointer.phase == "down":
+            self._held = joint_at(flat, panel, placed, _REACH * size[0]) or self.chosen
+        if self._held is not None:
+            self._on_drag(Dragged(*self._held, panel.point(placed), is_last=pointer.phase == "up"))
+        if pointer.phase == "up":
+            self._held = None
+
+
+def joint_at(flat: Flat, panel: Panel, placed: Array, reach: float) -> tuple[int, int] | None:
+    """Return person and joint of 2D poses that are nearest to a place of the picture, None where none is in reach."""
+    away = np.linalg.norm(panel.place(flat.points_px) - placed, axis=-1)
+    if not (np.nan_to_num(away, nan=np.inf) <= reach).any():
+        return None
+    person, joint = np.unravel_index(int(np.nanargmin(away)), away.shape)
+    return int(person), int(joint)
+
+
+def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
+    """Return width and height of a panel of a picture of these 2D poses: one by itself is as high as its image."""
+    if len(flats) != 1:
+        return _SMALL_SIZE
+    width, height = _SIZE if flats[0].image is None else _IMAGE_SIZE
+    return width, min(height, int(width * flats[0].size_px[1] / flats[0].size_px[0]) + _TITLE_PX + 1)
+
+
+def flat_picture(flats: Sequence[Flat]) -> Array:
+    """Return 2D poses as one image (height, width, 3), RGB, two panels in a row."""
+    size = picture_size(flats)
+    panels = [_drawn(flat, size) for flat in flats] or [_paper(size)]
+    if len(panels) > 1:
+        if len(panels) % 2:
+            panels.append(_paper(size))
+        panels = [np.hstack(panels[row : row + 2]) for row in range(0, len(panels), 2)]
+    return np.vstack(panels)
+
+
+def _paper(size: tuple[int, int]) -> Any:
+    return np.full((*size[::-1], 3), PAPER, dtype=np.uint8)
+
+
+def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
+    """Return a panel: the image or an empty frame, the bones of each person, and the title."""
+    import cv2
+
+    panel, image = Panel.of(flat, size), _paper(size)
+    (left, top), (right, bottom) = np.round(panel.corner).astype(int), np.round(panel.corner + panel.size).astype(int)
+    seen = None if flat.image is None else flat.image()
+    if seen is None:
+        cv2.rectangle(image, (left, top), (right, bottom), (200, 200, 200), 1)
+    else:
+        image[top:bottom, left:right] = cv2.resize(seen, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+    thick = max(2, size[0] // 280)
+    for person, points in enumerate(flat.points_px):
+        colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
+        placed = panel.place(points)
+        for parent, child in flat.skeleton.bones:
+            if np.isfinite(placed[[parent, child]]).all():
+                start, end = (list(map(int, placed[joint] * 8)) for joint in (parent, child))
+                shade = shade_of(flat.skeleton.joint_names[child])
+                cv2.line(image, start, end, (shade * colour).tolist(), thick, cv2.LINE_AA, 3)
+    font = 0.55 if size == _SMALL_SIZE else 0.6
+    title = flat.title[: int(0.06 * size[0] / font)]
+    cv2.putText(image, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, _INK, 1, cv2.LINE_AA)
+    return image

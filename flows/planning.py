@@ -125,7 +125,8 @@ class StagePlan:
     @property
     def pending_reason(self) -> str:
         """Return what the stage waits for, in words."""
-        return f"depends on {', '.join(self.pending_on)}; rebuilt only if its bytes change"
+        when = "rebuilt only if its bytes change" if self.last_partitions else "never built"
+        return f"depends on {', '.join(self.pending_on)}; {when}"
 
     @property
     def empty_reason(self) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -87,10 +88,15 @@ class RemoteStore:
         self._put(path, data)
 
     def create(self, path: str, data: bytes) -> bool:
-        """Put a new file; false where there is one already, which stays."""
+        """Put a new file; false where there is another one already, which stays.
+
+        One with these bytes is this: an answer that was lost is asked for again.
+        """
         try:
             self._put(path, data, mode="create")
         except FileExistsError:
+            with suppress(FileNotFoundError):  # taken away since
+                return self.read(path) == data
             return False
         return True
 
@@ -109,7 +115,10 @@ class RemoteStore:
         That other one may be this: an answer that was lost is asked for again.
         """
         try:
-            return str(self._asked(f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}))["e_tag"])
+            put = self._asked(
+                f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}), is_conditional=True
+            )
+            return str(put["e_tag"])
         except (PreconditionError, FileNotFoundError):
             return None
 
@@ -152,11 +161,12 @@ class RemoteStore:
 
     def _put(self, path: str, data: bytes | Path, mode: Literal["overwrite", "create"] = "overwrite") -> None:
         try:
-            self._asked(f"write {path}", lambda: self._store.put(path, data, mode=mode))
+            is_new = mode == "create"
+            self._asked(f"write {path}", lambda: self._store.put(path, data, mode=mode), is_conditional=is_new)
         except FileNotFoundError:
             raise RemoteError(f"{self.url}: cannot write {path}: there is no such bucket") from None
 
-    def _asked(self, what: str, ask: Callable[[], T]) -> T:
+    def _asked(self, what: str, ask: Callable[[], T], *, is_conditional: bool = False) -> T:
         for left in reversed(range(_MAX_RETRIES)):
             try:
                 return ask()
@@ -167,8 +177,10 @@ class RemoteStore:
             except PreconditionError:
                 raise
             except BaseError as error:
-                # A list that was cut off is the one thing that the client does not ask for again.
-                if left == 0 or "response body" not in str(error):
+                # What the client does not ask for again: a list that was cut off, and a conditional write that was not
+                # answered in time, which may have been done.
+                is_lost = "response body" in str(error) or (is_conditional and "sending request" in str(error))
+                if left == 0 or not is_lost:
                     raise self._refused(what, error) from None
         raise AssertionError
 

@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons import COUNTED17, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
 from tasks.facts import SequenceFacts
 from tasks.stage import StageInputs
@@ -31,7 +31,7 @@ class Place(NamedTuple):
 
 PLACE_COLUMNS = Place._fields
 MIN_SEEN = 10
-"""Joints of the two people that an annotation must show to be lifted."""
+"""Joints of the two people, of 28, that an annotation must show to be lifted."""
 People = dict[int, np.ndarray]
 """Joints of a pair in a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
 
@@ -66,6 +66,11 @@ class SeenPair:
     def is_seen(self) -> np.ndarray:
         """Which joints are seen, (2, 17)."""
         return np.asarray(np.isfinite(self.image_m).all(axis=-1))
+
+    @property
+    def num_seen(self) -> int:
+        """How many joints are seen, of the 28 that are no means of others."""
+        return int(self.is_seen[:, COUNTED17].sum())
 
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
@@ -167,7 +172,7 @@ def read_seen_pairs(
         image = pair_in_metres(pair_px, np.asarray(scale[rows[0]], dtype=np.float64))
         directions = np.asarray(direction, dtype=np.float64)[rows]
         one = SeenPair(place, image, directions, hypothesis[rows], place not in learned)
-        if one.is_seen.sum() >= MIN_SEEN:
+        if one.num_seen >= MIN_SEEN:
             found[place] = one
     return found, len(people) - len(found)
 

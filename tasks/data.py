@@ -32,8 +32,8 @@ from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows, find_contact_rows
 from tasks.curation import IDENTITY, choices_for, choices_in, content_columns, names_left_out, rows_without
-from tasks.facts import TakeFacts, VariantFacts
-from tasks.takes import read_take, take_of
+from tasks.facts import TakeFacts
+from tasks.takes import read_take, read_variants, take_of
 from tasks.training.items import interaction_of
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Clip:
     store: Store = field(repr=False)
     source: Clip | None = None
     part: Manifest | None = field(default=None, repr=False)
-    rows: slice | None = field(default=None, repr=False)
+    index: int | None = field(default=None, repr=False)
     verdict: str = ""
 
     unit, up_axis, skeleton = UNIT, UP_AXIS, BODY22
@@ -111,9 +111,7 @@ class Clip:
         """Positions (frame, person, joint, 3)."""
         if self.part is None:
             return self._source.positions_m
-        count = TakeFacts.of(self.take).num_persons
-        motion = self.store.read(self.part.ref, "variants", columns=["body22_m"], rows=self.rows)["body22_m"]
-        return np.asarray(motion.reshape(-1, count, *motion.shape[1:]), dtype=np.float64)
+        return read_variants(self.store, self.part.ref, self.index)[0].astype(np.float64)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.array(self.positions_m, dtype=dtype)
@@ -300,12 +298,9 @@ class Data:
             part = self.store.manifest(ref)
             take = take_of(self.store, ref)
             source = takes.setdefault(take, self._take(take))
-            sizes = self.store.read(ref, "variant_quality", columns=["variant_id", "num_frames", "verdict"])
-            count, first = VariantFacts.of(part).num_persons, 0
-            for name, frames, verdict in zip(*(sizes[one] for one in sizes), strict=True):
-                rows = slice(first, first + count * int(frames))
-                first = rows.stop
-                yield Clip(f"{source.name}, {name}", source.take, self.store, source, part, rows, str(verdict))
+            quality = self.store.read(ref, "variant_quality", columns=["variant_id", "verdict"])
+            for index, (name, verdict) in enumerate(zip(*(quality[one] for one in quality), strict=True)):
+                yield Clip(f"{source.name}, {name}", source.take, self.store, source, part, index, str(verdict))
 
 
 SplitName = Literal["train", "validation", "test"]

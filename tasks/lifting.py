@@ -33,7 +33,7 @@ from tasks.projections import ProjectionsParameters
 from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
-LIFTING = StageName("lifting", 8)
+LIFTING = StageName("lifting", 9)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -202,7 +202,7 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     return {
         **one.place._asdict(),
         "method": method,
-        "num_joints_seen": int(one.is_seen.sum()),
+        "num_joints_seen": one.num_seen,
         "residual_m": image_residual(pair_m, one.image_m),
         "draw": None,
         "hypothesis": None,
@@ -390,6 +390,6 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="annotations lifted to 3D by the draws that look like them",
-    needs="annotations of two people ([[ingest.annotations]]), and draws of a density "
+    needs="annotations of two people ([[ingest.annotations]], [[ingest.videos]]), and draws of a density "
     "beside prior_only (chains.densities) or grown pairs (seeds.num_grown)",
 )

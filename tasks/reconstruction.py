@@ -307,7 +307,7 @@ STAGE = Stage(
     run_shard=run_shard,
     check_study=check_study,
     meaning="Reconstructs 3D motions of annotated people from the projection database",
-    needs="videos ([[ingest.annotations]], or ingest.virtual_video.num_videos of takes that "
+    needs="videos ([[ingest.annotations]], [[ingest.videos]], or ingest.virtual_video.num_videos of takes that "
     "ingest.held_out names; reconstruction.sequences), and projections of other takes or of "
     "draws (projections.include_draws)",
 )

@@ -10,7 +10,7 @@ from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.objects import MovingObjects
 from storage_schema import ArtifactRef, Store
-from tasks.facts import TakeFacts
+from tasks.facts import TakeFacts, VariantFacts
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,27 @@ def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.n
 def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
     """Return the artifact with the take that variants were made from."""
     return next(one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables)
+
+
+def read_variants(store: Store, ref: ArtifactRef, index: int | None = None) -> np.ndarray:
+    """Return the motions of the variants of an artifact (variant, frame, person, 22, 3), float32, or one of them alone.
+
+    They stand in the order of its `variant_quality`.  To read all at once is as fast as to read one: groups of rows
+    hold several.
+
+    Raises:
+        InputError: They do not have the frames of their take.
+    """
+    facts = VariantFacts.of(store.manifest(ref))
+    size = facts.num_frames * facts.num_persons
+    rows = None if index is None else slice(index * size, (index + 1) * size)
+    motions = store.read(ref, "variants", columns=["body22_m"], rows=rows)["body22_m"]
+    if not size or len(motions) % size:
+        raise InputError(
+            f"the variants of take {facts.take_id} do not have {facts.num_frames} frames of {facts.num_persons} "
+            "people; build them again with --force"
+        )
+    return np.asarray(motions.reshape(-1, facts.num_frames, facts.num_persons, *motions.shape[1:]))
 
 
 def read_rest(store: Store, ref: ArtifactRef) -> np.ndarray:

@@ -173,6 +173,6 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="view hypotheses of annotated pairs",
-    needs="annotations of two people ([[ingest.annotations]], or ingest.virtual_video of takes of two people)",
+    needs="annotations of two people ([[ingest.annotations]], [[ingest.videos]], or ingest.virtual_video)",
     early=(EarlyPlan(plan, reads=("torso_basis",), each=("annotations",)),),
 )

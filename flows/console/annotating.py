@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from flows.console.context import say
 from flows.console.display import format_table
-from flows.exports.export_format import write_text
+from flows.exports.export_format import write_film, write_text
 from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import AnnotatedShot, frames_to_correct
@@ -109,7 +109,9 @@ def annotate_film(
         if cells:
             _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
     if overlay is not None:
-        _write_film(overlay, (image for one, shot in made for image in _drawn(one, shot, has_faces)), made[0][1])
+        overlay.parent.mkdir(parents=True, exist_ok=True)
+        drawn = (image for one, shot in made for image in _drawn(one, shot, has_faces))
+        write_film(overlay, drawn, made[0][1].frames.rate_hz or 30.0)
     typer.echo(f"written: {target}", err=True)
 
 
@@ -147,21 +149,3 @@ def _write_image(path: Path, image: Image) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.suffix or not cv2.imwrite(str(path), image):
         raise InputError(f"{path} cannot be written; images are .jpg or .png")
-
-
-def _write_film(path: Path, images: Iterator[Image], shot: AnnotatedShot) -> None:
-    import cv2  # here: a quarter of a second that other commands need not wait for
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    first = next(images)
-    writer = cv2.VideoWriter(
-        str(path), cv2.VideoWriter.fourcc(*"mp4v"), shot.frames.rate_hz or 30.0, first.shape[1::-1]
-    )
-    if not writer.isOpened():
-        raise InputError(f"{path} cannot be written; films are .mp4 or .avi")
-    try:
-        writer.write(first)
-        for image in images:
-            writer.write(image)
-    finally:
-        writer.release()

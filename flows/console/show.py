@@ -153,7 +153,10 @@ def export(
     say(map(str, written))
     from tasks.data import LOOK, Data, player_page  # here: half of the science, which `show` need not wait for
 
-    if pictures := Data(opened, curation).pictures(reference):
+    data = Data(opened, curation)
+    if left_out := data.left_out(reference):
+        typer.echo(f"left out, as somebody rejected it: {len(left_out)} of {parse_reference(reference).table}")
+    if pictures := data.pictures(reference):
         (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
         typer.echo(f"look at it: {out / LOOK}")
 

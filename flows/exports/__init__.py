@@ -137,9 +137,10 @@ def export_selection(
     kept = [at for at in range(rows.num_rows) if not _is_rejected(rows.row(at), choices)]
     if not kept:
         raise InputError(_ALL_REJECTED.format(text))
-    rows = TableData(made, rows.rows.take(kept))
-    export = Export(store, text, replace(reference, table=made.name), found.refs, selected=rows, **options)
-    return _written(export, kind, out), found.in_words()
+    chosen = TableData(made, rows.rows.take(kept))
+    export = Export(store, text, replace(reference, table=made.name), found.refs, selected=chosen, **options)
+    rejected = f"; {rows.num_rows - len(kept)} of them left out, as rejected" if len(kept) < rows.num_rows else ""
+    return _written(export, kind, out), found.in_words() + rejected
 
 
 def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:

@@ -16,7 +16,6 @@ import numpy as np
 from flows.exports.export_format import Export, RestPose
 from flows.exports.own_skeletons import Person, people_of_take, rig_of
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.own_skeleton import OwnSkeleton
 from pasdedeux.formats.positions_as_motion import motion_from_positions
@@ -32,9 +31,9 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.references import find_rows
 from tasks.curation import IDENTITY, rows_without, without
-from tasks.facts import MotionFacts, PeopleFacts, TakeFacts
+from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
 from tasks.stage import verdict_of
-from tasks.takes import read_motion, take_of
+from tasks.takes import read_motion, read_variants, take_of
 
 MOVING = ("poses", "variants", "motions")
 """Tables of whole motions."""
@@ -222,27 +221,22 @@ def _take(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     store = export.store
     people = people_of_take(store, take_of(store, ref))
-    quality = store.read(ref, "variant_quality", columns=["take_id", "variant_id", "bone_scale", "verdict"])
-    rows = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "body22_m"])
-    places = {key: part[0] for key, part in groups(quality, "take_id", "variant_id")}
-    for key, part in groups(rows, "take_id", "variant_id"):
-        each = [rows["body22_m"][part[rows["person"][part] == person]] for person in range(len(people))]
-        num_frames = people[0].own.motion.num_frames
-        if {len(one) for one in each} != {num_frames}:
-            raise InputError(f"variant {key[1]} of take {key[0]} does not have the {num_frames} frames of its take")
-        positions, place = np.stack(each, axis=1).astype(np.float64), places[key]
-        scale = np.asarray(quality["bone_scale"][place]).reshape(len(people), -1)
+    take_id = VariantFacts.of(store.manifest(ref)).take_id
+    quality = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
+    motions = read_variants(store, ref)
+    for name, scale, verdict, motion in zip(*(quality[one] for one in quality), motions, strict=True):
+        positions = motion.astype(np.float64)
 
         def rigs(rest_pose: RestPose, positions_m: Array = positions, scales: Array = scale) -> list[Rig]:
-            found = zip(people, np.moveaxis(positions_m, 1, 0), scales, strict=True)
+            found = zip(people, np.moveaxis(positions_m, 1, 0), scales.reshape(len(people), -1), strict=True)
             return [_own_rig(one, one.own.retargeted(to_m, by), to_m, rest_pose) for one, to_m, by in found]
 
         yield Cast(
-            key,
+            (take_id, str(name)),
             BODY22,
             positions,
             people[0].own.motion.rate_hz,
-            Level(quality["verdict"][place]),
+            Level(verdict),
             ref=ref,
             make_rigs=rigs,
         )

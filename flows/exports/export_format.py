@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
@@ -151,6 +151,33 @@ def write_units(out: Path, said: Iterable[str], lines: Mapping[str, str]) -> Pat
     known = {found["name"]: line for line in before[2].splitlines() if (found := _LINE.match(line))}
     each = known | {name: f"{name}: {line}" for name, line in lines.items()}
     return write_text(path, "\n".join([*sentences, "", *(each[name] for name in sorted(each))]) + "\n")
+
+
+def write_film(path: Path, images: Iterable[Any], rate_hz: float) -> Path:
+    """Write images (height, width, 3), BGR, as a film and return its path; one that fails leaves nothing there.
+
+    Raises:
+        InputError: Films of this name or size cannot be written here.
+    """
+    import cv2  # here: a quarter of a second that others need not wait for
+
+    part, video = path.with_name(f".part-{path.name}"), None
+    try:
+        for image in images:
+            height, width = (length - length % 2 for length in image.shape[:2])
+            if video is None:
+                video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (width, height))
+                if not video.isOpened():
+                    raise InputError(f"no film of {width} x {height} can be written as {path}; films are .mp4 or .avi")
+            video.write(image[:height, :width])
+        if video is not None:
+            video.release()
+            part.replace(path)
+    finally:
+        if video is not None:
+            video.release()
+        part.unlink(missing_ok=True)
+    return path
 
 
 def write_text(path: Path, text: str) -> Path:

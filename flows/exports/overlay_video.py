@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,17 +10,19 @@ import numpy as np
 
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import ANNOTATED, Cast, Seen, casts, holds_poses
-from flows.exports.export_format import VERDICT, Export, ExportFormat
+from flows.exports.export_format import VERDICT, Export, ExportFormat, write_film
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, named
 from storage_schema import Store
 from tasks.facts import PeopleFacts
-from tasks.ingest.films import open_film, read_film
+from tasks.ingest.films import open_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))
 """Blue, green, red; person A first."""
 _MARGIN_PX, _LARGEST_PX = 40, 4096
+_FAR = 250
+"""An image so many frames ahead is sought; the next ones are read."""
 _STILLS_HZ = 2.0
 """Rate at which frames are shown that do not follow each other in time."""
 _SAID = [
@@ -35,7 +36,8 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     files = CastFiles(export, out, _SAID)
     for cast in casts(export):
         if cast.seen is not None:
-            _draw(export, cast, cast.seen, files.path(cast, suffix=".mp4"))
+            path, rate_hz = files.path(cast, suffix=".mp4"), _STILLS_HZ if cast.labels else cast.rate_hz
+            write_film(path, _drawn(export, cast, cast.seen), rate_hz)
     if not (written := files.close()):
         raise InputError(f"'{export.text}' holds stills only: there is no video to draw on")
     return written
@@ -49,28 +51,20 @@ FORMAT = ExportFormat(
 )
 
 
-def _draw(export: Export, cast: Cast, seen: Seen, path: Path) -> None:
-    """Write the video of one cast."""
-    import cv2  # here: a quarter of a second that other formats do not need
-
+def _drawn(export: Export, cast: Cast, seen: Seen) -> Iterator[Any]:
+    """Yield the images of the video of one cast."""
     given_px, is_given, size, placed_hz = _annotation(export.store, cast, seen)
     blank = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
     frames = (lambda _: blank) if export.footage is None else Footage(export.footage, placed_hz)
-    first, rate_hz = frames(seen.frames[0]), _STILLS_HZ if cast.labels else cast.rate_hz
-    height, width = (length - length % 2 for length in first.shape[:2])
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (width, height))
-    if not video.isOpened():
-        raise InputError(f"{path.name}: no video of {width} x {height} can be written here")
-    thick = max(2, height // 240)
     for at, frame in enumerate(seen.frames):
-        image = frames(frame)[:height, :width].copy()
+        image = frames(frame).copy()
+        thick = max(2, image.shape[0] // 240)
         found_px = _laid_on(seen.positions_m[at], given_px[at], is_given[at], together=seen.is_pair)
         for person in range(len(found_px)):
             grey = np.where(is_given[at, person][:, None], given_px[at, person], np.nan)
             _bones(image, grey, seen, _GREY, thick)
             _bones(image, found_px[person], seen, _COLOURS[person % len(_COLOURS)], thick)
-        video.write(image)
-    video.release()
+        yield image
 
 
 def _bones(image: Any, points_px: Array, seen: Seen, colour: tuple[int, int, int], thick: int) -> None:
@@ -132,7 +126,7 @@ def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tup
 
 
 class Footage:
-    """The images of a film by the frames of its annotations, streamed: an earlier frame begins it again.
+    """The images of a film by the frames of its annotations, streamed: an earlier frame is sought.
 
     Args:
         path: The film, or a folder of numbered images.
@@ -145,24 +139,20 @@ class Footage:
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         with named("footage"):
             self._film = open_film(path)
-        self._name, self._rate_hz = path.name, rate_hz
-        self._begin()
-
-    def _begin(self) -> None:
-        self._images = self._numbered()
-        self._now, self._next = next(self._images), next(self._images, None)
-
-    def _numbered(self) -> Iterator[tuple[int, Any]]:
-        """Yield the images, each with the first frame that it shows."""
-        for number, one in enumerate(read_film(self._film.files), start=self._film.first_number):
-            yield number if self._rate_hz is None else math.ceil(one.time_s * self._rate_hz - 1e-3), one.image
+        self._name, count = path.name, self._film.num_frames
+        # The first frame that each image shows.
+        own = self._film.first_number + np.arange(count)
+        self._shown = own if rate_hz is None else np.ceil(np.array(self._film.times_s) * rate_hz - 1e-3).astype(int)
+        self._at = count
+        self._image: Any = None
 
     def __call__(self, frame: int) -> Any:
         """Return the image of a frame; an InputError says that there is none."""
-        if frame < self._now[0]:
-            self._begin()
-        while self._next is not None and self._next[0] <= frame:
-            self._now, self._next = self._next, next(self._images, None)
-        if frame < self._now[0] or (self._next is None and frame > self._now[0]):
+        wanted = int(np.searchsorted(self._shown, frame, side="right")) - 1
+        if wanted < 0 or frame > self._shown[-1]:
             raise InputError(f"footage {self._name} has no frame {frame}: it is not the video of these annotations")
-        return self._now[1]
+        if not self._at <= wanted < self._at + _FAR:
+            self._images, self._at = self._film.read(wanted), wanted - 1
+        while self._at < wanted:
+            self._image, self._at = next(self._images).image, self._at + 1
+        return self._image

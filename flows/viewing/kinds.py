@@ -225,7 +225,7 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
             truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
 
     def say(frame: int) -> list[str]:
-        return [" ".join(map(str, places[frame])), f"{data['num_joints_seen'][frame]} of 34 joints seen"]
+        return [" ".join(map(str, places[frame])), f"{data['num_joints_seen'][frame]} of 28 joints seen"]
 
     return Scene(
         people,

@@ -64,8 +64,9 @@ def contact_sheet(images: Sequence[Image], titles: Sequence[str], *, num_columns
     sheet = np.full((rows * cell[1], columns * cell[0], 3), 255, dtype=np.uint8)
     for index, (image, title) in enumerate(zip(images, titles, strict=True)):
         small = cv2.resize(image, cell, interpolation=cv2.INTER_AREA)
-        for colour, width_px in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-            cv2.putText(small, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, width_px, cv2.LINE_AA)
+        for right, down, level in ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, 255)):  # white on its shadow
+            at, colour = (6 + right, 16 + down), (level, level, level)
+            cv2.putText(small, title, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
         y, x = (index // columns) * cell[1], (index % columns) * cell[0]
         sheet[y : y + cell[1], x : x + cell[0]] = small
     return sheet

@@ -17,6 +17,7 @@ from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.bandwidth import SAME_MOMENT, LeaveOneOut, leave_one_out
+from pasdedeux.skeletons import COUNTED17
 
 MIN_CANDIDATES = 20
 """Annotations a view is compared with even when none is within the view bandwidth."""
@@ -29,11 +30,11 @@ MIN_SEEN_SHARE = 0.5
 def shows_enough(points: Array) -> npt.NDArray[np.bool_]:
     """Return which annotations (*batch, person=2, joint=17, 2) show enough; NaN where a joint is not seen.
 
-    Half of all joints, and of each person the four of the torso that a view needs.
+    Half of the joints that count (`COUNTED17`), and of each person the four of the torso that a view needs.
     """
     is_seen = np.asarray(np.isfinite(points).all(axis=-1))
     has_torsos = (is_seen[..., TORSO_INDICES].sum(axis=-1) >= MIN_TORSO_JOINTS).all(axis=-1)
-    return np.asarray(has_torsos & (is_seen.mean(axis=(-1, -2)) >= MIN_SEEN_SHARE))
+    return np.asarray(has_torsos & (is_seen[..., COUNTED17].mean(axis=(-1, -2)) >= MIN_SEEN_SHARE))
 
 
 def is_left_out(

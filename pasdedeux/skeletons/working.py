@@ -28,6 +28,9 @@ PAIR17 = Skeleton.of_tree(
 )
 """The skeleton of lifting by sampling: 1 root and 16 joints (Yin et al. 2018, section 3)."""
 
+COUNTED17 = [at for at, name in enumerate(PAIR17.joint_names) if name not in ("pelvis", "spine", "chest")]
+"""Joints of pair17 that count as seen; the others are means of these wherever a detector saw them."""
+
 OP14 = Skeleton.of_tree(
     "op14",
     {

@@ -23,7 +23,7 @@ LIFTED_PAIRS = Table(
             "completed (joints not seen from the draws nearest in D_I), over_time (with other frames of the video, one "
             "camera for all), or a baseline: mean_pair, lifting, lifting_ik, naive_sampling",
         ),
-        integer("num_joints_seen", "Joints of the two people that were seen, of 34"),
+        integer("num_joints_seen", "Joints of the two people that were seen, of 28: without pelvis, spine and chest"),
         float64("residual_m", "Root mean square distance of the joints seen from the image", unit="m"),
         text("draw", "Reference of the nearest draw; null for baselines", is_nullable=True),
         integer("hypothesis", "View hypothesis under which that draw was seen; null for baselines", is_nullable=True),

@@ -20,6 +20,7 @@ from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
 from pasdedeux.sampling.annotations import is_left_out
+from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
@@ -43,7 +44,7 @@ _SHEET_IMAGES, _CLIP_IMAGES = 8, 30
 MAX_NAMED_FILES = 20
 """Skipped files that are named, of any number."""
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
-"""Share of the joints of pair17 that are seen: below the first a source is doubted, below the second useless."""
+"""Share of the joints that count which are seen: below the first a source is doubted, below the second useless."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
         ),
         attachments=_attachments(parameters, shard.files, resolved),
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
-        verdict=_verdict(pair17.confidence > 0, len(frames.skipped), len(shard.files)),
+        verdict=_verdict(pair17.confidence[:, COUNTED17] > 0, len(frames.skipped), len(shard.files)),
     )
 
 

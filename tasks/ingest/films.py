@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,11 @@ from tasks.stage import SourceFile
 
 Image = npt.NDArray[np.uint8]
 
+_RUN_UP_S = (1.0, 8.0)
+"""So long before a frame a film is sought, more where that is not enough: frames rest on others before them."""
+_SAME_S = 1e-6
+"""Time stamps that differ less are of one frame."""
+
 
 @dataclass(frozen=True)
 class Film:
@@ -33,7 +38,7 @@ class Film:
         rate_hz: Typical rate; None for images.
         is_constant: Whether the time stamps keep to it.
         starts: First frame of each shot.
-        num_frames: Its length.
+        times_s: Time stamp of each frame; NaN where nothing says it.
         num_lost: Frames that the header states and that cannot be read.
     """
 
@@ -43,8 +48,21 @@ class Film:
     rate_hz: float | None
     is_constant: bool
     starts: tuple[int, ...]
-    num_frames: int
+    times_s: tuple[float, ...] = field(repr=False)
     num_lost: int
+
+    @property
+    def num_frames(self) -> int:
+        """Return its length."""
+        return len(self.times_s)
+
+    def after_s(self, first: int) -> float | None:
+        """Return the time stamp of the frame before one, by which that is found; None where times do not tell it."""
+        return self.times_s[first - 1] if first and (np.diff(self.times_s) > 0).all() else None
+
+    def read(self, first: int) -> Iterator[FilmFrame]:
+        """Yield the frames from one on, as `read_film` does."""
+        return read_film(self.files, first, after_s=self.after_s(first))
 
 
 @dataclass(frozen=True)
@@ -106,19 +124,28 @@ def digest_of(path: Path) -> str:
         raise InputError(f"file {path} cannot be read: {error.strerror}") from None
 
 
-def read_film(files: tuple[SourceFile, ...], first: int = 0, stop: int | None = None) -> Iterator[FilmFrame]:
+def read_film(
+    files: tuple[SourceFile, ...], first: int = 0, stop: int | None = None, *, after_s: float | None = None
+) -> Iterator[FilmFrame]:
     """Yield the frames of a film from one on, up to another.
+
+    Args:
+        files: The film, or its images.
+        first: First frame.
+        stop: Frame after the last one; None: to the end.
+        after_s: Time stamp of the frame before the first, after which it is sought; None: all before are decoded.
 
     Raises:
         InputError: The film cannot be opened, or the size of its images changes.
     """
-    frames = _read_video(Path(files[0].path), first, stop) if _is_video(files) else _read_images(files[first:stop])
+    is_video = _is_video(files)
+    frames = _read_video(Path(files[0].path), first, stop, after_s) if is_video else _read_images(files[first:stop])
     size: tuple[int, ...] | None = None
     for number, frame in enumerate(frames, start=first):
         size = size or frame.image.shape[1::-1]
         if frame.image.shape[1::-1] != size:
             width, height = frame.image.shape[1::-1]
-            name = Path(files[0].path).name if _is_video(files) else Path(files[number].path).name
+            name = Path(files[0 if is_video else number].path).name
             raise InputError(
                 f"{name}: frame {number} is {width} x {height}, those before are {size[0]} x {size[1]} pixels"
             )
@@ -129,22 +156,46 @@ def _is_video(files: tuple[SourceFile, ...]) -> bool:
     return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
 
 
-def _read_video(path: Path, first: int, stop: int | None) -> Iterator[FilmFrame]:
-    import cv2  # here: a quarter of a second that planning does not need
-
-    capture = _opened(path)
+def _read_video(path: Path, first: int, stop: int | None, after_s: float | None) -> Iterator[FilmFrame]:
+    capture, number = _opened_after(path, first, after_s)
     try:
-        number = 0
-        # Frames before the first are decoded, not sought: seeking is exact in few codecs.
         while (stop is None or number < stop) and capture.grab():
             if number >= first:
                 was_read, image = capture.retrieve()
                 if not was_read:
                     break
-                yield FilmFrame(image.astype(np.uint8, copy=False), float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0)
+                yield FilmFrame(image.astype(np.uint8, copy=False), _time_s(capture))
             number += 1
     finally:
         capture.release()
+
+
+def _opened_after(path: Path, first: int, after_s: float | None) -> tuple[Any, int]:
+    """Return an opened film and the number of its next frame: the first that is wanted, or 0 where seeking fails.
+
+    Seeking is exact in few codecs: a place before is sought, and from there on frames are known by their time stamps.
+    """
+    import cv2  # here: a quarter of a second that planning does not need
+
+    capture = _opened(path)
+    for run_up_s in _RUN_UP_S if after_s is not None else ():
+        assert after_s is not None
+        capture.set(cv2.CAP_PROP_POS_MSEC, 1000.0 * max(after_s - run_up_s, 0.0))
+        reached_s = -math.inf
+        while reached_s < after_s - _SAME_S and capture.grab():
+            reached_s = _time_s(capture)
+        if abs(reached_s - after_s) <= _SAME_S:
+            return capture, first
+    if after_s is not None:
+        capture.release()
+        capture = _opened(path)
+    return capture, 0
+
+
+def _time_s(capture: Any) -> float:
+    import cv2  # here: a quarter of a second that planning does not need
+
+    return float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
 
 def _opened(path: Path) -> Any:
@@ -192,4 +243,4 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
         rate_hz = stated_hz if 0 < stated_hz <= 1000 else None
         if (np.diff(times) > 0).all():
             rate_hz, is_constant = constant_rate_hz(np.array(times))
-    return Film(files, first_number, size, rate_hz, is_constant, tuple(finder.starts()), len(times), num_lost)
+    return Film(files, first_number, size, rate_hz, is_constant, tuple(finder.starts()), tuple(times), num_lost)

@@ -125,6 +125,7 @@ class FilmParameters(AnnotationParameters):
         first_number: Number of the film's first image.
         first_frame: First frame of the shot, counted from the beginning of the film.
         num_frames: Its length.
+        after_s: Time stamp of the frame before it, by which it is found; None at the beginning, or where none is told.
         is_constant_rate: Whether the time stamps of the film are those of a constant rate.
     """
 
@@ -135,4 +136,5 @@ class FilmParameters(AnnotationParameters):
     first_number: int
     first_frame: int
     num_frames: int
+    after_s: float | None
     is_constant_rate: bool

@@ -91,8 +91,8 @@ def read_shot(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Anno
 
 def shot_images(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Iterator[Any]:
     """Yield the images of a shot, with their times."""
-    film = files[parameters.num_given + parameters.num_networks :]
-    return read_film(film, parameters.first_frame, parameters.first_frame + parameters.num_frames)
+    film, first = files[parameters.num_given + parameters.num_networks :], parameters.first_frame
+    return read_film(film, first, first + parameters.num_frames, after_s=parameters.after_s)
 
 
 @lru_cache(maxsize=4)
@@ -224,6 +224,7 @@ def _shots_of(
             first_number=film.first_number,
             first_frame=start,
             num_frames=length,
+            after_s=film.after_s(start),
             is_constant_rate=film.is_constant or options.rate_hz is not None,
         )
         shots.append(FoundShot(parameters, (*files, *networks, *film.files), film))

@@ -77,7 +77,9 @@ def check_study(sections: Mapping[str, Any]) -> None:
         return  # what lies in a folder is read with its files
     takes = ingest.take_ids()
     video = ingest.virtual_video
-    has_annotations = bool(ingest.annotations or (takes and (video.num_videos or video.num_random_views)))
+    has_annotations = bool(
+        ingest.annotations or ingest.videos or (takes and (video.num_videos or video.num_random_views))
+    )
     _check_sources(own, [take for take in takes if take not in ingest.held_out], has_annotations=has_annotations)
 
 
@@ -101,7 +103,8 @@ def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_a
     if (parameters.num_lifted or parameters.num_grown) and not has_annotations:
         raise InputError(
             "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views, "
-            "neither of annotations ([[ingest.annotations]]) nor of virtual video of takes (ingest.virtual_video)"
+            "neither of annotations ([[ingest.annotations]], [[ingest.videos]]) nor of virtual video of takes "
+            "(ingest.virtual_video)"
         )
 
 

@@ -15,7 +15,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import batch_of
 from tasks.curation import content_columns, rejected_names
 from tasks.facts import TakeFacts, VariantFacts
-from tasks.takes import TakeMotion, read_take
+from tasks.takes import TakeMotion, read_take, read_variants
 
 
 def interaction_of(take: Manifest) -> str:
@@ -77,16 +77,10 @@ class StoredVariants:
         for ref, names in by_ref.items():
             manifest = self._store.manifest(ref)
             take_id, batch = VariantFacts.of(manifest).take_id, batch_of(manifest)
-            offset = 0
-            sizes = self._store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
-            # At once: a part of a row group takes as long as all of it, and groups hold several variants.
-            motions = self._store.read(ref, "variants", columns=["body22_m"])["body22_m"]
-            for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):
-                rows = slice(offset, offset + 2 * int(frames))
-                offset = rows.stop
+            there = self._store.read(ref, "variant_quality", columns=["variant_id"])["variant_id"]
+            for name, motion in zip(there, read_variants(self._store, ref), strict=True):
                 if str(name) not in names:
                     continue
-                motion = motions[rows]
                 request = VariantRequest(
                     take_id=take_id,
                     source=self.takes[take_id].source,
@@ -94,7 +88,7 @@ class StoredVariants:
                     solving=batch.part(AugmentationSettings),
                     contacts=batch.contacts,
                 )
-                item = TrainingItem(str(name), request, motion.reshape(-1, 2, *motion.shape[1:]).astype(np.float64))
+                item = TrainingItem(str(name), request, motion.astype(np.float64))
                 yield item if self._joints is None else self._on_other_skeleton(item, self._joints)
 
     def _on_other_skeleton(self, item: TrainingItem, joints: JointMap) -> TrainingItem:

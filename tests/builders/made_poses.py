@@ -29,7 +29,13 @@ def put_made_poses(store: Store) -> None:
     take = next(one for one in store.artifacts("ingest") if "poses" in one.tables)
     video = next(one for one in store.artifacts("ingest") if one.name == "video")
     told = BatchParameters(contacts=(), variants=("bad", "same")).model_dump(mode="json", exclude={"limits"})
-    facts = {"takes": ["waltz"], "take_id": "waltz", "num_persons": 2, "told": told}
+    facts = {
+        "takes": ["waltz"],
+        "take_id": "waltz",
+        "num_persons": 2,
+        "num_frames": store.manifest(take.ref).tables["poses"].rows // 2,
+        "told": told,
+    }
     put(store, "augmentation", "variants", _variants(store, take), facts, (take,))
     chain = random_columns("draws", NUM_LIFTED) | {"density": ["ic"] * 3, "seed_index": [0] * 3, "chain": [0] * 3}
     pairs = random_pairs(np.random.default_rng(1), NUM_LIFTED, spread_rad=0.1)

@@ -149,11 +149,11 @@ def render(
 
 
 def write_film(path: Path, images: Iterable[Image], *, rate_hz: float = 30.0) -> Path:
-    """Write images as a film: MJPG in AVI, MPEG-4 in MP4."""
+    """Write images as a film: MJPG in AVI, VP9 in WebM, MPEG-4 in MP4."""
     writer = None
     for image in images:
         if writer is None:
-            code = cv2.VideoWriter.fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
+            code = cv2.VideoWriter.fourcc(*{".avi": "MJPG", ".webm": "VP90"}.get(path.suffix, "mp4v"))
             writer = cv2.VideoWriter(str(path), code, rate_hz, image.shape[1::-1])
         writer.write(image)
     assert writer is not None

@@ -490,7 +490,8 @@ def test_a_result_is_drawn_on_the_footage_that_is_named(store: Store, tmp_path: 
     levels = [float(np.median(drawn.read()[1])) for _ in range(NUM_LIFTED)]
     np.testing.assert_allclose(levels, [60, 120, 180], atol=10)  # frames 1 to 3
     with pytest.raises(InputError, match=r"footage film\.mp4 has no frame 4"):
-        export_reference(store, references(store)["lifted_pairs"], "mp4", tmp_path / "out", footage=film)
+        export_reference(store, references(store)["lifted_pairs"], "mp4", tmp_path / "cut", footage=film)
+    assert not [one for one in (tmp_path / "cut").iterdir() if one.suffix == ".mp4"], "half a film is none"
     (tmp_path / "notes.txt").write_text("no film")
     with pytest.raises(InputError, match=r"footage: film notes\.txt cannot be opened"):
         export_reference(store, text, "mp4", tmp_path / "out", footage=tmp_path / "notes.txt")

@@ -29,9 +29,12 @@ from storage_schema import Store
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation import film as film_topic
 from tasks.facts import TopicFacts
+from tasks.ingest import films
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import open_film, read_film
-from tasks.ingest.parameters import FilmOptions
+from tasks.ingest.parameters import FilmOptions, IngestParameters
+from tasks.seeds.parameters import SeedsParameters
+from tasks.seeds.plan import check_study
 from tasks.stage import StageInputs, verdict_of
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
@@ -104,6 +107,30 @@ def test_film_of_a_variable_rate_is_annotated_on_its_true_times(film: Path, keys
     walked = np.interp(own / 30.0, times, np.arange(COUNT))  # frames of the film, which the walker keeps pace with
     nose = frames.keypoints_px[frames.person_id == 0, 0, 0]
     assert np.abs(nose - np.array([walker_px(0)[0, 0] + 2.0 * at for at in walked])).max() < 3.0
+
+
+@pytest.mark.parametrize("kind", ["mp4", "uneven", "webm", "avi", "cut.avi"])
+def test_a_frame_that_is_sought_is_the_one_that_plain_decoding_gives(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"long.{'mp4' if kind == 'uneven' else kind}"
+    wall = cv2.resize(scene(7), (96, 72))
+    write_film(path, (np.roll(wall, 3 * at, axis=1) for at in range(150)))
+    if kind == "uneven":  # three times as dense in the middle
+        dense = [(1 if 50 <= at < 100 else 3) / 60 for at in range(150)]
+        path.write_bytes(with_durations(path.read_bytes(), dense))
+    if kind == "cut.avi":  # its index, which seeking needs, is gone
+        path.write_bytes(path.read_bytes()[: int(0.9 * path.stat().st_size)])
+    opened = open_film(path)
+    plain = list(read_film(opened.files))
+    assert len(plain) == opened.num_frames > 120
+    for first in (1, 2, 40, 77, 101, 118):
+        _, at = films._opened_after(path, first, opened.after_s(first))
+        assert at == first or kind == "cut.avi"
+        stop = min(first + 9, opened.num_frames)
+        sought = list(read_film(opened.files, first, stop, after_s=opened.after_s(first)))
+        assert [one.time_s for one in sought] == [one.time_s for one in plain[first:stop]]
+        np.testing.assert_array_equal([one.image for one in sought], [one.image for one in plain[first:stop]])
+    (lost,) = read_film(opened.files, 77, 78, after_s=1.2345)  # no frame has this time
+    np.testing.assert_array_equal(lost.image, plain[77].image)
 
 
 def test_a_folder_of_images_is_a_film_whose_frames_their_names_number(tmp_path: Path) -> None:
@@ -259,6 +286,14 @@ def test_the_shots_of_a_film_are_shards_of_ingest_and_their_annotations_an_attac
     assert page.name == "report" or page.partition == "report"
     film_sha = hashlib.sha256(film.read_bytes()).hexdigest()
     assert film_sha in {file.sha256 for file in shards[0].files}
+
+
+def test_film_can_be_lifted_from_2d_alone(film: Path, keys: Path) -> None:
+    seeds = SeedsParameters(num_seeds=0, num_lifted=2)
+    ingest = {"rate_hz": 30.0, "duets": [], "videos": [{"id": "walk", "path": film, "keys": keys}]}
+    check_study({"seeds": seeds, "ingest": IngestParameters.model_validate(ingest)})
+    with pytest.raises(InputError, match=r"no annotated pairs with views, neither of .*, \[\[ingest.videos\]\]"):
+        check_study({"seeds": seeds, "ingest": IngestParameters.model_validate({"duets": []})})
 
 
 def test_the_command_writes_annotations_a_sheet_and_an_overlay(

@@ -259,3 +259,22 @@ def test_an_address_that_holds_a_password_is_not_said(monkeypatch: pytest.Monkey
     with pytest.raises(RemoteError, match=r"s3://bucket: cannot list datasets .*GET the server") as error:
         RemoteStore("s3://bucket", timeout=timedelta(seconds=1)).names("datasets")
     assert SECRET not in str(error.value)
+
+
+@pytest.mark.parametrize("fault", ["slow", "lost"])
+def test_a_new_file_whose_answer_is_lost_is_created_once_and_known_as_ours(server: S3Server, fault: str) -> None:
+    tried: list[str] = []
+
+    def first_time(method: str, path: str) -> str:
+        tried.append(path)
+        return fault if method == "PUT" and tried.count(path) == 1 else ""
+
+    server.fault, server.slow_s = first_time, 2.0
+    remote = remote_of(server, 1.0 if fault == "slow" else 30.0)
+    assert remote.create("mine", b"my bytes")
+    assert not remote.create("mine", b"those of another")
+    assert remote.read("mine") == b"my bytes"
+    _, tag = remote.read_tagged("mine")
+    tried.clear()
+    remote.replace("mine", b"new bytes", tag)
+    assert remote.read("mine") == b"new bytes"

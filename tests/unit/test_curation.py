@@ -165,14 +165,15 @@ def test_windows_to_train_on_leave_out_what_a_file_rejects(built: tuple[Store, S
     assert names(None) - names(file) == {"waltz, A-uniform-0.80"}
 
 
-def test_the_player_beside_an_export_shows_nothing_that_is_rejected(
-    built: tuple[Store, StageInputs], tmp_path: Path
+def test_an_export_says_how_much_is_rejected_and_its_player_shows_none_of_it(
+    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store, _ = built
     file, out = tmp_path / "choices.txt", tmp_path / "out"
     rejected(store, file)
     words = ["export", "variants:short", "--format", "npz", "--out", str(out), "--curation", str(file)]
     assert run_command_line([*words, "--store", str(store)]) == 0
+    assert "left out, as somebody rejected it: 1 of variants" in capsys.readouterr().out
     page = (out / LOOK).read_text(encoding="utf-8")
     assert ("A-uniform-0.95" in page, "A-uniform-0.80" in page) == (True, False)
 

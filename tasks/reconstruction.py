@@ -39,10 +39,9 @@ from tasks.stage import (
     join_columns,
     merge_takes,
     shares_takes,
-    stream,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 20)
+RECONSTRUCTION = StageName("reconstruction", 21)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""
@@ -151,7 +150,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
     elif people:
         rows, attachments, judged = _reconstruct(
-            store, database_refs, people, parameters, facts, shard.seed, clusters=shard.refs("clusters")
+            store, database_refs, people, parameters, facts, clusters=shard.refs("clusters")
         )
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
     return commit(
@@ -204,7 +203,6 @@ def _reconstruct(
     people: Sequence[Track],
     parameters: SequenceShard,
     facts: dict[str, Any],
-    seed: int,
     *,
     clusters: Sequence[ArtifactRef],
 ) -> tuple[list[dict[str, Any]], dict[str, bytes], dict[str, Verdict]]:
@@ -253,8 +251,7 @@ def _reconstruct(
         )
         for one, body in zip(made.people, made.bodies, strict=True)
     ]
-    rng = stream(seed, "reconstruction", "left_out", sequence_id)
-    left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids, rng)
+    left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids)
     judged = judge_tracks(found, left_out_m, sequence_id=sequence_id, pitches_rad=pitches).verdicts
     judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in found.skipped.items()}
     attachments = {

@@ -138,6 +138,7 @@ def reconstruct_video(
         tracks = _tracks(resolved, sequence.sequence_id, person_ids)
         if not tracks:
             raise InputError("no frame shows enough joints of a person")
+        stated = dict(video.statures_m) | _statures(statures, [one.person_id for one in tracks])
         step = Steps(listener, 1 + 2 * len(tracks))
         pitch = choose_camera(databases, tracks)
         step()
@@ -149,7 +150,7 @@ def reconstruct_video(
             has_clean_up=has_clean_up,
             pairs_m=pairs_m,
             camera_height_m=camera_height_m or video.camera_height_m,
-            statures_m=dict(video.statures_m) | _statures(statures, [one.person_id for one in tracks]),
+            statures_m={name: one for name, one in stated.items() if not person_ids or name in person_ids},
             pitch=pitch,
             on_step=step,
         )
@@ -157,7 +158,7 @@ def reconstruct_video(
             raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
         judged = judge_tracks(
             found,
-            left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0)),
+            left_out_misfit_m(searcher.database, searcher.index, take_ids),
             sequence_id=sequence.sequence_id,
             pitches_rad=[one.camera.pitch_rad for one in databases],
         )

@@ -15,7 +15,7 @@ and `nobody` drops them.  Whom no row names stays who they are.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,6 +48,14 @@ class Decision:
         """Return it as its row says it."""
         name = NOBODY if self.is_person < 0 else str(self.is_person)
         return f"{self.sequence_id},{self.first_frame},{self.last_frame},{self.person},{name}"
+
+    def as_joined(self) -> str:
+        """Say that it was decided here, and the row that says otherwise."""
+        apart = replace(self, is_person=self.person)
+        return (
+            f"{self.is_person} ends where {self.person} begins, and is taken for the same person from frame "
+            f"{self.first_frame} on; else say so in the table of people: {apart.in_words()}"
+        )
 
 
 def read_decisions(data: bytes | str) -> list[Decision]:

@@ -12,6 +12,7 @@ from pydantic import Field
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.people.broken import find_breaks, join_breaks
 from pasdedeux.people.decisions import Decision, decide, spans_of
 from pasdedeux.people.identity import FollowedRows, follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
@@ -53,6 +54,7 @@ class SequencePeople:
         num_repaired_joints: Joints of op14 that were put right or masked.
         num_renamed_rows: Detections that are not who the source says they are.
         decisions: Who everybody is, as `decisions` writes it; none of images whose people have no numbers over time.
+        joined: Those of them that nobody stated, for a track ended where another began.
     """
 
     sequence_id: str
@@ -64,6 +66,7 @@ class SequencePeople:
     num_repaired_joints: int = 0
     num_renamed_rows: int = 0
     decisions: tuple[Decision, ...] = ()
+    joined: tuple[Decision, ...] = ()
 
     def in_words(self) -> str:
         """Say it in a line."""
@@ -78,6 +81,7 @@ class SequencePeople:
             (self.num_repaired_joints, "joints repaired or masked"),
         )
         words += [f"{count} {what}" for count, what in counts if count]
+        words += [one.as_joined() for one in self.joined]
         return f"{self.sequence_id}: {', '.join(words)}"
 
 
@@ -233,7 +237,13 @@ def resolve_sequence(
         renamed = int(np.count_nonzero(person_id != rows.person_id))
         rows = replace(rows, person_id=person_id)
     has_numbers = has_identities or not reason
-    decided = decide(sequence_id, rows.frame, rows.person_id, decisions, is_start=is_start)
+    joined: list[Decision] = []
+    if settings.identities != "given" and not reason:
+        seen = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
+        breaks = find_breaks(rows.frame, rows.person_id, seen.positions, seen.confidence, rate_hz=rate_hz)
+        stated = {name for row in decisions for name in (row.person, row.is_person)}
+        joined = join_breaks(sequence_id, [one for one in breaks if not {one.before, one.after} & stated])
+    decided = decide(sequence_id, rows.frame, rows.person_id, [*decisions, *joined], is_start=is_start)
     spans = spans_of(sequence_id, rows.frame, rows.person_id, decided) if has_numbers else []
     rows = replace(rows, person_id=decided).chosen(decided >= 0)
     rows = rows.chosen(np.lexsort([rows.person_id, rows.frame]))
@@ -246,7 +256,7 @@ def resolve_sequence(
     pairs, partner = _partners(rows, op14, has_identities=has_numbers)
     num_people = len(np.unique(rows.person_id))
     counts = (merged, ghosts, repaired, renamed)
-    found = SequencePeople(sequence_id, num_people, tuple(pairs), reason, *counts, tuple(spans))
+    found = SequencePeople(sequence_id, num_people, tuple(pairs), reason, *counts, tuple(spans), tuple(joined))
     return ResolvedSequence(rows, op14, partner, found)
 
 

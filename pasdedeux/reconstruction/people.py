@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +35,9 @@ from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
 _MAX_CONTRADICTION = 1.2
-"""Statures stated and by the height of the camera that differ by more contradict each other."""
+"""Statures, or heights of the camera, stated or by each other, that differ by more contradict each other."""
+_STATURES_M = (1.2, 2.2)
+"""How tall people are whose stature nobody states."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class ReconstructedTracks:
         skipped: Why the others could not be reconstructed, by person id.
         pitch: The pitch of the camera, which says where up is.
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
-        doubts: What was stated that contradicts itself.
+        doubts: What was stated that contradicts itself, or is about nobody who is there.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -123,21 +126,15 @@ def reconstruct_people(
             tried[method] = (*tried.get(method, ()), one)
             on_step()
     scene, doubts = None, list[str]()
+    names = sorted(track.person_id for track in tracks)
+    absent = [
+        f"a stature is stated for person {name}, who is not there; people: {', '.join(map(str, names))}"
+        for name in sorted(set(statures_m) - set(names))
+    ]
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:
-        people, known = tried[fitted[-1]], dict(statures_m)
-        if camera_height_m is not None:
-            for one in people:
-                name, sized = one.track.person_id, sized_by_height(one, camera, camera_height_m)
-                by_height_m = size_by_height(one, camera, camera_height_m) * _stature_m(one)
-                tall = f"would be {by_height_m:.2f} m tall before a camera {camera_height_m:.2f} m above the floor"
-                stated_m = statures_m.get(name)
-                if stated_m is None and sized is not one:
-                    known[name] = by_height_m
-                elif stated_m is None and np.isfinite(by_height_m):
-                    doubts.append(f"person {name} {tall}: that height is wrong, or the pitch")
-                elif stated_m and max(stated_m / by_height_m, by_height_m / stated_m) > _MAX_CONTRADICTION:
-                    doubts.append(f"person {name} of {stated_m:.2f} m {tall}: one of both is wrong, or the pitch")
+        people = tried[fitted[-1]]
+        known, doubts = _sizes_stated(people, camera, statures_m, camera_height_m)
         couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
@@ -163,7 +160,56 @@ def reconstruct_people(
         if has_clean_up and method is list(tried)[-1]:
             cleaned = tuple(clean_reconstructions(found, origin, camera))
             made.append(_embodied(f"{method.value}_clean", cleaned, origin, searcher.database, camera))
-    return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, pitch, scene, tuple(doubts))
+    return ReconstructedTracks(
+        tuple(made), _motions(made[-1]) if made else {}, skipped, pitch, scene, (*absent, *doubts)
+    )
+
+
+def _sizes_stated(
+    people: Sequence[Reconstruction], camera: DatabaseCamera, statures_m: Mapping[int, float], height_m: float | None
+) -> tuple[dict[int, float], list[str]]:
+    """Return the statures that are stated or follow from the height of the camera, and what of it contradicts itself.
+
+    All stand on one floor, so one stature gives the height of the camera, and that the stature of the others.
+    """
+    known, doubts = dict(statures_m), []
+    # What somebody's stature is before a camera one metre above the floor.
+    of_height = {one.track.person_id: size_by_height(one, camera, 1.0) * _stature_m(one) for one in people}
+    of_height = {name: ratio for name, ratio in of_height.items() if np.isfinite(ratio)}
+    if height_m is not None:
+        for one in people:
+            name = one.track.person_id
+            if name not in of_height:
+                continue
+            by_height_m, stated_m = height_m * of_height[name], statures_m.get(name)
+            tall = f"would be {by_height_m:.2f} m tall before a camera {height_m:.2f} m above the floor"
+            if stated_m is None and sized_by_height(one, camera, height_m) is not one:
+                known[name] = by_height_m
+            elif stated_m is None:
+                doubts.append(f"person {name} {tall}: that height is wrong, or the pitch")
+            elif _ratio(stated_m, by_height_m) > _MAX_CONTRADICTION:
+                doubts.append(f"person {name} of {stated_m:.2f} m {tall}: one of both is wrong, or the pitch")
+        return known, doubts
+    heights_m = {name: statures_m[name] / of_height[name] for name in of_height if name in statures_m}
+    for name, other in combinations(heights_m, 2):
+        if _ratio(heights_m[name], heights_m[other]) > _MAX_CONTRADICTION:
+            doubts.append(
+                f"the camera would be {heights_m[name]:.2f} m above the floor by person {name} of "
+                f"{statures_m[name]:.2f} m, and {heights_m[other]:.2f} m by person {other} of {statures_m[other]:.2f} "
+                "m: one of both statures is wrong, or one of the two never stands"
+            )
+    if heights_m and not doubts:
+        height_m = float(np.exp(np.mean(np.log(list(heights_m.values())))))
+        for name in sorted(of_height.keys() - statures_m.keys()):
+            if not _STATURES_M[0] <= (tall_m := height_m * of_height[name]) <= _STATURES_M[1]:
+                stated = ", ".join(f"{one} of {statures_m[one]:.2f} m" for one in heights_m)
+                doubts.append(f"person {name} would be {tall_m:.2f} m tall beside person {stated}: state that, too")
+    return known, doubts
+
+
+def _ratio(one: float, other: float) -> float:
+    """Return how many times as large the larger one is."""
+    return max(one / other, other / one)
 
 
 def _embodied(

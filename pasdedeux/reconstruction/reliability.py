@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import ProjectionIndex
 from pasdedeux.reconstruction.people import ReconstructedTracks
@@ -25,12 +26,13 @@ from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, Reconstruction
 from pasdedeux.reconstruction.tracks import broken_doubts
 from pasdedeux.skeletons import OP14
+from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 
-_ERROR_M, _PER_CORRECTION, _PER_ACCELERATION, _PER_PITCH = 0.0735, 6.13, -0.46, 3.48
-"""Mean error of a joint: factor, logarithm per metre that the fit moved it, power of the acceleration of the joints
-about the mid-hip, logarithm per radian of the pitch's deviation.  Least squares of the logarithm on 112 people of 63
-clips of 4 s: nine families of takes, each reconstructed without itself."""
+_WEIGHTS = np.array([np.log(0.0735), 6.13, -0.46, 3.48])
+"""Of the logarithm of the mean error of a joint: constant, per metre that the fit moved it, per logarithm of the
+acceleration of the joints about the mid-hip, per radian of the pitch's deviation.  Least squares on 112 people of 63
+clips of 4 s, nine families of takes, each reconstructed without itself: `python -m tests.families` prints it."""
 _MIN_ACCELERATION_M_S2, _ACCELERATION_HZ = 0.5, 30.0
 """Added to the acceleration, and the rate of the frames that it is taken from."""
 _MAX_EXPECTED_M = 0.5
@@ -56,6 +58,8 @@ LEFT_OUT_PERCENTILE = 95.0
 _LEVEL_RAD = float(np.deg2rad(-1.0))
 """A camera that looks up by less is as good as level."""
 _NUM_LEFT_OUT, _NUM_NEIGHBOURS = 128, 1000
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Multiples of it lie evenly spread in a turn."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ class Reliability:
         share_bridged: Share of the frames that are interpolated.
         doubts: Further reasons for a warning, such as those about the camera.
         farthest_s: Time of the video at which the database is farthest from the image.
+        evidence: What the logarithm of the expected error is a weighted sum of (n,).
     """
 
     expected_error_m: float
@@ -80,6 +85,7 @@ class Reliability:
     share_bridged: float
     doubts: tuple[str, ...] = ()
     farthest_s: float = float("nan")
+    evidence: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def is_lacking(self) -> bool:
@@ -123,9 +129,11 @@ class Place:
 
     Args:
         expected_error_m: Expected length by which the vector between the mid-hips is off, mean over frames.
+        doubts: Further reasons for a warning, such as those about the camera.
     """
 
     expected_error_m: float
+    doubts: tuple[str, ...] = ()
 
     @property
     def expected_in_words(self) -> str:
@@ -135,14 +143,16 @@ class Place:
     @property
     def verdict(self) -> Verdict:
         """Pass, warn or fail, and what would help."""
-        level, reason = Level.PASS, ""
+        reasons = list(self.doubts)
         if self.expected_error_m > DOUBTFUL_PLACE_M:
-            level = Level.FAIL if self.expected_error_m > BAD_PLACE_M else Level.WARN
-            reason = (
+            reasons.insert(
+                0,
                 f"the place of the two is badly known: {self.expected_in_words}; what would help: "
-                "takes of such couples in the database"
+                "takes of such couples in the database",
             )
-        return Verdict(level, reason, "expected error of place", self.expected_error_m, "m", thing="couples")
+        level = Level.FAIL if self.expected_error_m > BAD_PLACE_M else Level.WARN if reasons else Level.PASS
+        figure = ("expected error of place", self.expected_error_m, "m")
+        return Verdict(level, "; ".join(reasons), *figure, thing="couples")
 
 
 @dataclass(frozen=True)
@@ -191,7 +201,8 @@ def judge_tracks(
         couple = made[first].track, made[second].track
         if couple[0].partner_id == couple[1].person_id:
             ids = couple[0].person_id, couple[1].person_id
-            places[ids] = Place(deviation_m)
+            lost = [broken[name] for name in ids if name in broken]
+            places[ids] = Place(deviation_m, tuple(dict.fromkeys((*doubts, *lost))))
     return Judged(people, places)
 
 
@@ -214,29 +225,29 @@ def judge_person(
     noise = MEAN_OF_RAYLEIGH * found.noise_m
     left = np.sqrt(np.maximum(found.score_m[is_known] ** 2 - noise**2, 0.0))
     misfit = float(np.median(left)) if len(left) else float("nan")
-    log = _PER_CORRECTION * _mean(found.correction_m[is_known]) + _PER_PITCH * pitch_deviation_rad
-    expected = _ERROR_M * (_MIN_ACCELERATION_M_S2 + _acceleration_m_s2(found)) ** _PER_ACCELERATION * np.exp(log)
+    acceleration = np.log(_MIN_ACCELERATION_M_S2 + _acceleration_m_s2(found))
+    evidence = np.array([1.0, _mean(found.correction_m[is_known]), acceleration, pitch_deviation_rad])
     return Reliability(
-        expected_error_m=float(np.minimum(expected, _MAX_EXPECTED_M)),
+        expected_error_m=float(np.minimum(np.exp(_WEIGHTS @ evidence), _MAX_EXPECTED_M)),
         misfit_m=misfit,
         left_out_m=left_out_m,
         share_seen=_mean(found.num_joints_seen / OP14.num_joints),
         share_bridged=_mean(found.is_bridged),
         doubts=tuple(doubts),
         farthest_s=float(found.track.times_s[is_known][np.argmax(left)]) if len(left) else float("nan"),
+        evidence=evidence,
     )
 
 
-def left_out_misfit_m(
-    database: Database, index: ProjectionIndex, motion: npt.NDArray[np.object_], rng: np.random.Generator
-) -> float:
+def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.NDArray[np.object_]) -> float:
     """Return the misfit that frames of the database have at most when their own motion is left out, 95 % of them.
+
+    The frames are evenly spread, and so are the yaws: whoever asks of one database gets one answer.
 
     Args:
         database: Database.
         index: Its index.
         motion: Name of the motion of each row, (row,), such as its take: rows of one name are left out together.
-        rng: Draws frames and yaws.
 
     Returns:
         Metres; NaN where all rows have one name.  A frame whose nearest rows are all of its own motion counts with
@@ -244,8 +255,8 @@ def left_out_misfit_m(
     """
     if len(np.unique(motion.astype(str))) < 2:
         return float("nan")
-    rows = rng.integers(0, database.num_rows, _NUM_LEFT_OUT)
-    yaw = rng.uniform(0.0, database.num_yaws, _NUM_LEFT_OUT)
+    rows = evenly_spread(database.num_rows, _NUM_LEFT_OUT)
+    yaw = database.num_yaws * np.mod(_GOLDEN * np.arange(len(rows)), 1.0)
     query = database.camera.project(database.turned(rows, yaw))
     found = index.search(query, num_neighbours=_NUM_NEIGHBOURS)
     is_other = (found.row >= 0) & (motion[np.maximum(found.row, 0)] != motion[rows][:, None])

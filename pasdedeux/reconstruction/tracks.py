@@ -9,18 +9,12 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, check_positive
-from pasdedeux.people.decisions import Decision
-from pasdedeux.people.identity import body_size_px
+from pasdedeux.people.broken import find_breaks
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
 
 _FOCAL_OVER_WIDTH = 0.72
 """Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
-
-_BROKEN_S, _BROKEN_SIZES, _BROKEN_GROWTH = 3.0, 0.6, 1.4
-"""Who begins so soon after another ended, so near by body sizes, and no more times as large, may be the same person."""
-_END_FRAMES = 5
-"""Frames that the end and the beginning of a track are the middle of."""
 
 
 @dataclass(frozen=True)
@@ -149,44 +143,25 @@ def tracks_from_rows(
     return tracks
 
 
-def broken_tracks(tracks: Sequence[Track]) -> list[tuple[Track, Track]]:
-    """Return whose track ends where another's begins, soon after, near by and about as large: maybe one person.
-
-    Each track is continued by one other at most, the nearest.
-    """
-    found = []
-    for before in tracks:
-        for after in tracks:
-            gap_s = (after.first_frame - int(before.frames[-1])) / before.rate_hz
-            if not 0.0 < gap_s <= _BROKEN_S:
-                continue
-            ends = [before.keypoints_px[-_END_FRAMES:], after.keypoints_px[:_END_FRAMES]]
-            seen = [before.confidence[-_END_FRAMES:], after.confidence[:_END_FRAMES]]
-            sizes = [np.nanmax(body_size_px(*end), initial=0.0) for end in zip(ends, seen, strict=True)]
-            if min(sizes) <= 0.0 or max(sizes) > _BROKEN_GROWTH * min(sizes):
-                continue
-            places = [np.median(end[one > 0], axis=0) for end, one in zip(ends, seen, strict=True)]
-            distance = float(np.linalg.norm(places[1] - places[0])) / max(sizes)
-            if distance <= _BROKEN_SIZES:
-                found.append((distance, before, after))
-    broken: list[tuple[Track, Track]] = []
-    for _, before, after in sorted(found, key=lambda one: one[0]):
-        if not any(before is one or after is other for one, other in broken):
-            broken.append((before, after))
-    return broken
-
-
 def broken_doubts(sequence_id: str, tracks: Sequence[Track]) -> dict[int, str]:
     """Return by person id that a track ends where another begins, and the row of the table of people that joins them.
 
     The row replaces that of the person in those frames, see `people.decisions`.
     """
+    if len(tracks) < 2:
+        return {}
+    breaks = find_breaks(
+        np.concatenate([one.frames for one in tracks]),
+        np.concatenate([np.full(len(one.frames), one.person_id) for one in tracks]),
+        np.concatenate([one.keypoints_px for one in tracks]),
+        np.concatenate([one.confidence for one in tracks]),
+        rate_hz=tracks[0].rate_hz,
+    )
     doubts: dict[int, str] = {}
-    for before, after in broken_tracks(tracks):
-        row = Decision(sequence_id, after.first_frame, int(after.frames[-1]), after.person_id, before.person_id)
+    for one in breaks:
         words = (
-            f"{before.person_id} ends where {after.person_id} begins: the same person? "
-            f"Then say so in the table of people: {row.in_words()}"
+            f"{one.before} ends where {one.after} begins: the same person? "
+            f"Then say so in the table of people: {one.joined(sequence_id).in_words()}"
         )
-        doubts |= {one.person_id: words for one in (before, after) if one.person_id not in doubts}
+        doubts |= {name: words for name in (one.before, one.after) if name not in doubts}
     return doubts

@@ -18,7 +18,7 @@ from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
-from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
+from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, SequencePeople, resolve_people
 from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -297,7 +297,9 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
         ),
         attachments=_attachments(parameters, shard.files, resolved),
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
-        verdict=_verdict(pair17.confidence[:, COUNTED17] > 0, len(frames.skipped), len(shard.files)),
+        verdict=_verdict(
+            pair17.confidence[:, COUNTED17] > 0, len(frames.skipped), len(shard.files), resolved.sequences
+        ),
     )
 
 
@@ -333,8 +335,11 @@ def _film_pictures(
     return {SHEET_NAME: moving_svg([contact_sheet(images, titles)], 1.0), CLIP_NAME: moving_svg(clip, rate_hz)}
 
 
-def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:
-    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped."""
+def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople]) -> Verdict:
+    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped.
+
+    Tracks that were joined are said, which is no fault.
+    """
     reasons, share_seen = [], float(is_seen.mean())
     if share_seen < GOOD_SHARE_SEEN:
         reasons.append(f"{share_seen:.0%} of the joints are seen")
@@ -342,5 +347,6 @@ def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int) -> Verdict:
         reasons.append(f"{num_skipped} of {num_files} frames could not be read and were skipped")
     is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
     level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
+    reasons += [row.as_joined() for one in sequences for row in one.joined]
     figure = ("joints seen", 100 * share_seen, "%")
     return Verdict(level, "; ".join(reasons), *figure, count=len(is_seen), thing="people in frames")

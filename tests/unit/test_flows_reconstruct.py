@@ -26,9 +26,13 @@ from pasdedeux.reconstruction.people import sized_by_stature
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.verdict import Verdict
 from storage_schema import Store
 from storage_schema.errors import SchemaError
+from tasks import ingest
+from tasks import reconstruction as reconstruction_stage
 from tasks.projections import read_database
+from tasks.stage import PARTS_FACT, StageInputs
 from tests.builders.pages import Page
 from tests.builders.walkers import reconstruction, walk
 from tests.builders.walkers_on_video import FRAMES, LAYOUT, build_store, openpose, reference, write_walkers
@@ -386,3 +390,27 @@ def test_people_of_known_stature_come_out_that_tall() -> None:
     assert heights(sized_by_stature(people, {1: 1.5})) == pytest.approx([1.5, 1.5])
     assert heights(sized_by_stature(people, {0: 1.8, 1: 1.8}, has_one_size=True)) == pytest.approx([1.8, 1.8])
     assert sized_by_stature(people, {}) == tuple(people)
+
+
+def test_a_study_makes_of_the_same_files_what_the_command_makes(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stated = ["image_size_px=[1920, 1080]", "statures_m=[[0, 1.75], [3, 1.6]]"]
+    command = ["reconstruct", str(video), *reference(store), "--out", str(tmp_path)]
+    assert run_command_line([*command, *(word for one in stated for word in ("--set", one))]) == 0
+    said = capsys.readouterr().out
+    source = {"id": video.name, "path": video, "image_size_px": [1920, 1080], "statures_m": [[0, 1.75], [3, 1.6]]}
+    read = ingest.STAGE.plan(StageInputs({}, seed=5), ingest.IngestParameters.model_validate({"annotations": [source]}))
+    seen = [store.manifest(ingest.STAGE.run_shard(shard, store)) for shard in read]
+    tables = {"annotations": seen, "projections": list(store.artifacts("projections"))}
+    parameters = reconstruction_stage.ReconstructionParameters(sequences="given")
+    (shard,) = reconstruction_stage.plan(StageInputs(tables, seed=9), parameters)
+    made = store.manifest(reconstruction_stage.run_shard(shard, store))
+    for person in (0, 1):
+        files = [(tmp_path / f"{video.name}_{person}.npz").read_bytes()]
+        files.append(store.attachment(made.ref, f"{video.name}_{person}.npz"))
+        of_command, of_study = (read_npz(data, "motion")["positions_m"] for data in files)
+        np.testing.assert_allclose(of_study, of_command, atol=1e-4)
+        reason = Verdict.from_json(made.facts[PARTS_FACT][f"person {person}"]).reason
+        assert "a stature is stated for person 3, who is not there; people: 0, 1" in reason
+        assert reason in said

@@ -1,0 +1,131 @@
+"""Tracks that end where another begins: somebody who was lost for a while, or two people.
+
+Where one ended and one began soon after, in one place, equally large and moving on, and nobody else who comes or goes
+could be either of them, they are one person.  Where less agrees, it is a question for whoever knows the video.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from pasdedeux.arrays import Array, Integers
+from pasdedeux.people.decisions import Decision
+from pasdedeux.people.identity import body_size_px
+
+_BROKEN_S, _BROKEN_SIZES, _BROKEN_GROWTH = 3.0, 0.6, 1.4
+"""Who begins so soon after another ended, so near by body sizes, and no more times as large, may be the same person."""
+_CLEAR_SIZES, _CLEAR_GROWTH = 0.3, 1.2
+"""So near, with what both move on by, and no more times as large, nobody but the same person is."""
+_END_S, _FADE_S = 0.2, 0.5
+"""The end of a track is its last so many seconds; its speed fades so fast."""
+
+
+@dataclass(frozen=True)
+class Break:
+    """Somebody's track that ends where somebody else's begins.
+
+    Args:
+        before: Number of who ends.
+        after: Number of who begins.
+        first_frame: Frame that the latter begins with.
+        last_frame: The last one with them.
+        is_clear: Both are one person, as far as can be seen.
+    """
+
+    before: int
+    after: int
+    first_frame: int
+    last_frame: int
+    is_clear: bool
+
+    def joined(self, sequence_id: str) -> Decision:
+        """Return the row of the table of people that joins them."""
+        return Decision(sequence_id, self.first_frame, self.last_frame, self.after, self.before)
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where a track begins or ends: frame, place (2,) and speed (2,) of the middle of the joints, and size, pixels."""
+
+    frame: int
+    place_px: Array
+    speed_px_s: Array
+    size_px: float
+
+
+def find_breaks(
+    frame: Integers, person_id: Integers, keypoints_px: Array, confidence: Array, *, rate_hz: float
+) -> list[Break]:
+    """Return whose track ends where another's begins; each is continued by one other at most, the nearest.
+
+    Args:
+        frame: Frame of each row (row,).
+        person_id: Person of each row (row,), once a frame.
+        keypoints_px: (row, joint, 2), NaN where not seen.
+        confidence: (row, joint), 0 where not seen.
+        rate_hz: Frames per second.
+    """
+    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
+    rows = np.flatnonzero(is_seen.any(axis=1))
+    rows = rows[np.argsort(frame[rows], kind="stable")]
+    ends: dict[int, tuple[_End, _End]] = {}
+    for person in np.unique(person_id[rows]).tolist():
+        own = rows[person_id[rows] == person]
+        points = np.where(is_seen[own, :, None], keypoints_px[own], np.nan)
+        parts = [abs(frame[own] - frame[own[at]]) <= _END_S * rate_hz for at in (0, -1)]
+        first, last = (
+            _end(frame[own[part]], points[part], confidence[own[part]], rate_hz, is_last=bool(at))
+            for at, part in enumerate(parts)
+        )
+        ends[person] = first, last
+    found = []
+    for before, after in permutations(ends, 2):
+        end, start = ends[before][1], ends[after][0]
+        gap_s = (start.frame - end.frame) / rate_hz
+        size = max(end.size_px, start.size_px)
+        if not 0.0 < gap_s <= _BROKEN_S or not size > 0.0:
+            continue
+        growth = size / max(min(end.size_px, start.size_px), 1e-9)
+        apart = float(np.linalg.norm(start.place_px - end.place_px)) / size
+        if growth > _BROKEN_GROWTH or apart > _BROKEN_SIZES:
+            continue
+        # Whoever walks out of the image does not go on to where another one walks in.
+        moved_s, step = _FADE_S * (1.0 - float(np.exp(-gap_s / _FADE_S))), start.place_px - end.place_px
+        off = max(float(np.linalg.norm(step - moved_s * speed)) for speed in (end.speed_px_s, start.speed_px_s)) / size
+        is_clear = growth <= _CLEAR_GROWTH and max(apart, off) <= _CLEAR_SIZES
+        found.append((apart, Break(before, after, start.frame, ends[after][1].frame, is_clear)))
+    return _nearest([one for _, one in sorted(found, key=lambda one: one[0])])
+
+
+def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, is_last: bool) -> _End:
+    """Return the beginning or the end of a track from its rows there."""
+    middle = np.nanmedian(points, axis=1)
+    times = (frame - frame.mean()) / rate_hz
+    speed = times @ (middle - middle.mean(axis=0)) / max(float(times @ times), 1e-9)
+    size = np.nanmax(body_size_px(points, confidence), initial=0.0)
+    return _End(int(frame[-1 if is_last else 0]), np.median(middle, axis=0), speed, float(size))
+
+
+def _nearest(found: Sequence[Break]) -> list[Break]:
+    """Return each person's nearest, by rising distance; where others could be either of them, it is not clear."""
+    broken: list[Break] = []
+    for one in found:
+        if any(one.before == other.before or one.after == other.after for other in broken):
+            continue
+        rivals = [other for other in found if other.before == one.before or other.after == one.after]
+        broken.append(one if len(rivals) == 1 else Break(one.before, one.after, one.first_frame, one.last_frame, False))
+    return broken
+
+
+def join_breaks(sequence_id: str, breaks: Sequence[Break]) -> list[Decision]:
+    """Return the rows of the table of people that join the clear ones; who is lost several times is one person."""
+    first: dict[int, int] = {}
+    rows = []
+    for one in sorted((one for one in breaks if one.is_clear), key=lambda one: one.first_frame):
+        first[one.after] = first.get(one.before, one.before)
+        rows.append(Decision(sequence_id, one.first_frame, one.last_frame, one.after, first[one.after]))
+    return rows

@@ -1,0 +1,387 @@
+"""Motion of which the database has nothing: clips of nine families, each reconstructed from the takes of the others.
+
+    python -m tests.families DATA                          the tables of docs/findings.md: seven clips of each family
+    python -m tests.families DATA --families hug,judo --clips 3
+    python -m tests.families DATA --lens --stature         what stating the focal length and the statures brings
+    python -m tests.families DATA --no-level               without the level camera, for half the time
+
+DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from CMU) and `contact_pairs`, as
+PASDEDEUX_DATA names it.  The database is built first, in --store, and once.  Clips last 4 s at 30 Hz: people of 1.5 to
+2.0 m, pitches of -6 to 42 degrees, lenses of 0.72 and 1.15 of the image's width that are not told, 3 px of noise that
+lasts, 5 % of the joints missed.  Printed are the errors beside their baselines, how well expected errors hold, and the
+constants of `reconstruction.reliability` fitted to all families, and judged on each by those of the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from flows.console.app import run_command_line
+from pasdedeux.cameras.virtual_video import look_at_camera
+from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
+from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
+from pasdedeux.reconstruction.reconstruct import Method, Searcher
+from pasdedeux.reconstruction.reliability import judge_tracks, left_out_misfit_m
+from pasdedeux.reconstruction.tracks import Lens, Track
+from pasdedeux.skeletons import OP14
+from storage_schema import Store, read_latest
+from tasks.facts import ProjectionFacts, TakeFacts
+from tasks.projections import ProjectionsParameters, read_database, read_pairs
+from tasks.reconstruction import MAX_PAIRS
+from tasks.takes import read_motion
+
+Array = npt.NDArray[np.float64]
+
+FAMILIES = {
+    "salsa": ("salsa_01", "salsa_03", "salsa_06", "salsa_10", "salsa_12"),
+    "waltz": ("waltz", "waltz-001"),
+    "hug": ("hug", "hug-001"),
+    "judo": ("judo", "judo-001", "push_hands"),
+    "lift": ("lift", "lift-001"),
+    "lying": ("push_up001", "stack_push_up001"),
+    "greeting": ("High_five", "box_throw"),
+    "everyday": ("02_01", "02_02", "02_03", "02_05", "02_10", "03_01", "20_11"),
+    "climbing": ("01_01", "01_13"),
+}
+RATE_HZ, SECONDS, WIDTH, HEIGHT = 30.0, 4.0, 1920, 1080
+PITCHES_DEG = (-5, 0, 5, 8, 12, 20, 30, 40)
+LARGE_M = 0.12
+"""Errors above this are to be told from smaller ones."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Which seconds of which take are seen, of people how tall, by what camera."""
+
+    family: str
+    take: str
+    first_frame: int
+    pitch_deg: float
+    focal_px: float
+    stature_m: float
+    seed: int
+    yaw_rad: float
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A clip as its camera sees it: tracks, true positions (frame, person, 14, 3) in camera axes, camera's height."""
+
+    clip: Clip
+    tracks: list[Track]
+    truth_m: Array
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Family:
+    """What a family is reconstructed from: the takes of the others under every pitch, their pairs, and their misfit."""
+
+    searchers: list[Searcher]
+    level: Searcher
+    pairs_m: npt.NDArray[np.floating]
+    left_out_m: float
+
+
+def study_of(data: Path) -> str:
+    """Return the study that reads all takes and projects their poses."""
+    salsa = [name.removeprefix("salsa_") for name in FAMILIES["salsa"]]
+    duets = [{"name": name} for name in ("waltz", "hug", "judo", "push_hands", "lift")]
+    duets += [{"name": name, "count": 1, "duration_s": 6} for name in ("waltz", "hug", "judo")]
+    duets += [{"name": "lift", "count": 1, "duration_s": 8}]
+    takes: list[dict[str, Any]] = []
+    for name in (*FAMILIES["lying"], *FAMILIES["greeting"]):
+        files = [str(data / "contact_pairs" / f"{name}_S{person}.bvh") for person in (1, 2)]
+        takes.append({"id": name, "files": files, "metres_per_unit": 0.0254})
+    for name in (*FAMILIES["everyday"], *FAMILIES["climbing"]):
+        bones = str(data / "cmu_asfamc" / f"{name[:2]}.asf")
+        files = [str(data / "cmu_asfamc" / f"{name}.amc")]
+        takes.append({"id": name, "files": files, "rate_hz": 120, "persons": [{"skeleton": bones}]})
+    lines = [
+        '[study]\nname = "families"\nseed = 1\nstages = ["ingest", "projections"]',
+        f"[ingest]\nrate_hz = {RATE_HZ:g}\ntake_seconds = 15",
+        f"duets = [{', '.join(_inline(one) for one in duets)}]",
+        f'[ingest.pairs.salsa]\nfolder = {json.dumps(str(data / "cmu_salsa_bvh"))}\nsubjects = ["60", "61"]',
+        f'takes = {json.dumps(salsa)}\nid = "salsa_{{take}}"\nrate_hz = 60',
+        *("[[ingest.takes]]\n" + "\n".join(f"{key} = {_inline(value)}" for key, value in one.items()) for one in takes),
+        "[ingest.virtual_video]\nnum_videos = 0\nnum_random_views = 0\n",
+    ]
+    return "\n".join(lines)
+
+
+def _inline(value: Any) -> str:
+    """Return a value as TOML says it."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_inline(one)}" for key, one in value.items()) + " }"
+    return f"[{', '.join(map(_inline, value))}]" if isinstance(value, list) else json.dumps(value)
+
+
+class Takes:
+    """The takes of all families, and the databases without one of them each."""
+
+    def __init__(self, data: Path, store: Path) -> None:
+        store.mkdir(parents=True, exist_ok=True)
+        study = store / "families.toml"
+        study.write_text(study_of(data.resolve()))
+        if run_command_line(["run", str(study), "--store", str(store), "--workers", "0"]) != 0:
+            raise SystemExit("the database could not be built")
+        self._store = Store(store)
+        last = read_latest(self._store, "families")
+        assert last is not None
+        self._parts = last.refs("projections")
+        self.poses_m: dict[str, Array] = {}
+        for ref in last.refs("ingest"):
+            manifest = self._store.manifest(ref)
+            if "poses" in manifest.tables:
+                poses = read_motion(self._store, ref, "op14_m")["op14_m"]
+                self.poses_m[TakeFacts.of(manifest).take_id] = poses.astype(np.float64)
+
+    def without(self, family: str) -> Family:
+        """Return the database of the takes of all other families."""
+        own = set(FAMILIES[family])
+        refs = [ref for ref in self._parts if not own & set(ProjectionFacts.of(self._store.manifest(ref)).takes)]
+        database, take_ids, _ = read_database(self._store, refs)
+        pitches = np.deg2rad(ProjectionsParameters().pitches_deg)
+        searchers = [Searcher.of(replace(database, camera=DatabaseCamera(float(pitch)))) for pitch in pitches]
+        level = searchers[0].pitched(0.0)
+        left_out_m = left_out_misfit_m(level.database, level.index, take_ids)
+        return Family(searchers, level, read_pairs(self._store, refs, max_pairs=MAX_PAIRS), left_out_m)
+
+    def clips(self, num_clips: int) -> list[Clip]:
+        """Return as many clips of each family."""
+        rng, found = np.random.default_rng(0), list[Clip]()
+        for family, takes in FAMILIES.items():
+            for number in range(num_clips):
+                take = takes[number % len(takes)]
+                start = int(rng.integers(0, max(len(self.poses_m[take]) - int(SECONDS * RATE_HZ), 0) + 1))
+                pitch = PITCHES_DEG[(number * 3 + len(found) // num_clips) % len(PITCHES_DEG)] + rng.uniform(-2, 2)
+                stature, seed = float(rng.uniform(1.5, 2.0)), int(rng.integers(1e9))
+                yaw = float(rng.uniform(-np.pi, np.pi))
+                focal = (0.72, 1.15)[number % 2] * WIDTH
+                found.append(Clip(family, take, start, float(pitch), focal, stature, seed, yaw))
+        return found
+
+    def seen(self, clip: Clip, *, has_lens: bool = False) -> Seen:
+        """Film a clip."""
+        rng, middle = np.random.default_rng(clip.seed), np.array([WIDTH / 2, HEIGHT / 2])
+        world = self.poses_m[clip.take][clip.first_frame : clip.first_frame + int(SECONDS * RATE_HZ)]
+        lengths = np.median(bone_lengths(OP14, world[:, 0]), axis=0)
+        world = world * clip.stature_m / float(body_height_m(OP14, lengths))
+        extent = max(np.ptp(world[..., 0]), np.ptp(world[..., 2]))
+        distance = max(clip.focal_px * 1.75 / 480, 0.55 * extent * clip.focal_px / middle[0] + 0.15 * extent)
+        camera = look_at_camera(
+            mid_hip(world).mean(axis=(0, 1)),
+            distance_m=distance,
+            yaw_rad=clip.yaw_rad,
+            pitch_rad=np.deg2rad(clip.pitch_deg),
+            focal_px=clip.focal_px,
+            image_size_px=(WIDTH, HEIGHT),
+        )
+        truth = (world - camera.position_m) @ camera.camera_from_world_rotmat.T
+        px = (
+            camera.project(world).px + lasting_noise(rng, (*truth.shape[:-1], 2)) * clip.focal_px * 1.7 / distance / 200
+        )
+        is_missed = (rng.random(px.shape[:-1]) < 0.05) | ((px < 0) | (px >= 2 * middle)).any(axis=-1)
+        px[is_missed] = np.nan
+        lens = Lens.assumed(WIDTH, HEIGHT, px.reshape(-1, 2), clip.focal_px if has_lens else None)
+        people = range(px.shape[1])
+        tracks = [
+            Track(
+                px[:, one], np.where(is_missed, 0.0, 0.8)[:, one], RATE_HZ, lens, one,
+                partner_id=1 - one if len(people) == 2 else None,
+            )
+            for one in people
+        ]  # fmt: skip
+        return Seen(clip, tracks, truth, float(camera.position_m[1]))
+
+
+def lasting_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Return noise (frame, ...) of deviation 1 px, half of its power white and half lasting for ten frames."""
+    white, steps = rng.normal(0, 1, shape), rng.normal(0, 1, shape)
+    lasting = np.zeros(shape)
+    lasting[0] = steps[0]
+    for frame in range(1, shape[0]):
+        lasting[frame] = 0.9 * lasting[frame - 1] + np.sqrt(1 - 0.9**2) * steps[frame]
+    return 0.7 * (white + lasting)
+
+
+def reconstruct(seen: Seen, family: Family, **stated: Any) -> ReconstructedTracks:
+    """Reconstruct a clip as `pasdedeux reconstruct` does."""
+    pitch: PitchEstimate = stated.pop("pitch", None) or choose_pitch(family.searchers, seen.tracks)
+    pairs_m = family.pairs_m if len(seen.tracks) > 1 else None
+    searcher = family.level.pitched(pitch.pitch_rad)
+    return reconstruct_people(
+        searcher, seen.tracks, [Method.NEAREST, Method.FIT], pairs_m=pairs_m, pitch=pitch, **stated
+    )
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one person or couple of a clip by method, metres; what is expected of the last, and from what."""
+
+    clip: Clip
+    is_place: bool
+    errors_m: dict[str, float]
+    expected_m: float
+    evidence: Array
+    verdict: str
+
+
+def rows_of(seen: Seen, found: ReconstructedTracks, family: Family, level: ReconstructedTracks | None) -> Iterator[Row]:
+    """Yield everybody and the couple of a clip."""
+    judged = judge_tracks(
+        found, family.left_out_m, pitches_rad=[one.database.camera.pitch_rad for one in family.searchers]
+    )
+    made = {one.name: one.people for one in found.methods} | (
+        {} if level is None else {"level": level.methods[-1].people}
+    )
+    made = {"ours": made.pop("fit_clean"), **{name: made[name] for name in ("nearest", "level") if name in made}}
+    for number, one in enumerate(made["ours"]):
+        person, frames = one.track.person_id, one.track.frames
+        truth = seen.truth_m[frames, person]
+        errors = {
+            name: float(root_centred_error_m(people[number].positions_m, truth).mean()) for name, people in made.items()
+        }
+        still = np.broadcast_to((truth - mid_hip(truth)[:, None]).mean(axis=0), truth.shape)
+        errors["standing still"] = float(root_centred_error_m(still, truth).mean())
+        own = judged.people[person]
+        yield Row(seen.clip, False, errors, own.expected_error_m, own.evidence, own.verdict.level.value)
+    for (first, second), place in judged.places.items():
+        true = mid_hip(seen.truth_m[:, second]) - mid_hip(seen.truth_m[:, first])
+        between = {name: people[second].root_m - people[first].root_m for name, people in made.items()}
+        between["equal depth"] = between["ours"] * [1.0, 1.0, 0.0]
+        errors = {name: float(np.linalg.norm(one - true, axis=-1).mean()) for name, one in between.items()}
+        expected = place.expected_error_m
+        yield Row(seen.clip, True, errors, expected, np.log([expected]), place.verdict.level.value)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Reconstruct the clips and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--store", type=Path, default=Path(tempfile.gettempdir()) / "pasdedeux-families")
+    parser.add_argument("--clips", type=int, default=7)
+    parser.add_argument("--families", default=",".join(FAMILIES))
+    parser.add_argument("--lens", action="store_true")
+    parser.add_argument("--stature", action="store_true")
+    parser.add_argument("--no-level", action="store_true")
+    asked = parser.parse_args(arguments)
+    takes = Takes(asked.data, asked.store)
+    rows: list[Row] = []
+    for family in asked.families.split(","):
+        from_others = takes.without(family)
+        for clip in (one for one in takes.clips(asked.clips) if one.family == family):
+            seen = takes.seen(clip, has_lens=asked.lens)
+            stated = {"statures_m": {one.person_id: clip.stature_m for one in seen.tracks[:1]}} if asked.stature else {}
+            found = reconstruct(seen, from_others, **stated)
+            level = None if asked.no_level else reconstruct(seen, from_others, pitch=PitchEstimate(0, 0.0), **stated)
+            rows += rows_of(seen, found, from_others, level)
+            say(
+                f"{family} {clip.take}: "
+                + ", ".join(
+                    f"{100 * row.errors_m['ours']:.1f} cm ({100 * row.expected_m:.0f} expected, {row.verdict})"
+                    for row in rows
+                    if row.clip == clip
+                )
+            )
+    for is_place, words in ((False, "pose of each"), (True, "place of one to the other")):
+        own = [row for row in rows if row.is_place == is_place]
+        if own:
+            say(f"\n{words}, cm")
+            say_errors(own)
+            say_expected(own)
+
+
+def say_errors(rows: Sequence[Row]) -> None:
+    """Print the mean errors of each family by method."""
+    names = list(rows[0].errors_m)
+    say(f"| family left out | {' | '.join(names)} | expected |\n|---|{'---|' * (len(names) + 1)}")
+    for family in (*dict.fromkeys(row.clip.family for row in rows), "all"):
+        own = [row for row in rows if family in ("all", row.clip.family)]
+        means = [np.mean([row.errors_m[name] for row in own]) for name in names] + [
+            np.mean([row.expected_m for row in own])
+        ]
+        say(f"| {family} | {' | '.join(f'{100 * one:.1f}' for one in means)} |")
+
+
+def say_expected(rows: Sequence[Row]) -> None:
+    """Print how well expected errors hold, as they are and as those fitted to the other families do."""
+    true, expected = np.array([[row.errors_m["ours"], row.expected_m] for row in rows]).T
+    large = true > LARGE_M * (2 if rows[0].is_place else 1)
+    passed = np.array([row.verdict == "pass" for row in rows])
+    say(f"in use: AUC of large errors {auc(expected, large):.2f}; pass: {np.mean(passed[large]):.0%} of them,")
+    say(f"  {np.mean(passed[~large]):.0%} of the others")
+    evidence, families = np.array([row.evidence for row in rows]), np.array([row.clip.family for row in rows])
+    left, low, high = np.full((3, len(rows)), np.nan)
+    for family in (names := np.unique(families)):
+        own = families == family
+        if own.all():
+            return
+        left[own] = np.exp(evidence[own] @ fitted(evidence[~own], true[~own]))
+        # Intervals, too, are those of families left out among the others.
+        parts = np.quantile(parts_left_out(evidence, true, families, ~own), INTERVAL)
+        low[own], high[own] = left[own] * parts[:, None]
+    holds = (low <= true) & (true <= high)
+    shares = ", ".join(f"{name} {holds[families == name].mean():.0%}" for name in names)
+    say(f"fitted to the other families: AUC {auc(left, large):.2f}, interval holds in {holds.mean():.0%} ({shares}),")
+    score, constant = interval_score(true, low, high), constant_score(true, families)
+    say(f"  interval score {100 * score:.1f} (a constant one {100 * constant:.1f})")
+    parts = np.quantile(parts_left_out(evidence, true, families, np.ones(len(rows), dtype=bool)), INTERVAL)
+    say(
+        f"fitted to all: weights {np.round(fitted(evidence, true), 3).tolist()}, interval {np.round(parts, 2).tolist()}"
+    )
+
+
+INTERVAL = (0.1, 0.9)
+
+
+def parts_left_out(evidence: Array, true: Array, families: Any, chosen: Any) -> Array:
+    """Return the chosen errors as parts of what the other chosen families let expect."""
+    parts = []
+    for family in np.unique(families[chosen]):
+        own, others = chosen & (families == family), chosen & (families != family)
+        parts.append(true[own] / np.exp(evidence[own] @ fitted(evidence[others], true[others])))
+    return np.concatenate(parts)
+
+
+def fitted(evidence: Array, true_m: Array) -> Array:
+    """Return the weights (n,) of evidence (row, n) whose sum is nearest to the logarithm of the errors (row,)."""
+    return np.linalg.lstsq(evidence, np.log(true_m), rcond=None)[0]
+
+
+def auc(score: Array, is_large: npt.NDArray[np.bool_]) -> float:
+    """Return how well a score separates large errors from others."""
+    above = score[is_large][:, None] - score[~is_large]
+    return float(np.mean((above > 0) + 0.5 * (above == 0))) if above.size else float("nan")
+
+
+def interval_score(true: Array, low: Array, high: Array) -> float:
+    """Return the interval score of 80 % intervals (Gneiting and Raftery 2007, eq. 43)."""
+    missed = np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0)
+    return float(np.mean(high - low + missed / INTERVAL[0]))
+
+
+def constant_score(true: Array, families: Any) -> float:
+    """Return the interval score of one interval for all, from the other families."""
+    bounds = np.array([np.quantile(true[families != family], INTERVAL) for family in families])
+    return interval_score(true, *bounds.T)
+
+
+say: Callable[[str], None] = lambda text: print(text, flush=True)  # noqa: E731, T201
+
+if __name__ == "__main__":
+    main()

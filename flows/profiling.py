@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pasdedeux.evaluation.pictures import Picture, figure_svg, label_axis, legend_beside, new_figure
-from pasdedeux.evaluation.report import Report, Section, render
+from pasdedeux.evaluation.report import render
 from pasdedeux.evaluation.score_tables import TextTable
 from storage_schema import Manifest, Store
 from storage_schema.store import PROCESSOR_S
 from tasks.shards import ShardDone
-from tasks.summary import summary_of
 
 PROFILE_FILE = "profile.html"
 _NUM_LONGEST = 10
@@ -49,20 +48,26 @@ def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path
         manifest = store.manifest(one.ref)
         bars.append(_Bar(manifest, place.process, place.memory_bytes, start_s, start_s + one.seconds))
     bars.sort(key=lambda bar: bar.start_s)
-    sections = [_time_line(bars), _tables(bars)] if bars else []
-    summary = summary_of([bar.manifest for bar in bars])
-    words = f"{len(bars)} shards that this run computed; what was there already is not among them."
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / PROFILE_FILE
-    path.write_text(render("report.html", report=Report("Profile of a run", words, summary, sections)), "utf-8")
+    path.write_text(render("profile.html", words=_words(bars), picture=_time_line(bars), tables=_tables(bars)), "utf-8")
     return path
 
 
-def _time_line(bars: Sequence[_Bar]) -> Section:
-    """Show when each process computed what, and how busy they were."""
+def _words(bars: Sequence[_Bar]) -> str:
+    """Say how much was computed, by how many processes, and how busy they were."""
+    num_processes, end_s = len({bar.process for bar in bars}), max((bar.end_s for bar in bars), default=0.0)
+    busy = sum(bar.seconds for bar in bars) / (num_processes * end_s) if end_s else 0.0
+    return (
+        f"{len(bars)} shards, without those that were there already. {num_processes} processes for {end_s:.1f} s, "
+        f"at work {busy:.0%} of that. Memory is the most that a process had held by the end of a shard."
+    )
+
+
+def _time_line(bars: Sequence[_Bar]) -> Picture:
+    """Show when each process computed what."""
     processes = list(dict.fromkeys(bar.process for bar in bars))
     stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))
-    end_s = max(bar.end_s for bar in bars)
     figure, ((axis,),) = new_figure(9.5, 1.3 + 0.35 * len(processes))
     for number, stage in enumerate(stages):
         own = [bar for bar in bars if bar.manifest.ref.stage == stage]
@@ -73,13 +78,11 @@ def _time_line(bars: Sequence[_Bar]) -> Section:
     axis.invert_yaxis()
     label_axis(axis, "seconds since the first shard began")
     legend_beside(axis)
-    busy = sum(bar.seconds for bar in bars) / (len(processes) * end_s) if end_s else 0.0
-    said = f"{len(processes)} processes for {end_s:.1f} s, at work {busy:.0%} of that; memory is of the process so far."
     caption = "Shards on processes over time, coloured by stage; white is waiting."
-    return Section("Time line", (said,), pictures=(Picture("time-line.svg", caption, figure_svg(figure)),))
+    return Picture("time-line.svg", caption, figure_svg(figure))
 
 
-def _tables(bars: Sequence[_Bar]) -> Section:
+def _tables(bars: Sequence[_Bar]) -> list[TextTable]:
     """Lay out what stages and the longest shards took."""
     stages: dict[str, list[_Bar]] = defaultdict(list)
     for bar in bars:
@@ -87,24 +90,14 @@ def _tables(bars: Sequence[_Bar]) -> Section:
     total_s = sum(bar.seconds for bar in bars)
     order = sorted(stages, key=lambda stage: -sum(bar.seconds for bar in stages[stage]))
     longest = sorted(bars, key=lambda bar: -bar.seconds)[:_NUM_LONGEST]
-    return Section(
-        "Stages and shards",
-        tables=(
-            TextTable(
-                "Stages",
-                ("stage", "shards", *_HEADINGS),
-                tuple((stage, str(len(stages[stage])), *_row(stages[stage], total_s)) for stage in order),
-            ),
-            TextTable(
-                f"The {len(longest)} longest shards",
-                ("stage", "partition", "shard", *_HEADINGS),
-                tuple(
-                    (bar.manifest.ref.stage, bar.manifest.partition, bar.manifest.name, *_row([bar], total_s))
-                    for bar in longest
-                ),
-            ),
-        ),
-    )
+    by_stage = [(stage, str(len(stages[stage])), *_row(stages[stage], total_s)) for stage in order]
+    by_shard = [
+        (bar.manifest.ref.stage, bar.manifest.partition, bar.manifest.name, *_row([bar], total_s)) for bar in longest
+    ]
+    return [
+        TextTable("Stages", ("stage", "shards", *_HEADINGS), tuple(by_stage)),
+        TextTable(f"The {len(longest)} longest shards", ("stage", "partition", "shard", *_HEADINGS), tuple(by_shard)),
+    ]
 
 
 def _row(bars: Sequence[_Bar], total_s: float) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.annotated import MIN_FRAMES, as_pair17, lift_over_time
+from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedDraws, as_pair17, lift_over_time
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
@@ -118,7 +118,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     wanted = sorted({*chosen, *(end for span in spans for end in span)})
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
-    over_time = _over_time(store, shard.ref("annotations"), in_time, set(wanted), draws.pairs_m)
+    over_time = _over_time(shard, store, in_time, set(wanted))
     for place in wanted:
         known = lifted_from.get(place[:3], ())
         found, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
@@ -212,9 +212,14 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     }
 
 
-def _over_time(
-    store: Store, annotations: ArtifactRef, places: Sequence[Place], wanted: set[Place], pairs_m: np.ndarray
-) -> dict[Place, np.ndarray]:
+@lru_cache(maxsize=1)
+def _filmed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> FilmedDraws:
+    """Return the draws before every camera that is tried, made ready once for all shards of a worker."""
+    pitches = np.deg2rad(ProjectionsParameters().pitches_deg).tolist()
+    return FilmedDraws.of(_indexed_draws(store, refs)[0].pairs_m, pitches)
+
+
+def _over_time(shard: Shard, store: Store, places: Sequence[Place], wanted: set[Place]) -> dict[Place, np.ndarray]:
     """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between."""
     couples: dict[Place, list[Place]] = {}
     for place in places:
@@ -225,13 +230,15 @@ def _over_time(
         chosen = sorted(between.union(wanted.intersection(own)))
         if len(own) < MIN_FRAMES or not wanted.intersection(own):
             continue
-        every = read_tracks(store, annotations, SequenceShard(sequence_id=couple.sequence_id), {"skipped": []})
+        every = read_tracks(
+            store, shard.ref("annotations"), SequenceShard(sequence_id=couple.sequence_id), {"skipped": []}
+        )
         tracks = {track.person_id: track for track in every}
         if not {couple.person_id, couple.partner_id} <= set(tracks):
             continue
         both = [tracks[couple.person_id], tracks[couple.partner_id]]
-        pitches = np.deg2rad(ProjectionsParameters().pitches_deg)
-        made = lift_over_time(pairs_m, both, np.array([place.frame for place in chosen]), pitches.tolist())
+        draws = _filmed_draws(store, shard.refs("draws"))
+        made = lift_over_time(draws, both, np.array([place.frame for place in chosen]))
         found |= {} if made is None else dict(zip(chosen, made, strict=True))
     return found
 

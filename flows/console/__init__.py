@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
+from pasdedeux.threads import use_one_thread
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -18,6 +20,7 @@ def main(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) 
 
     Nothing is imported before it is called: a Dask worker imports this package by its entry point.
     """
+    use_one_thread()
     try:
         from flows.console.app import run_command_line
     except KeyboardInterrupt:  # the first second goes into imports

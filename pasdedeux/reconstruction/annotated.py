@@ -7,7 +7,7 @@ floor, sizes, touch and the pairs that look alike, as in `scene`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.people import reconstruct_people
-from pasdedeux.reconstruction.pitch import choose_camera
+from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14, PAIR17
@@ -37,27 +37,41 @@ _OP14, _PAIR17 = OP14.indices(_SHARED), PAIR17.indices(_SHARED)
 _TORSO = [_SHARED.index(f"{side}_{name}") for side in ("left", "right") for name in ("shoulder", "hip")]
 
 
-def lift_over_time(
-    pairs_m: npt.NDArray[np.floating], tracks: Sequence[Track], frames: Integers, pitches_rad: Sequence[float]
-) -> Array | None:
+@dataclass(frozen=True)
+class FilmedDraws:
+    """Draws and grown pairs as the people whom cameras of some pitches see.
+
+    Args:
+        op14_m: The pairs (draw, person=2, 14, 3), metres, as many as count.
+        searchers: One for each pitch.
+    """
+
+    op14_m: Array
+    searchers: tuple[Searcher, ...]
+
+    @classmethod
+    def of(cls, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedDraws:
+        """Make pairs (draw, person=2, 17, 3), metres, ready for cameras of these pitches."""
+        op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64), PAIR17)
+        poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m.astype(np.float32)
+        starts = np.ones(len(poses), dtype=bool)
+        cameras = [DatabaseCamera(pitch) for pitch in pitches_rad]
+        return cls(op14, tuple(Searcher.of(Database(poses, starts, camera=camera)) for camera in cameras))
+
+
+def lift_over_time(draws: FilmedDraws, tracks: Sequence[Track], frames: Integers) -> Array | None:
     """Return two people in annotated frames of one camera (frame, person=2, 14, 3), camera axes, metres.
 
     Args:
-        pairs_m: Draws and grown pairs (draw, person=2, 17, 3), metres, that are the database.
+        draws: The database, with the pitches that are tried.
         tracks: The two people.
         frames: Annotated frames of the sequence (frame,) that show both, rising; need not be regular.
-        pitches_rad: Pitches of the camera that are tried.
 
     Returns:
         None where there are too few frames, or somebody cannot be reconstructed.
     """
     if len(frames) < MIN_FRAMES:
         return None
-    op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64), PAIR17)
-    poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m.astype(np.float32)
-    databases = [
-        Database(poses, np.ones(len(poses), dtype=bool), camera=DatabaseCamera(pitch)) for pitch in pitches_rad
-    ]
     found = []
     for part in np.array_split(frames, -(-len(frames) // _MAX_FRAMES)):
         step = max(float(np.median(np.diff(part))), 1.0) if len(part) > 1 else 1.0
@@ -73,10 +87,10 @@ def lift_over_time(
             )
             for number, one in enumerate(tracks)
         ]
-        pitch = choose_camera(databases, both)
-        searcher = Searcher.of(replace(databases[0], camera=DatabaseCamera(pitch.pitch_rad)))
+        pitch = choose_pitch(draws.searchers, both)
+        searcher = draws.searchers[0].pitched(pitch.pitch_rad)
         made = reconstruct_people(
-            searcher, both, [Method.FIT], has_clean_up=False, pairs_m=centre_pairs(op14), pitch=pitch
+            searcher, both, [Method.FIT], has_clean_up=False, pairs_m=centre_pairs(draws.op14_m), pitch=pitch
         )
         if made.skipped:
             return None

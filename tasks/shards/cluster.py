@@ -16,6 +16,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pasdedeux.threads import THREAD_VARIABLES
 from storage_schema import Store
 from storage_schema.provenance import code_version, package_versions, source_digest
 from tasks.shards.errors import ClusterError, in_one_line
@@ -25,17 +26,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 DEATHS_ALLOWED = 2  # workers that may die under one shard before it is given up: the third death is its fault
-_ONE_THREAD = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-    "POLARS_MAX_THREADS",
-)
 _INSTRUCTIONS = (
     "NUMBA_CPU_NAME",
     "NUMBA_CPU_FEATURES",
@@ -160,7 +150,7 @@ def worker_environment() -> dict[str, str]:
     Compiled kernels lie beside their source where that can be written (numba's own rule), else in the user's cache
     folder, else in a temporary one; NUMBA_CACHE_DIR wins where it is set.
     """
-    environment = dict.fromkeys(_ONE_THREAD, "1")
+    environment = dict.fromkeys(THREAD_VARIABLES, "1")
     if "NUMBA_CACHE_DIR" in os.environ:
         environment["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"]
     elif not os.access(Path(__file__).parents[2] / "pasdedeux", os.W_OK):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import typer
 
 from flows.console.app import COMMANDS, Command
 from flows.console.context import app
+from pasdedeux.threads import THREAD_VARIABLES
 from tests.builders.toy_runs import ROOT, run_toys, write_study
 
 CONSOLE = ROOT / "flows" / "console"
@@ -93,3 +95,21 @@ def test_what_stands_for_a_command_until_it_is_called_is_what_its_module_adds() 
         for name, command in typer.main.get_group(app).commands.items()
     }
     assert added == COMMANDS
+
+
+def test_commands_have_one_thread_for_linear_algebra_unless_the_environment_says_otherwise() -> None:
+    script = """
+from contextlib import suppress
+from flows.console import main
+with suppress(SystemExit):
+    main(["show", "--help"])
+import numpy, scipy.linalg
+from threadpoolctl import threadpool_info
+print(sorted({one["num_threads"] for one in threadpool_info()}))
+"""
+    names = {name: value for name, value in os.environ.items() if name not in THREAD_VARIABLES}
+    for stated, threads in ({}, "[1]"), (dict.fromkeys(THREAD_VARIABLES, "2"), "[2]"):
+        said = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, env=names | stated, capture_output=True, text=True, check=True
+        )
+        assert said.stdout.splitlines()[-1] == threads

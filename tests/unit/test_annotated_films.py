@@ -9,7 +9,7 @@ from pasdedeux.choreography.duets import make_duet
 from pasdedeux.evaluation.lifting import lifted_errors
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
 from pasdedeux.projections.sources import op14_from_working
-from pasdedeux.reconstruction.annotated import MIN_FRAMES, as_pair17, lift_over_time
+from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedDraws, as_pair17, lift_over_time
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 
@@ -31,7 +31,8 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     lens = Lens.assumed(1920, 1080, px)
     tracks = [Track(px[:, person], np.ones((len(px), 14)), 6.0, lens, person_id=person) for person in (0, 1)]
     frames = np.arange(0, len(px), 2)
-    found = lift_over_time(draws, tracks, frames, np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    filmed = FilmedDraws.of(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    found = lift_over_time(filmed, tracks, frames)
     assert found is not None
     pairs = np.stack([as_pair17(one, draws[0]) for one in found])
     true = truth[frames] @ camera.camera_from_world_rotmat.T
@@ -39,7 +40,7 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     # People of other sizes dance the same in the draws: poses are near, and so is the distance that images leave open.
     assert errors["lifted_pair_error"].mean() < 0.12
     assert errors["person_distance_error"].mean() < 0.08
-    assert lift_over_time(draws, tracks, frames[: MIN_FRAMES - 1], [0.0]) is None
+    assert lift_over_time(filmed, tracks, frames[: MIN_FRAMES - 1]) is None
 
 
 def test_trunks_move_with_shoulders_and_hips_at_the_size_of_the_person() -> None:

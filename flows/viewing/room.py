@@ -86,7 +86,9 @@ class Room:
         if shown.camera is not None:
             wxyz, position, fov = _view_of(shown.camera)
             width, height = shown.camera.image_size_px
-            scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
+            scene.add_camera_frustum(
+                "/camera", fov, width / height, scale=0.3, thickness=0.005, color=_GREY, wxyz=wxyz, position=position
+            )
             self._far_m = float(-shown.camera.camera_from_world(seen)[:, 2].min()) + _BEHIND_M
 
     def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:

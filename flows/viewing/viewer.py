@@ -20,7 +20,7 @@ from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
 from flows.viewing.room import COMPARE, Room
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, figure_label, figure_words, moment_in, moment_reference
+from flows.viewing.shelf import GROUPS, Item, Part, Shelf, figure_label, figure_words, moment_in, moment_reference
 from flows.viewing.side import Pointer, SidePicture, flat_picture
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.variations import scale_axes
@@ -128,7 +128,8 @@ class Viewer:
         with self.lock:
             self.part = part
             self._figures = qualities(self.shelf, part)
-            numbers = [name for name, value in next(iter(self._figures.values()), {}).items() if _is_number(value)]
+            first = next(iter(self._figures.values()), {})
+            numbers = [name for name, value in first.items() if _is_figure(part, name, value)]
             self._set("part", self._part_label(part))
             self._names |= {figure_label(name)[0]: name for name in numbers}
             self.gui_sort.options = (STORED_ORDER, *(figure_label(name)[0] for name in numbers))
@@ -288,12 +289,12 @@ class Viewer:
         with gui.add_folder("Filter and sort", expand_by_default=False):
             self.gui_filter = put["filter"] = gui.add_dropdown("only", ONLY)
             self.gui_sort = put["sort"] = gui.add_dropdown("largest first", (STORED_ORDER,))
-        self._scales_folder = gui.add_folder("Scales", visible=False)
         self._curve_folder = gui.add_folder("Curve")
         with self._curve_folder:
             put["strip"] = gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
             put["curve"] = gui.add_dropdown("figure", ("none",))
             put["plot"] = gui.add_image(flat_picture([]), visible=False)
+        self._scales_folder = gui.add_folder("Scales", visible=False)
         with gui.add_folder("Accept or reject", expand_by_default=False):
             put["reason"] = gui.add_text("reason", "")
             self._button("Accept", lambda _: self.decide("accept"), "K")
@@ -387,8 +388,9 @@ class Viewer:
     def _item_lines(self) -> list[str]:
         """Return what is known of the item: its figures as the store has them."""
         row = self._figures.get(self.item.names, {})
-        figures = [figure_words(name, value) for name, value in row.items() if _is_number(value)]
-        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *figures]
+        figures = [figure_words(name, value) for name, value in row.items() if _is_figure(self.part, name, value)]
+        heading = ["all frames together:"] if figures else []
+        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *heading, *figures]
 
     # Scales of variants.
 
@@ -563,8 +565,10 @@ class Viewer:
         self.tell(f"saved {name}.webp")
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+def _is_figure(part: Part, name: str, value: Any) -> bool:
+    """Tell whether a column of the figures of a part's items is a number that names nothing."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+    return is_number and name not in {*GROUPS[part.table], "person"}
 
 
 def _number(value: Any) -> float:

@@ -16,7 +16,8 @@ COMPARE = ("over", "beside", "hidden")
 _MARK_M = 0.035
 _APART_M = 0.5
 _MOVED_M = 2.0
-"""Cameras follow where people are further than this from those before."""
+"""Cameras follow where people are further than this from those before; up and down counts more."""
+_UP_COUNTS = 4.0
 _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
 _FOV_RAD = float(np.deg2rad(75.0))
 _BEHIND_M = 1.0
@@ -65,7 +66,7 @@ class Room:
         count = is_there.sum(axis=(1, 2))
         start = seen[: max(1, int(count[np.argmax(count > 0)]))].mean(axis=0)  # of the first frame with somebody
         middle = np.array([start[0], floor + 0.9, start[2]])
-        if np.linalg.norm(middle - self._middle) > _MOVED_M:
+        if np.linalg.norm((middle - self._middle) * [1.0, _UP_COUNTS, 1.0]) > _MOVED_M:
             self._middle = middle
             for client in self._server.get_clients().values():
                 self._aim(client)
@@ -86,7 +87,9 @@ class Room:
         if shown.camera is not None:
             wxyz, position, fov = _view_of(shown.camera)
             width, height = shown.camera.image_size_px
-            scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
+            scene.add_camera_frustum(
+                "/camera", fov, width / height, scale=0.3, thickness=0.005, color=_GREY, wxyz=wxyz, position=position
+            )
             self._far_m = float(-shown.camera.camera_from_world(seen)[:, 2].min()) + _BEHIND_M
 
     def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:

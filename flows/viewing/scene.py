@@ -59,6 +59,7 @@ class Scene:
         facts: What is known of the item, a line each.
         say: Gives what is known of a frame, a line each.
         images: Gives the 2D pictures that belong to a frame.
+        nearest: Gives further ones, which take time to find: the poses of the database that are nearest.
         first_number: Number that the store has for the first frame.
         has_floor: The floor is at y = 0; else it is drawn under the lowest joint.
     """
@@ -79,6 +80,7 @@ class Scene:
     facts: tuple[str, ...] = ()
     say: Callable[[int], list[str]] = lambda frame: []
     images: Callable[[int], list[Flat]] = lambda frame: []
+    nearest: Callable[[int], list[Flat]] | None = None
     first_number: int = 0
     has_floor: bool = True
 

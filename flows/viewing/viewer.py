@@ -20,11 +20,12 @@ from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
 from flows.viewing.room import COMPARE, Room
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, figure_label, figure_words, moment_in, moment_reference
+from flows.viewing.shelf import GROUPS, Item, Part, Shelf, figure_label, figure_words, moment_in, moment_reference
 from flows.viewing.side import Pointer, SidePicture, flat_picture
 from pasdedeux.arrays import Array
+from pasdedeux.augmentation.variations import scale_axes
 from pasdedeux.errors import InputError, PasdedeuxError
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import StorageError
 from tasks.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision
 
@@ -127,7 +128,8 @@ class Viewer:
         with self.lock:
             self.part = part
             self._figures = qualities(self.shelf, part)
-            numbers = [name for name, value in next(iter(self._figures.values()), {}).items() if _is_number(value)]
+            first = next(iter(self._figures.values()), {})
+            numbers = [name for name, value in first.items() if _is_figure(part, name, value)]
             self._set("part", self._part_label(part))
             self._names |= {figure_label(name)[0]: name for name in numbers}
             self.gui_sort.options = (STORED_ORDER, *(figure_label(name)[0] for name in numbers))
@@ -174,6 +176,7 @@ class Viewer:
             known = {"compare": scene.behind, "through": scene.camera, "failing": scene.levels, "film": scene.film}
             for name, needed in known.items():
                 self._handles[name].visible = needed is not None
+            self._handles["nearest"].visible = scene.nearest is not None
             for name in ("start", "end"):
                 self._handles[name].visible = self.part.table in CLIPPED
             self._handles["compare"].label = scene.behind_name or "compare"
@@ -276,6 +279,7 @@ class Viewer:
         put["compare"] = gui.add_dropdown("compare", COMPARE)
         put["failing"] = self._button("Next failing frame", lambda _: self.next_failing(), "F")
         put["through"] = self._button("Look through its camera", lambda event: self.room.look_through(event.client))
+        put["nearest"] = gui.add_checkbox("nearest poses of the database", initial_value=False)
         put["film"] = gui.add_checkbox("film behind people", initial_value=True)
         put["said"] = gui.add_text("message", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
@@ -285,12 +289,12 @@ class Viewer:
         with gui.add_folder("Filter and sort", expand_by_default=False):
             self.gui_filter = put["filter"] = gui.add_dropdown("only", ONLY)
             self.gui_sort = put["sort"] = gui.add_dropdown("largest first", (STORED_ORDER,))
-        self._scales_folder = gui.add_folder("Scales", visible=False)
         self._curve_folder = gui.add_folder("Curve")
         with self._curve_folder:
             put["strip"] = gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
             put["curve"] = gui.add_dropdown("figure", ("none",))
             put["plot"] = gui.add_image(flat_picture([]), visible=False)
+        self._scales_folder = gui.add_folder("Scales", visible=False)
         with gui.add_folder("Accept or reject", expand_by_default=False):
             put["reason"] = gui.add_text("reason", "")
             self._button("Accept", lambda _: self.decide("accept"), "K")
@@ -310,7 +314,7 @@ class Viewer:
             "compare": lambda _: self.show_item(self.index, self.scene.row_of(self.frame)),
             "speed": lambda _: self.play(self.is_playing),
             "marks": lambda _: self.show_frame(),
-            "film": lambda _: self.look(),
+            **dict.fromkeys(("film", "nearest"), lambda _: self.look()),
             "curve": lambda _: self._draw_curve(),
             **dict.fromkeys(("filter", "sort"), lambda _: self._sorted_again()),
             "link": self.visit,
@@ -384,36 +388,38 @@ class Viewer:
     def _item_lines(self) -> list[str]:
         """Return what is known of the item: its figures as the store has them."""
         row = self._figures.get(self.item.names, {})
-        figures = [figure_words(name, value) for name, value in row.items() if _is_number(value)]
-        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *figures]
+        figures = [figure_words(name, value) for name, value in row.items() if _is_figure(self.part, name, value)]
+        heading = ["all frames together:"] if figures else []
+        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *heading, *figures]
 
     # Scales of variants.
 
     def _show_scales(self) -> None:
-        """Offer a slider for each person's uniform scale, through what was built."""
-        known = {item.names: self._figures.get(item.names, {}) for item in self.shelf.items(self.part)}
-        scales = {names: row["uniform_scale"] for names, row in known.items() if "uniform_scale" in row}
-        every = np.nan_to_num(np.array(list(scales.values())), nan=1.0) if scales else np.ones((1, 0))
-        self._scaled_items = list(scales), every
-        varied = [person for person, column in enumerate(every.T) if np.ptp(column)]
-        self._scales_folder.visible = bool(varied)
-        for person in range(len(self._scales), max(varied, default=-1) + 1):
+        """Offer a slider for whatever is scaled by itself - people, limbs, bones - through what was built."""
+        rows = {item.names: self._figures.get(item.names, {}).get("bone_scale") for item in self.shelf.items(self.part)}
+        known = {name: np.reshape(own, (-1, BODY22.num_joints)) for name, own in rows.items() if own is not None}
+        axes = scale_axes(np.array(list(known.values()), dtype=np.float64)) if self.item.names in known else {}
+        self._scaled_items = list(known), np.array(list(axes.values())).T
+        self._scales_folder.visible = bool(axes)
+        for axis in range(len(self._scales), len(axes)):
             with self._scales_folder:
-                slider = self.server.gui.add_slider(f"person {'ABCDEFGHIJ'[person]}", 0.0, 1.0, 0.01, initial_value=0.0)
-            slider.on_update(self._from_client(partial(self._scaled, person)))
+                slider = self.server.gui.add_slider("scale", 0.0, 1.0, 0.01, initial_value=0.0)
+            slider.on_update(self._from_client(partial(self._scaled, axis)))
             self._scales.append(slider)
-        for person, slider in enumerate(self._scales):
-            slider.visible = person in varied
-            if person in varied:
-                slider.max, slider.min = float(every[:, person].max()), float(every[:, person].min())
-                slider.value = float(every[self._scaled_items[0].index(self.item.names), person])
+        own = list(known).index(self.item.names) if axes else 0
+        for axis, slider in enumerate(self._scales):
+            slider.visible = axis < len(axes)
+            if slider.visible:
+                label, scales = list(axes.items())[axis]
+                slider.label, slider.max, slider.min = label, float(scales.max()), float(scales.min())
+                slider.value = float(scales[own])
 
-    def _scaled(self, person: int, value: float) -> None:
+    def _scaled(self, axis: int, value: float) -> None:
         """Show the variant nearest to the scales of the sliders, of which one was moved."""
         known, every = self._scaled_items
         wanted = every[known.index(self.item.names)].copy()
-        wanted[person] = value
-        weight = np.where(np.arange(len(wanted)) == person, 2.0, 1.0)
+        wanted[axis] = value
+        weight = np.where(np.arange(len(wanted)) == axis, 2.0, 1.0)
         names = known[int(np.argmin((weight * np.abs(every - wanted)).sum(axis=1)))]
         index = next(at for at, item in enumerate(self.shelf.items(self.part)) if item.names == names)
         if index != self.index:
@@ -487,7 +493,10 @@ class Viewer:
 
     def flats(self) -> list[Flat]:
         """Return the 2D pictures of this moment, with the 2D poses of the first as they were changed."""
-        flats, changed = self.scene.images(self.frame), self.image_px
+        scene, frame, changed = self.scene, self.frame, self.image_px
+        flats = scene.images(frame)
+        if scene.nearest is not None and self._handles["nearest"].value:
+            flats = [*flats, *scene.nearest(frame)]
         return flats if changed is None or not flats else [replace(flats[0], points_px=changed), *flats[1:]]
 
     def _point(self) -> None:
@@ -556,8 +565,10 @@ class Viewer:
         self.tell(f"saved {name}.webp")
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+def _is_figure(part: Part, name: str, value: Any) -> bool:
+    """Tell whether a column of the figures of a part's items is a number that names nothing."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+    return is_number and name not in {*GROUPS[part.table], "person"}
 
 
 def _number(value: Any) -> float:

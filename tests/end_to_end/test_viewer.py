@@ -20,7 +20,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import Store
 from tasks.curation import Choosing, read_choices
 from tests.builders.browser import Tab, open_page
@@ -57,6 +57,34 @@ def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
             assert viewer._handles["facts"].value.startswith(f"frame {frame} of "), table
             viewer.visit(viewer.reference)
             assert (viewer.part.table, viewer.frame) == (table, frame), "a link leads back"
+
+
+def test_a_slider_moves_through_the_variants_that_were_built(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "variants")
+    assert [one.label for one in viewer._scales if one.visible] == ["person A"]
+    for value, scale in ((1.25, "1.25"), (0.9, "0.95"), (0.0, "0.75")):
+        viewer._scaled(0, value)
+        assert viewer.item.names[1] == f"A-uniform-{scale}"
+        assert viewer._scales[0].value == float(scale)
+
+
+def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "motions")
+    scene, names = viewer.scene, ("left_wrist", "right_ankle", "left_knee", "right_elbow")
+    assert scene.camera is not None
+    away = []
+    for frame in range(scene.num_frames):
+        limbs = scene.people.frame(frame)[:, BODY22.indices(names)]
+        away.append(scene.camera.project(limbs).px - scene.images(frame)[0].points_px[:, PAIR17.indices(names)])
+    height = float(np.ptp(scene.images(0)[0].points_px[..., 1]))
+    assert np.nanmedian(np.linalg.norm(away, axis=-1)) < 0.05 * height
+    assert "error (cm)" in viewer._handles["curve"].options, "the truth is known"
+    assert scene.nearest is not None
+    found = scene.nearest(1)
+    assert len(found) == 3 * scene.people.positions_m.shape[1]
+    assert found[0].title.startswith("A: waltz frame ")
 
 
 def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -> None:

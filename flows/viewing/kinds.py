@@ -18,6 +18,7 @@ from pasdedeux.cameras.frames import project_pair
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.errors import InputError
+from pasdedeux.formats.annotated_frames import get_keypoint_layout
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, PAIR17
@@ -130,7 +131,7 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     is_single = item.names[0] == SINGLE_IMAGES
     where = [numbers[name, str(frame)] for name, frame in zip(data["sequence_id"], data["frame"], strict=True)]
     grid = Grid.of(np.array(where) if is_single else data["frame"], data["person_id"])
-    image_px = grid.fill(data["pair17_px"])
+    image_px = grid.fill(_corrected_px(shelf, item, data))
     size = _size(data["image_width_px"][0], data["image_height_px"][0], image_px)
     names, frames = grid.first(data["sequence_id"]), np.asarray(grid.first(data["frame"]))
     seen = _Seen.of(shelf, str(data["sequence_id"][0]))
@@ -150,6 +151,20 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         say=lambda frame: [f"{int(np.isfinite(image_px[frame]).all(axis=-1).sum())} joints seen"],
         facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone", *seen.film_words),
     )
+
+
+def _corrected_px(shelf: Shelf, item: Item, data: Any) -> Array:
+    """Return 2D poses (row, 17, 2), as they are stored or as somebody has corrected them since."""
+    points_px, frames = np.array(data["pair17_px"]), shelf.corrected.get(item.pieces[0][0])
+    if frames is not None:
+        own = get_keypoint_layout(frames.layout).derive(PAIR17.name, frames.keypoints_px, frames.confidence).positions
+        at = {
+            place: row for row, place in enumerate(zip(frames.frame.tolist(), frames.person_id.tolist(), strict=True))
+        }
+        for row, place in enumerate(zip(data["frame"].tolist(), data["person_id"].tolist(), strict=True)):
+            if place in at:
+                points_px[row] = own[at[place]]
+    return points_px
 
 
 def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:

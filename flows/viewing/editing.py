@@ -167,7 +167,7 @@ class Editor:
         frame = shot.film_frame(int(data["frame"][row]))
         name, person_id = PAIR17.joint_names[joint], int(np.unique(data["person_id"])[person])
         shot.correct(frame, person_id, name, self.image_px()[person, joint])
-        viewer.shelf.corrected[ref] = shot.placed()
+        viewer.shelf.corrected[ref] = shot.changes_px()
         viewer.show_item(viewer.index, row)
         viewer.tell(f"{name} of {_PERSONS[person]} is annotated in frame {frame} of the film; its track follows")
 

@@ -18,10 +18,9 @@ from pasdedeux.cameras.frames import project_pair
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.errors import InputError
-from pasdedeux.formats.annotated_frames import get_keypoint_layout
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.tracks import Lens
-from pasdedeux.skeletons import BODY22, PAIR17
+from pasdedeux.skeletons import BODY22, COUNTED17, PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store
@@ -148,22 +147,17 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         flat=image,
         camera=None if truth is None else seen.camera,
         images=images,
-        say=lambda frame: [f"{int(np.isfinite(image_px[frame]).all(axis=-1).sum())} joints seen"],
+        say=lambda frame: [f"{int(np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1).sum())} joints seen"],
         facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone", *seen.film_words),
     )
 
 
 def _corrected_px(shelf: Shelf, item: Item, data: Any) -> Array:
     """Return 2D poses (row, 17, 2), as they are stored or as somebody has corrected them since."""
-    points_px, frames = np.array(data["pair17_px"]), shelf.corrected.get(item.pieces[0][0])
-    if frames is not None:
-        own = get_keypoint_layout(frames.layout).derive(PAIR17.name, frames.keypoints_px, frames.confidence).positions
-        at = {
-            place: row for row, place in enumerate(zip(frames.frame.tolist(), frames.person_id.tolist(), strict=True))
-        }
-        for row, place in enumerate(zip(data["frame"].tolist(), data["person_id"].tolist(), strict=True)):
-            if place in at:
-                points_px[row] = own[at[place]]
+    points_px, changed = np.array(data["pair17_px"]), shelf.corrected.get(item.pieces[0][0], {})
+    for row, place in enumerate(zip(data["frame"].tolist(), data["person_id"].tolist(), strict=True)):
+        if place in changed:
+            np.copyto(points_px[row], changed[place], where=np.isfinite(changed[place]))
     return points_px
 
 

@@ -102,6 +102,17 @@ class CorrectedShot:
         self.shot, times = _annotated(parameters, files)
         self._times_s = np.array(times)
         self._first = parameters.first_number + parameters.first_frame
+        self._begun = self.placed()
+
+    def changes_px(self) -> dict[tuple[int, int], Array]:
+        """Return joints of pair17 (17, 2) that corrections have moved by frame of `placed` and person, NaN: others."""
+        layout, now = get_keypoint_layout(self._begun.layout), self.placed()
+        before, after = (
+            layout.derive(PAIR17.name, one.keypoints_px, one.confidence).positions for one in (self._begun, now)
+        )
+        moved = np.where((before == after).all(axis=-1, keepdims=True), np.nan, after)
+        places = zip(now.frame.tolist(), now.person_id.tolist(), strict=True)
+        return {place: px for place, px in zip(places, moved, strict=True) if np.isfinite(px).any()}
 
     def placed(self) -> AnnotatedFrames:
         """Return the annotations as ingest takes them: at a constant rate."""

@@ -1,4 +1,4 @@
-"""Measures what is said of film: tracking against interpolation, its speed and memory, people who cross; not a test.
+"""Measures what is said of film: tracking against interpolation, its speed, people who cross, pairs lifted; not a test.
 
 `python -m tests.film_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
 """
@@ -9,21 +9,29 @@ import argparse
 import resource
 import sys
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from flows.console.app import run_command_line
 from pasdedeux.film.annotating import annotate_shot
+from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.kinematics.alignment import align_rigid
 from pasdedeux.people.resolution import SequenceRows, resolve_sequence
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from storage_schema import open_table
 from tests.builders.crowds import SALSA_TAKES, salsa_couple
 from tests.builders.filmed_people import film as seen_by_detector
-from tests.builders.rendered_film import Film, render, rows_of, salsa_bodies
+from tests.builders.rendered_film import Film, render, rows_of, salsa_bodies, write_film
 
 EVERY = 15
+_PARTS = ("tracking", "large", "crossings", "whole")
+_LIFTED = ("sequence_id", "frame", "method", "pair17_m")
 
 
 def tracked(film: Film, hidden: float) -> dict[str, float]:
@@ -70,13 +78,63 @@ def crossings(data: Path, take: str, seed: int) -> tuple[int, int, int]:
         offset[frame] = both[1] - both[0]
     clear = np.flatnonzero(np.abs(offset) > 0.1 * np.nanmax(np.abs(offset)))
     changes = [(a, b) for a, b in pairwise(clear) if offset[a] * offset[b] < 0]
-    name_of = {
+    take_id = {
         (int(frame), int(who)): int(name) for frame, who, name in zip(found.frame, true, found.person_id, strict=True)
     }
     kept = sum(
-        name_of.get((a, 0)) == name_of.get((b, 0)) and name_of.get((a, 1)) == name_of.get((b, 1)) for a, b in changes
+        take_id.get((a, 0)) == take_id.get((b, 0)) and take_id.get((a, 1)) == take_id.get((b, 1)) for a, b in changes
     )
     return len(changes), kept, len(offset)
+
+
+_WHOLE = """
+[study]
+name = "{name}"
+title = "Rendered salsa"
+stages = ["ingest", "priors", "views", "seeds", "chains", "lifting"]
+[ingest]
+{sources}
+[seeds]
+num_lifted = 20
+num_grown = 1000
+[chains]
+densities = ["ic"]
+num_chains = 1
+num_draws = 250
+[lifting]
+max_frames = 40
+"""
+
+
+def whole(data: Path, folder: Path) -> dict[str, dict[str, float]]:
+    """Return errors of pairs, metres, by take and method: lifted from film with key frames, and from perfect 2D."""
+    truth, errors, sources = {}, {}, {"film": "", "perfect": ""}
+    for take, start, yaw_rad in (("03", 200, 0.5), ("07", 300, 2.0), ("12", 100, -1.0)):
+        bodies = salsa_bodies(data, take, slice(start, start + 91))
+        film = render(bodies, yaw_rad=yaw_rad, turn_rad=0.0, seed=5)
+        truth[f"s{take}"] = bodies.pair17_m
+        write_film(folder / f"{take}.mp4", film.images)
+        for name, frames in (("film", {*range(0, 91, EVERY)}), ("perfect", set(range(91)))):
+            keys = folder / f"{name}{take}.csv"
+            given = replace(rows_of(film, sorted(frames)), image_size_px={"film": (640, 480)})
+            keys.write_text(write_annotation_csv(given))
+            files = f'path = "{folder / take}.mp4"\nkeys = "{keys}"' if name == "film" else f'path = "{keys}"'
+            table = "videos" if name == "film" else "annotations"
+            sources[name] += f'[[ingest.{table}]]\nid = "s{take}"\n{files}\n'
+    for name, tables in sources.items():
+        study = folder / f"{name}.toml"
+        study.write_text(_WHOLE.format(name=name, sources=tables))
+        assert run_command_line(["run", str(study), "--store", str(folder / "store"), "--workers", "0"]) == 0
+        rows = open_table(f"lifted_pairs:{name}", folder / "store")
+        found: dict[str, list[float]] = {}
+        for sequence, frame, method, pair in zip(*(rows[one] for one in _LIFTED), strict=True):
+            take_id = str(sequence).partition(".")[0]
+            own, true = pair.reshape(-1, 3).astype(np.float64), truth[take_id][frame].reshape(-1, 3)
+            error = float(np.linalg.norm(align_rigid(own, true).apply(own) - true, axis=-1).mean())
+            for key in (f"{take_id} {method}", f"all {method}"):
+                found.setdefault(key, []).append(error)
+        errors[name] = {key: float(np.mean(one)) for key, one in found.items()}
+    return errors
 
 
 def say(line: str) -> None:
@@ -89,9 +147,9 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--part", choices=["tracking", "large", "crossings"], action="append")
+    parser.add_argument("--part", choices=_PARTS, action="append")
     options = parser.parse_args()
-    parts = options.part or ["tracking", "large", "crossings"]
+    parts = options.part or _PARTS
     cv2.setNumThreads(1)
     for part, size, takes in (("tracking", (640, 480), SALSA_TAKES), ("large", (1920, 1080), ("03", "12"))):
         found = []
@@ -105,6 +163,12 @@ def main() -> None:
         for hidden in sorted({one for one, _ in found}):
             mean = {name: np.mean([figures[name] for one, figures in found if one == hidden]) for name in found[0][1]}
             say(f"mean, {hidden}: " + ", ".join(f"{name} {value:.3g}" for name, value in mean.items()))
+    if "whole" in parts:
+        with TemporaryDirectory() as folder:
+            errors = whole(options.data, Path(folder))
+        for key, perfect in sorted(errors["perfect"].items()):
+            ours = errors["film"][key]
+            say(f"{key}: film {100 * ours:.1f} cm, perfect 2D {100 * perfect:.1f} cm, ratio {ours / perfect:.2f}")
     if "crossings" in parts:
         counts = [
             crossings(options.data, take, 10 * index + view)

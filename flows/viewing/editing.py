@@ -27,12 +27,15 @@ from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef
 from tasks.curation import POSITIONS
+from tasks.ingest.shots import CorrectedShot
 from tasks.lifting import lift_again
 from tasks.priors import read_limits
 from tasks.seeds.files import pair_in_store
 
 _PERSONS = ("A", "B")
 _TOO_FAR = 6
+_NUM_NEXT = 8
+"""Frames of a shot to correct next."""
 
 
 class Editor:
@@ -53,6 +56,7 @@ class Editor:
             self._person = gui.add_dropdown("person", _PERSONS)
             self._joint = gui.add_dropdown("joint", PAIR17.joint_names, initial_value="left_wrist")
             self._limits = gui.add_text("joint limits", "", disabled=True)
+            self._next = gui.add_button("Next frame to correct")
             self._save = gui.add_button("Save as seed")
             self._lift = gui.add_button("Lift again")
             self._restart = gui.add_button("Restart chains from here")
@@ -60,7 +64,10 @@ class Editor:
         self._hand = scene.add_transform_controls(
             "/hand", scale=0.3, disable_rotations=True, depth_test=False, visible=False
         )
-        self._hand.on_update(viewer.safely(lambda _: self.drag(np.array(self._hand.position))))
+        self._hand.on_update(
+            viewer.safely(lambda event: self.drag(np.array(self._hand.position), is_last=event.phase == "end"))
+        )
+        self._next.on_click(viewer.safely(lambda _: self.next_to_correct()))
         self._is_on.on_update(viewer.safely(lambda _: self._begin()))
         for handle in (self._person, self._joint):
             handle.on_update(viewer.safely(lambda _: self.show_hand()))
@@ -86,7 +93,9 @@ class Editor:
     def show_hand(self) -> None:
         """Show what can be done with what is shown, and the handle at the joint that is chosen."""
         viewer = self.viewer
-        can_change = (KINDS[viewer.part.table].is_each or self.is_image) and self.pose.shape[0] == len(_PERSONS)
+        num_people = self.pose.shape[0]
+        can_change = KINDS[viewer.part.table].is_each and num_people == len(_PERSONS)
+        can_change = can_change or (self.is_image and num_people <= len(_PERSONS))
         is_on = can_change and bool(self._is_on.value) and self.pose.shape[1] == PAIR17.num_joints
         is_on = is_on and self.is_image is (viewer.scene.flat is not None)
         self._folder.visible = can_change
@@ -94,12 +103,14 @@ class Editor:
         self._lift.visible, self._restart.visible = self.is_image, viewer.part.table == "draws"
         self._lift.label = "Lift again" if viewer.scene.flat is not None else "Back to the 2D poses"
         self._save.visible = not self.is_image or is_on
+        self._next.visible = is_on and self._shot_ref is not None
         self._hand.visible = is_on
         viewer.side.on_drag = self._drag_image if is_on and self.is_image else None
         if not is_on:
             return
         viewer.play(is_playing=False)
-        self._place = viewer.side.chosen = _PERSONS.index(self._person.value), PAIR17.index(self._joint.value)
+        person = min(_PERSONS.index(self._person.value), num_people - 1)
+        self._place = viewer.side.chosen = person, PAIR17.index(self._joint.value)
         at = self.pose[self._place]
         self._hand.position = np.where(np.isfinite(at), at, 0.0)
         self.show_limits()
@@ -110,8 +121,8 @@ class Editor:
         viewer = self.viewer
         return viewer.scene.people.frame(viewer.frame) if viewer.pose is None else viewer.pose
 
-    def drag(self, target_m: Array) -> None:
-        """Bring the chosen joint to a place: of a pair with exact bones, of 2D poses by itself."""
+    def drag(self, target_m: Array, *, is_last: bool = True) -> None:
+        """Bring the chosen joint to a place, of a pair with exact bones; of film the last one is tracked from."""
         if not self._hand.visible:
             return
         viewer, (person, joint) = self.viewer, self._place
@@ -126,13 +137,57 @@ class Editor:
             viewer.image_px = self.image_px()
             viewer.look()
         self.show_limits()
+        if is_last:
+            self._track_anew()
 
     def _drag_image(self, dragged: Dragged) -> None:
         """Bring a joint to where it was dragged in the side picture, and the handle with it."""
         self._person.value, self._joint.value = _PERSONS[dragged.person], PAIR17.joint_names[dragged.joint]
         self._place = dragged.person, dragged.joint
         self._hand.position = at = np.array([*placed_in_room(dragged.point_px, self._size_px), 0.0])
-        self.drag(at)
+        self.drag(at, is_last=dragged.is_last)
+
+    # Film: tracks follow what is corrected.
+
+    @property
+    def _shot_ref(self) -> ArtifactRef | None:
+        """The artifact of the shot of film whose 2D poses are shown; None where they are of something else."""
+        ref = self.viewer.item.pieces[0][0]
+        is_shot = self.is_image and "num_given" in self.viewer.shelf.store.manifest(ref).parameters
+        return ref if is_shot else None
+
+    def _track_anew(self) -> None:
+        """Take the joint of film that was let go as annotated, and track it anew from there."""
+        viewer, ref = self.viewer, self._shot_ref
+        if ref is None or viewer.pose is None:
+            return
+        shot, (person, joint) = self._tracked(ref), self._place
+        row = viewer.scene.row_of(viewer.frame)
+        data = viewer.item.read(viewer.shelf.store, "annotations", ["frame", "person_id"])
+        frame = shot.film_frame(int(data["frame"][row]))
+        name, person_id = PAIR17.joint_names[joint], int(np.unique(data["person_id"])[person])
+        shot.correct(frame, person_id, name, self.image_px()[person, joint])
+        viewer.shelf.corrected[ref] = shot.changes_px()
+        viewer.show_item(viewer.index, row)
+        viewer.tell(f"{name} of {_PERSONS[person]} is annotated in frame {frame} of the film; its track follows")
+
+    def next_to_correct(self) -> None:
+        """Go to the next of the frames of film whose correction helps most."""
+        viewer, ref = self.viewer, self._shot_ref
+        if ref is None:
+            return
+        wanted = self._tracked(ref).next_frames(_NUM_NEXT)
+        numbers = np.unique(viewer.item.read(viewer.shelf.store, "annotations", ["frame"])["frame"])
+        at = sorted(int(one) for one in np.searchsorted(numbers, wanted) if one < len(numbers))
+        if not at:
+            viewer.tell("tracks from both sides agree everywhere: there is nothing to correct")
+            return
+        viewer.seek(next((one for one in at if one > viewer.frame), at[0]))
+        viewer.tell(f"frames to correct, those first that help most: {' '.join(map(str, wanted))}")
+
+    def _tracked(self, ref: ArtifactRef) -> CorrectedShot:
+        self.viewer.tell("tracking the joints of this shot, once")
+        return self.viewer.shelf.shot(ref)
 
     def show_limits(self) -> None:
         """Name the angles that are out of range."""
@@ -250,8 +305,11 @@ class Editor:
         return self.viewer.scene.images(self.viewer.frame)[0].size_px
 
     def _save_image(self) -> Path:
-        """Write all 2D poses of the item, those of this frame as they are now, as CSV."""
+        """Write all 2D poses of the item, those of this frame as they are now, as CSV; of film its key frames."""
         viewer = self.viewer
+        if self._shot_ref is not None:
+            keys = write_annotation_csv(viewer.shelf.shot(self._shot_ref).given())
+            return self._write(f"keys-{viewer.item.names[0].replace('/', '.')}", ".csv", keys)
         names = ["sequence_id", "frame", "person_id", POSITIONS["annotations"], "pair17_confidence"]
         data: Any = viewer.item.read(viewer.shelf.store, "annotations", names)
         points = np.array(data["pair17_px"], dtype=np.float64)

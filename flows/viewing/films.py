@@ -15,7 +15,10 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from tasks.ingest.cameras import find_cameras, read_header, video_beside
+from tasks.ingest.detector_files import find_network
 from tasks.ingest.films import FilmFrame, digest_of, read_film
+from tasks.ingest.shard_parameters import FilmParameters
+from tasks.ingest.shots import CorrectedShot
 from tasks.stage import SourceFile
 
 _LARGEST_PX = 960
@@ -50,6 +53,29 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | str
                 if [*(header.image_size_px or ())] == [*(size or ())]:
                     return FilmReader((SourceFile(path=str(video), sha256=""),), 0, 0, None)
     return None
+
+
+def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
+    """Return the shot of film of an artifact of 2D poses, tracked, which takes as long as its first time.
+
+    Raises:
+        InputError: One of its files is not where the study says, or has changed since.
+    """
+    places: list[Path] = []
+    for one in ingest.get("videos", ()):
+        places += [Path(one[name]) for name in ("path", "keys", "detections") if one.get(name)]
+        places += [Path(find_network(network).path) for network in one.get("detect", ())]
+    folders = dict.fromkeys(place if place.is_dir() else place.parent for place in places)
+    files = []
+    for name, digest in manifest.files:
+        found = (folder / name for folder in folders if (folder / name).is_file())
+        path = next((path for path in found if _digest(path) == digest), None)
+        if path is None:
+            raise InputError(
+                f"{name}, which these 2D poses are from, is not where the study says, or has changed since"
+            )
+        files.append(SourceFile(path=str(path), sha256=digest))
+    return CorrectedShot(FilmParameters.model_validate(manifest.parameters), tuple(files))
 
 
 def _film_of_study(manifest: Manifest, names: Sequence[tuple[str, str]], paths: Sequence[Path]) -> FilmReader | str:

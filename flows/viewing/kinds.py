@@ -24,7 +24,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.reconstruction.tracks import Lens
-from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
+from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store
@@ -179,7 +179,7 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     is_single = item.names[0] == SINGLE_IMAGES
     where = [numbers[name, str(frame)] for name, frame in zip(data["sequence_id"], data["frame"], strict=True)]
     grid = Grid.of(np.array(where) if is_single else data["frame"], data["person_id"])
-    image_px = grid.fill(data["pair17_px"])
+    image_px = grid.fill(_corrected_px(shelf, item, data))
     size = _size(data["image_width_px"][0], data["image_height_px"][0], image_px)
     names, frames = grid.first(data["sequence_id"]), np.asarray(grid.first(data["frame"]))
     seen = _Seen.of(shelf, str(data["sequence_id"][0]))
@@ -196,9 +196,18 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         flat=image,
         camera=None if truth is None else seen.camera,
         images=images,
-        say=lambda frame: [f"{int(np.isfinite(image_px[frame]).all(axis=-1).sum())} joints seen"],
+        say=lambda frame: [f"{int(np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1).sum())} joints seen"],
         facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone", *seen.film_words),
     )
+
+
+def _corrected_px(shelf: Shelf, item: Item, data: Any) -> Array:
+    """Return 2D poses (row, 17, 2), as they are stored or as somebody has corrected them since."""
+    points_px, changed = np.array(data["pair17_px"]), shelf.corrected.get(item.pieces[0][0], {})
+    for row, place in enumerate(zip(data["frame"].tolist(), data["person_id"].tolist(), strict=True)):
+        if place in changed:
+            np.copyto(points_px[row], changed[place], where=np.isfinite(changed[place]))
+    return points_px
 
 
 def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:

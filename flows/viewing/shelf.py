@@ -16,8 +16,8 @@ import numpy as np
 
 from flows.recorded import read_recorded
 from flows.records import last_sections
-from flows.viewing.films import find_film
-from pasdedeux.arrays import Integers
+from flows.viewing.films import find_film, find_shot
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.names import in_words
 from storage_schema import (
@@ -108,6 +108,9 @@ class Shelf:
         self.store = store
         ingest = (sections or {}).get("ingest", {})
         self.film = lru_cache(maxsize=None)(lambda ref: find_film(store.manifest(ref), ingest))
+        self.shot = lru_cache(maxsize=4)(lambda ref: find_shot(store.manifest(ref), ingest))
+        self.corrected: dict[ArtifactRef, Mapping[tuple[int, int], Array]] = {}
+        """2D joints of film (17, 2) by frame and person that somebody has moved, NaN: those that are stored."""
         self.beside = tuple(dict.fromkeys([*shown, *beside]))
         found: dict[tuple[str, str], list[ArtifactRef]] = {}
         for ref in dict.fromkeys(shown):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,6 +112,56 @@ def annotate_shot(
         is_hidden=is_hidden.reshape(num_frames, points),
     )
     return _rows(given, replace(filled, px=shorten_limbs(filled, names)), first_frame, people)
+
+
+def correct_keypoint(
+    shot: AnnotatedShot,
+    frame: int,
+    person_id: int,
+    keypoint: int,
+    point_px: Array,
+    images: Callable[[int, int], Iterable[Image]],
+    *,
+    is_key: bool,
+) -> AnnotatedShot:
+    """Return a shot with a keypoint where a person placed it, tracked anew from there to where it is known.
+
+    Args:
+        shot: The shot.
+        frame: The frame.
+        person_id: The person.
+        keypoint: Index of the keypoint.
+        point_px: Its place (2,).
+        images: Gives the BGR images from one frame up to another, of the shot alone.
+        is_key: As `annotate_shot` takes it.
+
+    Raises:
+        InputError: The person is not in the frame.
+    """
+    frames, doubt = shot.frames, shot.doubt.copy()
+    assert frames.status is not None
+    px, confidence, status = frames.keypoints_px.copy(), frames.confidence.copy(), frames.status.copy()
+    is_own = frames.person_id == person_id
+    here = np.flatnonzero(is_own & (frames.frame == frame))
+    if not len(here):
+        raise InputError(f"person {person_id} is not in frame {frame}: there is nobody whose joints can be corrected")
+    px[here, keypoint], confidence[here, keypoint], status[here, keypoint] = point_px, 1.0, KeypointStatus.ANNOTATED
+    known = frames.frame[is_own & (status[:, keypoint] >= KeypointStatus.DETECTED)]
+    first = int(known[known < frame].max(initial=frames.frame.min()))
+    last = int(known[known > frame].min(initial=frames.frame.max()))
+    is_near = is_own & (frames.frame >= first) & (frames.frame <= last)
+    corrected = replace(frames, keypoints_px=px, confidence=confidence, status=status)
+    part = annotate_shot(
+        corrected.rows(is_near).given(), images(first, last + 1), first, last + 1 - first, is_key=is_key
+    )
+    assert part.frames.status is not None
+    rows = np.flatnonzero(is_near & np.isin(frames.frame, part.frames.frame))
+    own = np.searchsorted(part.frames.frame, frames.frame[rows])
+    px[rows, keypoint] = part.frames.keypoints_px[own, keypoint]
+    confidence[rows, keypoint] = part.frames.confidence[own, keypoint]
+    status[rows, keypoint] = part.frames.status[own, keypoint]
+    doubt[rows] = part.doubt[own]
+    return AnnotatedShot(replace(frames, keypoints_px=px, confidence=confidence, status=status), doubt)
 
 
 def _rows(given: AnnotatedFrames, filled: FilledPoints, first_frame: int, people: Integers) -> AnnotatedShot:

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError, named
-from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, with_identities
+from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, correct_keypoint, frames_to_correct, with_identities
 from pasdedeux.film.detectors import load_detector
 from pasdedeux.film.shots import at_constant_rate
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
 from pasdedeux.formats.detections import UNKNOWN, Detection, Footage, join_detections
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, read_annotations
+from pasdedeux.skeletons import PAIR17
 from tasks.ingest.cameras import VIDEO_SUFFIXES, find_cameras, is_named_after
 from tasks.ingest.detector_files import find_network
 from tasks.ingest.films import Film, is_film, open_film, read_film
@@ -81,12 +83,97 @@ def annotate(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Annot
 
 def read_shot(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
     """Return the annotations of a shot as ingest takes them: at a constant rate."""
-    shot, times = _annotated(parameters, files)
-    if parameters.is_constant_rate:
-        return shot.frames
-    assert shot.frames.rate_hz is not None
-    first = parameters.first_number + parameters.first_frame
-    return at_constant_rate(shot.frames, first, np.array(times), shot.frames.rate_hz)
+    return CorrectedShot(parameters, files).placed()
+
+
+class CorrectedShot:
+    """A shot whose keypoints a person corrects one by one: tracks follow between the frames that are known.
+
+    Args:
+        parameters: The shard of the shot.
+        files: Its files.
+
+    Raises:
+        InputError: A file has changed, or nobody is found.
+    """
+
+    def __init__(self, parameters: FilmParameters, files: tuple[SourceFile, ...]) -> None:
+        self._parameters, self._files = parameters, files
+        self.shot, times = _annotated(parameters, files)
+        self._times_s = np.array(times)
+        self._first = parameters.first_number + parameters.first_frame
+        self._begun = self.placed()
+
+    def changes_px(self) -> dict[tuple[int, int], Array]:
+        """Return joints of pair17 (17, 2) that corrections have moved by frame of `placed` and person, NaN: others."""
+        layout, now = get_keypoint_layout(self._begun.layout), self.placed()
+        before, after = (
+            layout.derive(PAIR17.name, one.keypoints_px, one.confidence).positions for one in (self._begun, now)
+        )
+        moved = np.where((before == after).all(axis=-1, keepdims=True), np.nan, after)
+        places = zip(now.frame.tolist(), now.person_id.tolist(), strict=True)
+        return {place: px for place, px in zip(places, moved, strict=True) if np.isfinite(px).any()}
+
+    def placed(self) -> AnnotatedFrames:
+        """Return the annotations as ingest takes them: at a constant rate."""
+        frames = self.shot.frames
+        if self._parameters.is_constant_rate:
+            return frames
+        assert frames.rate_hz is not None
+        return at_constant_rate(frames, self._first, self._times_s, frames.rate_hz)
+
+    def film_frame(self, frame: int) -> int:
+        """Return the frame of the film that a frame of `placed` shows."""
+        if self._parameters.is_constant_rate:
+            return frame
+        assert self.shot.frames.rate_hz is not None
+        return self._first + int(np.abs(self._times_s - frame / self.shot.frames.rate_hz).argmin())
+
+    def next_frames(self, count: int) -> list[int]:
+        """Return the frames of `placed` whose correction helps most, most first."""
+        frames, rate_hz = frames_to_correct(self.shot, count), self.shot.frames.rate_hz
+        if self._parameters.is_constant_rate:
+            return frames
+        assert rate_hz is not None
+        return [round(float(self._times_s[frame - self._first]) * rate_hz) for frame in frames]
+
+    def correct(self, frame: int, person_id: int, joint: str, point_px: Array) -> None:
+        """Place a joint of pair17 in a frame of the film, and track it anew from there to where it is known.
+
+        Raises:
+            InputError: The person is not in this frame, or the joint is a mean of several keypoints.
+        """
+        layout = get_keypoint_layout(self.shot.frames.layout)
+        names = [*next(iter(layout.recipes[PAIR17.name].get(joint, ())), {})]
+        if len(names) != 1:
+            mean = f", but the mean of {' and '.join(names)}: correct those" if names else ""
+            raise InputError(f"{joint} is no keypoint of the layout '{layout.name}'{mean}")
+        keypoint, is_key = layout.keypoint_names.index(names[0]), self._parameters.is_key
+        self.shot = correct_keypoint(self.shot, frame, person_id, keypoint, point_px, self._images, is_key=is_key)
+
+    def given(self) -> AnnotatedFrames:
+        """Return what a person or a detector gave, of the other shots of the film as well: what a study can name.
+
+        Of a detector that was run the other shots are not there.
+        """
+        own = self.shot.frames.given()
+        if self._parameters.num_networks:
+            return own
+        others = _given(self._parameters, self._files)
+        source = KeypointStatus.ANNOTATED if self._parameters.is_key else KeypointStatus.DETECTED
+        if others.status is None:
+            others = replace(others, status=np.where(others.confidence > 0, source, 0))
+        span = self._first, self._first + self._parameters.num_frames
+        return join_frames([own, others.rows((others.frame < span[0]) | (others.frame >= span[1]))])
+
+    def _images(self, first: int, stop: int) -> Iterator[Any]:
+        """Yield the images of some frames of the film."""
+        start, stop = first - self._first, min(stop - self._first, self._parameters.num_frames)
+        begin, after_s = self._parameters.first_frame, self._parameters.after_s
+        if start > 0:
+            after_s = float(self._times_s[start - 1]) if (np.diff(self._times_s) > 0).all() else None
+        film = self._files[self._parameters.num_given + self._parameters.num_networks :]
+        return (one.image for one in read_film(film, begin + start, begin + stop, after_s=after_s))
 
 
 def shot_images(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Iterator[Any]:

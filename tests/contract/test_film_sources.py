@@ -23,6 +23,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.film.detectors import DETECTORS, load_detector
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 from storage_schema import Store
@@ -33,6 +34,7 @@ from tasks.ingest import films
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import open_film, read_film
 from tasks.ingest.parameters import FilmOptions, IngestParameters
+from tasks.ingest.shots import CorrectedShot
 from tasks.seeds.parameters import SeedsParameters
 from tasks.seeds.plan import check_study
 from tasks.stage import StageInputs, verdict_of
@@ -286,6 +288,42 @@ def test_the_shots_of_a_film_are_shards_of_ingest_and_their_annotations_an_attac
     assert page.name == "report" or page.partition == "report"
     film_sha = hashlib.sha256(film.read_bytes()).hexdigest()
     assert film_sha in {file.sha256 for file in shards[0].files}
+
+
+@pytest.mark.parametrize("is_uneven", [False, True])
+def test_tracks_follow_a_joint_that_is_corrected_as_if_it_had_been_a_key_frame_of_the_study(
+    film: Path, tmp_path: Path, is_uneven: bool
+) -> None:
+    path, keys = tmp_path / "walk.mp4", write_keys(tmp_path / "keys.csv", [0, 8, 19, 20, 39])
+    durations = [(3 if is_uneven and at % 4 == 0 else 1) / 30.0 for at in range(COUNT)]
+    path.write_bytes(with_durations(film.read_bytes(), durations))
+    one = found(path, keys=keys)[1]
+    shot = CorrectedShot(one.parameters, one.files)
+    before, wrist = shot.shot.frames, NAMES.index("left_wrist")
+    wanted = shot.film_frame(int(shot.placed().frame[-1]) // 2 + 12)
+    assert 22 < wanted < 38
+    at = np.flatnonzero((before.frame == wanted) & (before.person_id == 1))[0]
+    place = before.keypoints_px[at, wrist] + [14.0, -9.0]
+    shot.correct(wanted, 1, "left_wrist", place)
+    after = shot.shot.frames
+    np.testing.assert_array_equal(after.keypoints_px[at, wrist], place)
+    moved = np.linalg.norm(after.keypoints_px - before.keypoints_px, axis=-1) > 1e-6
+    assert set(map(tuple, np.argwhere(moved)[:, 1:].tolist())) == {(wrist,)}
+    assert set(after.person_id[moved.any(axis=1)].tolist()) == {1}
+    assert {wanted - 1, wanted, wanted + 1} <= set(after.frame[moved.any(axis=1)].tolist())
+    saved = tmp_path / "saved.csv"
+    saved.write_text(write_annotation_csv(shot.given()))
+    first, second = found(path, keys=saved)
+    again = CorrectedShot(second.parameters, second.files).shot.frames
+    np.testing.assert_allclose(again.keypoints_px, after.keypoints_px, atol=0.3)
+    np.testing.assert_array_equal(again.status, after.status)
+    np.testing.assert_allclose(first.read().keypoints_px, found(path, keys=keys)[0].read().keypoints_px, atol=0.01)
+    with pytest.raises(
+        InputError, match="pelvis is no keypoint of the layout 'coco17', but the mean of left_hip and right"
+    ):
+        shot.correct(wanted, 1, "pelvis", place)
+    with pytest.raises(InputError, match="person 5 is not in frame"):
+        shot.correct(wanted, 5, "left_wrist", place)
 
 
 def test_film_can_be_lifted_from_2d_alone(film: Path, keys: Path) -> None:

@@ -18,6 +18,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
+from pasdedeux.reconstruction.lying import is_on_floor, with_laid
 from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, size_by_height, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     SMOOTHING_S,
@@ -109,17 +110,20 @@ def reconstruct_people(
     camera = searcher.database.camera
     pitch = pitch or PitchEstimate(0, camera.pitch_rad)
     skipped: dict[int, str] = {}
+    # Poses laid down are made ready once, and only where somebody may lie.
+    laid = with_laid(searcher) if any(map(is_on_floor, tracks)) else searcher
     matched = []
     for track in tracks:
+        own = laid if is_on_floor(track) else searcher
         try:
-            matched.append((track, match_track(searcher, track, options)))
+            matched.append((track, own, match_track(own, track, options)))
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
-        for track, matches in matched:
-            one = hold_hips(reconstruct_track(searcher, track, method, options, matches=matches))
+        for track, own, matches in matched:
+            one = hold_hips(reconstruct_track(own, track, method, options, matches=matches))
             tried[method] = (*tried.get(method, ()), one)
             on_step()
     scene, doubts = None, list[str]()
@@ -138,7 +142,7 @@ def reconstruct_people(
                     doubts.append(f"person {name} {tall}: that height is wrong, or the pitch")
                 elif stated_m and max(stated_m / by_height_m, by_height_m / stated_m) > _MAX_CONTRADICTION:
                     doubts.append(f"person {name} of {stated_m:.2f} m {tall}: one of both is wrong, or the pitch")
-        couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
+        couples = [(matches, one) for (*_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
             pitch,

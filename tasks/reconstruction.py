@@ -42,7 +42,7 @@ from tasks.stage import (
     stream,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 20)
+RECONSTRUCTION = StageName("reconstruction", 21)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""

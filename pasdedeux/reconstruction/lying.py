@@ -1,4 +1,4 @@
-"""People on the floor: poses of a database laid down, for those whom the image does not show standing.
+"""People on the floor: poses of a database laid down, for those whose back is not upright in the image.
 
 Capture is mostly of people on their feet.  Who lies, or stands on hands and feet, bends the joints as others do who
 stand, reach or step: their poses are those of a database turned down on the belly or the back.  What bears them tells
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pasdedeux.arrays import Flags
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Track
@@ -24,8 +24,8 @@ _LEG_RANGE = (1.1, 2.6)
 _MIN_BACK = 0.7
 """The back's length over the width of the shoulders: of who does not lie towards the camera."""
 
-_MAX_STANDING = 0.3
-"""Who stands in a larger part of the frames is not looked for on the floor."""
+_MAX_UPRIGHT = 0.3
+"""Whose back is upright in a larger part of the frames is not looked for on the floor."""
 _MAX_PROJECTIONS = 600_000
 """Projections of poses laid down that are looked through, at most: an even choice."""
 ON_BELLY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -38,19 +38,26 @@ _TRUNK = OP14.indices([f"{side}_{name}" for name in ("hip", "shoulder") for side
 
 def stands(track: Track) -> Flags:
     """Tell in which frames somebody is seen to stand: back upright in the image, legs under it."""
-    keypoints_px = np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan)
-    hips, neck = mid_hip(keypoints_px), keypoints_px[:, OP14.root]
-    back = np.linalg.norm(hips - neck, axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        legs = np.fmax(*(keypoints_px[:, _ANKLES, 1] - hips[:, None, 1]).T) / back
-        shoulders = np.linalg.norm(np.diff(keypoints_px[:, _SHOULDERS], axis=1)[:, 0], axis=-1)
-        is_upright = (hips - neck)[:, 1] > _UPRIGHT * back
-        return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1]) & ~(back < _MIN_BACK * shoulders)
+    is_upright, legs = _back_and_legs(track)
+    return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1])
 
 
 def is_on_floor(track: Track) -> bool:
-    """Tell whether a track shows somebody who hardly ever stands."""
-    return float(stands(track).mean()) < _MAX_STANDING
+    """Tell whether a track shows somebody whose back is hardly ever upright; not without back and legs in the image."""
+    is_upright, legs = _back_and_legs(track)
+    is_seen = np.isfinite(legs)
+    return bool(is_seen.any()) and float(is_upright[is_seen].mean()) < _MAX_UPRIGHT
+
+
+def _back_and_legs(track: Track) -> tuple[Flags, Array]:
+    """Return whether the back is upright, and how far legs reach down as a multiple of it (frame,), NaN if not seen."""
+    keypoints_px = np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan)
+    hips, neck = mid_hip(keypoints_px), keypoints_px[:, OP14.root]
+    back = np.linalg.norm(hips - neck, axis=-1)
+    shoulders = np.linalg.norm(np.diff(keypoints_px[:, _SHOULDERS], axis=1)[:, 0], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        legs = np.fmax(*(keypoints_px[:, _ANKLES, 1] - hips[:, None, 1]).T) / back
+        return ((hips - neck)[:, 1] > _UPRIGHT * back) & ~(back < _MIN_BACK * shoulders), legs
 
 
 def with_laid(searcher: Searcher) -> Searcher:

@@ -114,8 +114,8 @@ def choose_pitch(
 
     A camera does not change its pitch within a sequence, so every fifth frame of all tracks decides together, of those
     in which somebody stands: back upright in the image, legs stretched, feet below.  Who crouches or is carried then
-    has no say.  Who hardly ever stands is compared with poses laid down as well, and the mean distance of the matches
-    alone counts; if nobody stands, what is returned is called a guess.  Summed over people are the log likelihoods of
+    has no say.  Whose back is not upright is compared with poses laid down as well, by the mean distance of the matches
+    alone; if nobody stands, what is returned is called a guess.  Summed over people are the log likelihoods of
 
     - the mean distance of the matches and `_FLOOR_WEIGHT` times how far the lower ankle leaves its median height, up to
       a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch, and under a wrong focal

@@ -169,6 +169,10 @@ def test_who_lies_is_found_among_upright_poses_laid_down_and_told_by_their_rows(
     assert root_centred_error_m(made.people[0].positions_m, truth).mean() < 0.07
     assert made.people[0].row.max() < searcher.database.num_rows
     assert not is_on_floor(film(world, yaw=1.1, pitch=0.5)[0])
+    assert is_on_floor(track)
+    legs = OP14.indices(["left_ankle", "right_ankle"])
+    close = np.where(np.isin(np.arange(14), legs), 0.0, track.confidence)
+    assert not is_on_floor(replace(track, confidence=close))
 
 
 def test_nobody_is_laid_on_a_back_that_does_not_bear() -> None:

@@ -7,6 +7,7 @@ which are possible: on the belly anything may bear, on the back the trunk does, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +59,13 @@ def _back_and_legs(track: Track) -> tuple[Flags, Array]:
     with np.errstate(invalid="ignore", divide="ignore"):
         legs = np.fmax(*(keypoints_px[:, _ANKLES, 1] - hips[:, None, 1]).T) / back
         return ((hips - neck)[:, 1] > _UPRIGHT * back) & ~(back < _MIN_BACK * shoulders), legs
+
+
+def searchers_for(searcher: Searcher, tracks: Sequence[Track]) -> list[Searcher]:
+    """Return what to search each track with: poses laid down as well for who is on the floor, made ready once."""
+    is_lying = [is_on_floor(track) for track in tracks]
+    laid = with_laid(searcher) if any(is_lying) else searcher
+    return [laid if lies else searcher for lies in is_lying]
 
 
 def with_laid(searcher: Searcher) -> Searcher:

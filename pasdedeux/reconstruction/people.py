@@ -18,7 +18,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
-from pasdedeux.reconstruction.lying import is_on_floor, with_laid
+from pasdedeux.reconstruction.lying import searchers_for
 from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, size_by_height, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     SMOOTHING_S,
@@ -110,11 +110,8 @@ def reconstruct_people(
     camera = searcher.database.camera
     pitch = pitch or PitchEstimate(0, camera.pitch_rad)
     skipped: dict[int, str] = {}
-    # Poses laid down are made ready once, and only where somebody may lie.
-    laid = with_laid(searcher) if any(map(is_on_floor, tracks)) else searcher
     matched = []
-    for track in tracks:
-        own = laid if is_on_floor(track) else searcher
+    for track, own in zip(tracks, searchers_for(searcher, tracks), strict=True):
         try:
             matched.append((track, own, match_track(own, track, options)))
         except InputError as error:

@@ -12,7 +12,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.reconstruction.lying import is_on_floor, stands, with_laid
+from pasdedeux.reconstruction.lying import is_on_floor, searchers_for, stands
 from pasdedeux.reconstruction.reconstruct import (
     Method,
     Reconstruction,
@@ -143,7 +143,8 @@ def choose_pitch(
     pitches, judged = [], []
     for searcher in databases:
         pitches.append(searcher.database.camera.pitch_rad)
-        judged.append([one for track in thinned if (one := _judge(searcher, track, options)) is not None])
+        own = zip(searchers_for(searcher, thinned), thinned, strict=True)
+        judged.append([one for ready, track in own if (one := _judge(ready, track, options)) is not None])
     tried = np.array(pitches)
     if len(tried) < 2:
         return PitchEstimate(0, pitches[0])
@@ -278,9 +279,6 @@ class _Judged:
 
 def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> _Judged | None:
     """Match a track under one pitch; None where it is too thin to be searched and has no say."""
-    lies = is_on_floor(track)
-    if lies:
-        searcher = with_laid(searcher)
     try:
         matches = match_track(searcher, track, options.model_copy(update={"num_candidates": 1}))
     except InputError:
@@ -314,5 +312,6 @@ def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> 
         higher.append(ends[:, 0] - ends[:, 1] - lower * nearer[-1])
     shown = np.stack(nearer, axis=1), np.stack(higher, axis=1)
     nearer_m, higher_m = (np.where(np.isfinite(shown[1]), one, np.nan) for one in shown)
-    distance = np.where(is_standing | (lies & ~found.is_bridged), matches.neighbours.distance_m[:, 0], np.nan)
+    has_say = ~found.is_bridged if is_on_floor(track) else is_standing
+    distance = np.where(has_say, matches.neighbours.distance_m[:, 0], np.nan)
     return _Judged(track.rate_hz, distance, np.where(is_standing, np.stack(heights), np.nan), nearer_m, higher_m)

@@ -19,6 +19,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
+from pasdedeux.reconstruction.lying import searchers_for
 from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, size_by_height, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     SMOOTHING_S,
@@ -113,16 +114,16 @@ def reconstruct_people(
     pitch = pitch or PitchEstimate(0, camera.pitch_rad)
     skipped: dict[int, str] = {}
     matched = []
-    for track in tracks:
+    for track, own in zip(tracks, searchers_for(searcher, tracks), strict=True):
         try:
-            matched.append((track, match_track(searcher, track, options)))
+            matched.append((track, own, match_track(own, track, options)))
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
-        for track, matches in matched:
-            one = hold_hips(reconstruct_track(searcher, track, method, options, matches=matches))
+        for track, own, matches in matched:
+            one = hold_hips(reconstruct_track(own, track, method, options, matches=matches))
             tried[method] = (*tried.get(method, ()), one)
             on_step()
     scene, doubts = None, list[str]()
@@ -135,7 +136,7 @@ def reconstruct_people(
     if fitted:
         people = tried[fitted[-1]]
         known, doubts = _sizes_stated(people, camera, statures_m, camera_height_m)
-        couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
+        couples = [(matches, one) for (*_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
             pitch,

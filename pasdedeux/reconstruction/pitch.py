@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.lying import is_on_floor, searchers_for, stands
 from pasdedeux.reconstruction.reconstruct import (
     Method,
     Reconstruction,
@@ -51,12 +52,6 @@ _MISFITS_PER_S, _MAX_MISFITS = 6.0, 25.0
 _COMMON_MISFIT_M = 0.02
 """Misfits that any pose has; smaller ones say no more."""
 
-_UPRIGHT = float(np.cos(np.deg2rad(30.0)))
-"""Backs of people who stand are as near to the image's vertical."""
-_LEG_RANGE = (1.1, 2.6)
-"""Height of mid-hip over the lower ankle in the image, as a multiple of the back's length: of who stands."""
-_MIN_BACK = 0.7
-"""The back's length over the width of the shoulders: of who does not lie towards the camera."""
 _MIN_STANDING = 3
 """Frames in which somebody has to stand to have a say."""
 
@@ -81,7 +76,7 @@ class PitchEstimate:
         index: Which of the cameras that were tried suits best.
         pitch_rad: The pitch, between those of the cameras.
         deviation_rad: Standard deviation of it; 0 where it was given.
-        is_guess: Nobody was seen standing, so that it is only what cameras mostly have.
+        is_guess: Nobody was seen standing, so that it is little more than what cameras mostly have.
     """
 
     index: int
@@ -118,8 +113,9 @@ def choose_pitch(
     """Return the pitch at which searchers (one per camera pitch) suit the tracks of a sequence best.
 
     A camera does not change its pitch within a sequence, so every fifth frame of all tracks decides together, of those
-    in which somebody stands: back upright in the image, legs stretched, feet below.  Who lies, crouches or is carried
-    has no say; if nobody stands, the prior alone is returned.  Summed over people are the log likelihoods of
+    in which somebody stands: back upright in the image, legs stretched, feet below.  Who crouches or is carried then
+    has no say.  Whose back is not upright is compared with poses laid down as well, by the mean distance of the matches
+    alone; if nobody stands, what is returned is called a guess.  Summed over people are the log likelihoods of
 
     - the mean distance of the matches and `_FLOOR_WEIGHT` times how far the lower ankle leaves its median height, up to
       a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch, and under a wrong focal
@@ -147,19 +143,21 @@ def choose_pitch(
     pitches, judged = [], []
     for searcher in databases:
         pitches.append(searcher.database.camera.pitch_rad)
-        judged.append([one for track in thinned if (one := _judge(searcher, track, options)) is not None])
+        own = zip(searchers_for(searcher, thinned), thinned, strict=True)
+        judged.append([one for ready, track in own if (one := _judge(ready, track, options)) is not None])
     tried = np.array(pitches)
     if len(tried) < 2:
         return PitchEstimate(0, pitches[0])
     grid = np.arange(tried.min() - _BEYOND_RAD, tried.max() + _BEYOND_RAD + 1e-9, _GRID_RAD)
-    everybody = [own for own in zip(*judged, strict=False) if own[0].num_standing >= _MIN_STANDING]
+    everybody = [own for own in zip(*judged, strict=False) if own[0].num_counted >= _MIN_STANDING]
     halves = [[tuple(one.half(part) for one in own) for own in everybody] for part in (0, 1)]
     others = [everybody[:number] + everybody[number + 1 :] for number in range(len(everybody))]
     pitch, deviation = _posterior(tried, grid, everybody)
     left = [_posterior(tried, grid, own)[0] for own in (*halves, *(others if len(others) > 1 else ()))]
     spread = np.std(left) if everybody else 0.0
     index = int(np.argmin(np.abs(tried - pitch)))
-    return PitchEstimate(index, pitch, float(np.hypot(deviation, spread)), not everybody)
+    is_guess = all(stands(track).sum() < _MIN_STANDING for track in thinned)
+    return PitchEstimate(index, pitch, float(np.hypot(deviation, spread)), is_guess)
 
 
 def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -> tuple[float, float]:
@@ -181,17 +179,6 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -
     share /= share.sum()
     mean = float(share @ grid)
     return mean, float(np.sqrt(share @ (grid - mean) ** 2))
-
-
-def _stands(keypoints_px: Array) -> Flags:
-    """Tell in which frames somebody of keypoints (frame, 14, 2), y down, stands: back upright, legs under it."""
-    hips, neck = mid_hip(keypoints_px), keypoints_px[:, OP14.root]
-    back = np.linalg.norm(hips - neck, axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        legs = np.fmax(*(keypoints_px[:, _ANKLES, 1] - hips[:, None, 1]).T) / back
-        shoulders = np.linalg.norm(np.diff(keypoints_px[:, _LINES[1]], axis=1)[:, 0], axis=-1)
-        is_upright = (hips - neck)[:, 1] > _UPRIGHT * back
-        return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1]) & ~(back < _MIN_BACK * shoulders)
 
 
 def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera) -> Array:
@@ -234,7 +221,7 @@ class _Judged:
 
     Args:
         rate_hz: Frames per second.
-        distance_m: Of the match (frame,), NaN where bridged or not standing.
+        distance_m: Of the match (frame,), NaN where bridged, or not standing of who does at times.
         height_m: Of the lower ankle by each lens (lens, frame), NaN where that is not seen.
         nearer_m: How much nearer the left end of each line is by the match (frame, line), upright axes; NaN where it is
             not seen or nobody stands.
@@ -248,14 +235,14 @@ class _Judged:
     higher_m: Array
 
     @property
-    def num_standing(self) -> int:
+    def num_counted(self) -> int:
         """Number of frames that have a say."""
         return int(np.isfinite(self.distance_m).sum())
 
     @property
     def num_misfits(self) -> float:
         """Number of distances that err independently."""
-        return min(_MAX_MISFITS, _MISFITS_PER_S * self.num_standing / self.rate_hz)
+        return min(_MAX_MISFITS, _MISFITS_PER_S * self.num_counted / self.rate_hz)
 
     def cost(self) -> float:
         """Return distance and what the feet leave the floor by, metres."""
@@ -307,14 +294,17 @@ def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> 
         lower = np.argmin(height, axis=1)[:, None]
         seen = np.take_along_axis(is_seen, lower, axis=1)
         heights.append(np.where(seen, np.take_along_axis(height, lower, axis=1), np.nan)[:, 0])
-    stands = ~found.is_bridged & _stands(np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan))
-    pose = searcher.database.turned(np.maximum(found.row, 0), matches.yaw_steps[:, 0]) * matches.proportions[:, None]
+    is_standing = ~found.is_bridged & stands(track)
+    pose = (
+        searcher.database.turned(np.maximum(matches.neighbours.row[:, 0], 0), matches.yaw_steps[:, 0])
+        * matches.proportions[:, None]
+    )
     away = matches.placement.metres_per_pixel * track.lens.focal_px
     nearer, higher = [], []
     ray = -np.arcsin(matches.towards_camera[:, 1])
-    ray -= ray[stands].mean() if stands.any() else 0.0
+    ray -= ray[is_standing].mean() if is_standing.any() else 0.0
     for left, right in _LINES:
-        nearer.append(np.where(stands, pose[:, left, 2] - pose[:, right, 2], np.nan))
+        nearer.append(np.where(is_standing, pose[:, left, 2] - pose[:, right, 2], np.nan))
         ends = matches.query_m[:, [left, right], 1]
         # A camera looks less down at shoulders than at hips, and at who is far than at who is near.
         level = np.arctan(ends.mean(axis=1) / away) + ray
@@ -322,5 +312,6 @@ def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> 
         higher.append(ends[:, 0] - ends[:, 1] - lower * nearer[-1])
     shown = np.stack(nearer, axis=1), np.stack(higher, axis=1)
     nearer_m, higher_m = (np.where(np.isfinite(shown[1]), one, np.nan) for one in shown)
-    distance = np.where(stands, matches.neighbours.distance_m[:, 0], np.nan)
-    return _Judged(track.rate_hz, distance, np.where(stands, np.stack(heights), np.nan), nearer_m, higher_m)
+    has_say = ~found.is_bridged if is_on_floor(track) else is_standing
+    distance = np.where(has_say, matches.neighbours.distance_m[:, 0], np.nan)
+    return _Judged(track.rate_hz, distance, np.where(is_standing, np.stack(heights), np.nan), nearer_m, higher_m)

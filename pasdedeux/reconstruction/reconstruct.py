@@ -98,6 +98,8 @@ class Searcher:
     reference: ScaleReference
     published: PublishedIndex | None = None
     """Index of the method `published`; None where the database has no clusters."""
+    source_row: Integers | None = None
+    """Row that each pose is told as (row,), where some are others laid down, see `lying`."""
 
     @classmethod
     def of(cls, database: Database, clusters: Clusters | None = None) -> Searcher:
@@ -295,7 +297,7 @@ def reconstruct_track(
         root_m=mid_hip(positions),
         yaw_rad=np.where(is_known, yaw_steps * database.yaw_step_rad, np.nan),
         score_m=np.where(is_known, neighbours.distance_m[frames, rank], np.nan),
-        row=row,
+        row=row if searcher.source_row is None else np.where(is_known, searcher.source_row[row], -1),
         is_bridged=~is_known,
         metres_per_pixel=placement.metres_per_pixel,
         correction_m=_mean_distance_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),

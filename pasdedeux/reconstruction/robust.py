@@ -51,8 +51,17 @@ class Problem(Protocol):
         """Return the residuals at these unknowns."""
 
 
-def solve(problem: Problem, *, robust: float) -> tuple[Array, Callable[[Array], float]]:
-    """Return the unknowns of least cost, and the variance of any sum of them, given its weights, by the curvature.
+@dataclass(frozen=True)
+class Solution:
+    """The unknowns of least cost, that cost, and by its curvature the variance of a sum of them with given weights."""
+
+    x: Array
+    cost: float
+    variance_of: Callable[[Array], float]
+
+
+def solve(problem: Problem, *, robust: float) -> Solution:
+    """Return the unknowns of least cost.
 
     Steps of Gauss and Newton with Levenberg's damping; robust residuals count by the weights of Geman and McClure
     (1985), a quarter at `robust` deviations, anew in each step, and wider at first.
@@ -89,7 +98,7 @@ def solve(problem: Problem, *, robust: float) -> tuple[Array, Callable[[Array], 
         if number > _NUM_WIDE and cost - made.cost(scale) < _TOLERANCE * cost:
             break
     curvature = splu((normal + _MIN_DAMPING * eye_array(len(x))).tocsc())
-    return x, lambda weights: float(weights @ curvature.solve(weights))
+    return Solution(x, made.cost(robust), lambda weights: float(weights @ curvature.solve(weights)))
 
 
 @dataclass(frozen=True)

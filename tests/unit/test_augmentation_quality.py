@@ -16,11 +16,11 @@ from tests.builders.moving_pairs import swaying_pair
 FRAMES = 20
 
 
-def _measure(source: Source, pair: np.ndarray) -> tuple[Quality, FrameQuality]:
+def _measure(source: Source, pair: np.ndarray, scale: float = 1.0) -> tuple[Quality, FrameQuality]:
     return QualityMeter(source).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
-        bone_scale=np.ones((2, 22)),
+        bone_scale=np.full((2, 22), scale),
         lengths_m=source.lengths_m.reshape(-1),
         squared_residual=np.zeros(len(pair)),
     )
@@ -91,6 +91,22 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
     verdicts = frames.judge(FRAME_LIMITS)
     assert verdicts[10] == 2
     assert not verdicts[[*range(7), *range(14, FRAMES)]].any()
+
+
+def test_a_foot_that_turns_on_its_toe_is_no_fault_of_a_longer_foot_and_one_that_slides_is() -> None:
+    pair = swaying_pair(FRAMES)
+    angle = np.linspace(0.0, 0.9, FRAMES)
+    toe, ankle = BODY22.indices(["left_toe", "left_ankle"])
+    behind = np.stack([np.sin(angle), np.zeros(FRAMES), -np.cos(angle)], axis=-1)
+    pair[:, 0, toe] = pair[0, 0, toe]
+    pair[:, 0, ankle] = pair[0, 0, toe] + [0.0, 0.05, 0.0] + 0.1 * behind
+    source = Source(pair, 30.0)
+    longer = np.array(source.positions_m)
+    longer[:, 0, ankle] += 0.04 * behind
+    assert _measure(source, longer)[0].stance_excursion_m > 0.01
+    assert _measure(source, longer, 1.4)[0].stance_excursion_m < 1e-6
+    longer[2 * FRAMES // 3 :, 0, toe, 0] += 0.04
+    assert _measure(source, longer, 1.4)[0].stance_excursion_m > 0.03
 
 
 def test_a_take_of_one_frame_has_figures() -> None:

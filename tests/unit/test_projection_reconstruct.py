@@ -26,6 +26,8 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.projections.scale import running_median
 from pasdedeux.reconstruction import pitch
+from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor, with_laid
+from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset
 from pasdedeux.reconstruction.reconstruct import (
     Method,
@@ -36,7 +38,7 @@ from pasdedeux.reconstruction.reconstruct import (
 )
 from pasdedeux.reconstruction.tracks import Lens, Track, tracks_from_rows
 from pasdedeux.skeletons import OP14
-from tests.builders.walkers import walk
+from tests.builders.walkers import random_poses, walk
 
 FOCAL_PX = 0.72 * 1920
 
@@ -144,7 +146,7 @@ def test_level_hips_tell_the_pitch_where_somebody_bows_who_does_not_in_the_datab
     assert abs(choose_pitch(searchers, [track]).pitch_rad - 0.1) < np.deg2rad(4.0)
 
 
-def test_who_lies_has_no_say_and_without_anybody_else_the_pitch_is_a_guess_between_level_and_30_degrees_down() -> None:
+def test_who_lies_says_little_of_the_pitch_and_without_anybody_else_it_is_a_guess_between_level_and_steep() -> None:
     searchers = [make_searcher(pitch) for pitch in (0.0, 0.35, 0.7)]
     standing, _ = film(walk(60, seed=3), pitch=0.35)
     lying, _ = film(walk(60, seed=4) @ yaw_rotmat(0.4)[:, [0, 2, 1]], pitch=0.35)
@@ -152,7 +154,38 @@ def test_who_lies_has_no_say_and_without_anybody_else_the_pitch_is_a_guess_betwe
     assert alone.is_guess
     assert 0.0 < alone.pitch_rad < np.deg2rad(30.0)
     assert alone.deviation_rad > np.deg2rad(8.0)
-    assert choose_pitch(searchers, [standing, lying]) == choose_pitch(searchers, [standing])
+    both, one = choose_pitch(searchers, [standing, lying]), choose_pitch(searchers, [standing])
+    assert both.pitch_rad == pytest.approx(one.pitch_rad, abs=np.deg2rad(1.5))
+    assert not both.is_guess
+
+
+def test_who_lies_is_found_among_upright_poses_laid_down_and_told_by_their_rows() -> None:
+    searcher, world = make_searcher(0.5), walk(48, seed=11, turn_rad=0.0)
+    hips = mid_hip(world)[:, None]
+    track, truth = film(hips[:1] + (world - hips) @ ON_BELLY.T, yaw=1.1, pitch=0.5)
+    (made,) = reconstruct_people(searcher, [track], [Method.FIT], has_clean_up=False).methods
+    upright = reconstruct_track(searcher, track, Method.FIT)
+    assert root_centred_error_m(upright.positions_m, truth).mean() > 0.2
+    assert root_centred_error_m(made.people[0].positions_m, truth).mean() < 0.07
+    assert made.people[0].row.max() < searcher.database.num_rows
+    assert not is_on_floor(film(world, yaw=1.1, pitch=0.5)[0])
+    assert is_on_floor(track)
+    legs = OP14.indices(["left_ankle", "right_ankle"])
+    close = np.where(np.isin(np.arange(14), legs), 0.0, track.confidence)
+    assert not is_on_floor(replace(track, confidence=close))
+
+
+def test_nobody_is_laid_on_a_back_that_does_not_bear() -> None:
+    stretched = random_poses(np.random.default_rng(0), 1, spread=0.0)
+    kneeling = stretched.copy()
+    kneeling[:, OP14.indices(["left_ankle", "right_ankle"])] += [0.0, 0.3, -0.3]
+    database = Database(np.concatenate([stretched, kneeling]), np.array([True, True]))
+    laid = with_laid(Searcher.of(database))
+    assert laid.source_row is not None
+    assert laid.source_row.tolist() == [0, 1, 0, 1, 0]
+    on_belly, on_back = laid.database.poses_m[3], laid.database.poses_m[4]
+    np.testing.assert_allclose(on_belly[:, 1], -kneeling[0, :, 2], atol=1e-6)
+    np.testing.assert_allclose(on_back[:, 1], stretched[0, :, 2], atol=1e-6)
 
 
 @pytest.mark.parametrize(("torso", "shoulders"), [(1.08, 0.75), (0.9, 1.3)])

@@ -10,6 +10,7 @@ import pytest
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction import scene as estimate
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
@@ -19,12 +20,16 @@ from tests.builders.walkers import reconstruction
 
 RATE_HZ = 30.0
 ANKLES = OP14.indices(["left_ankle", "right_ankle"])
-PITCH_RAD, DISTANCE_M = 0.26, 4.0
+PITCH_RAD, DISTANCE_M, HEAD_M = 0.26, 4.0, 0.11
 
 
-def seen_and_true(name: str) -> tuple[list[Reconstruction], np.ndarray, float]:
+def seen_and_true(name: str, *, is_upside_down: bool = False) -> tuple[list[Reconstruction], np.ndarray, float]:
     """Return a duet with its own poses as a camera sees it, how far away as a search errs, truth, camera's height."""
     world = duet_couple(name, duration_s=8.0)
+    if is_upside_down:
+        middle = mid_hip(world[:, 1])[:, None]
+        world[:, 1] = middle + (world[:, 1] - middle) * [-1.0, -1.0, 1.0] + [1.0, 0.0, 0.0]
+        world[:, 1, :, 1] += HEAD_M - world[:, 1, :, 1].min(axis=1)[:, None]
     camera = look_at_camera(
         mid_hip(world).mean(axis=(0, 1)), distance_m=DISTANCE_M, yaw_rad=1.1, pitch_rad=PITCH_RAD, focal_px=1400.0
     )
@@ -78,6 +83,28 @@ def test_who_is_held_up_is_not_put_on_the_floor() -> None:
     height = (found[:, :, ANKLES] @ up).min(axis=2) + scene.camera_height_m
     assert np.median(height[110:200, 1] - height[110:200, 0]) == pytest.approx(0.36, abs=0.12)
     assert np.abs(height[:, 0] - 0.07).max() < 0.12
+
+
+def test_who_is_carried_all_the_time_is_held_to_who_carries(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    people, truth, _ = seen_and_true("lift")
+    carried = [reconstruction(one.positions_m[105:195], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
+    found, placed = solved(carried)
+    up = np.array([0.0, np.cos(found.pitch_rad), np.sin(found.pitch_rad)])
+    height = (placed[:, :, ANKLES] @ up).min(axis=2) + found.camera_height_m
+    assert np.median(height[:, 1] - height[:, 0]) == pytest.approx(0.36, abs=0.1)
+    assert place_error(placed, truth[105:195]) < 0.04
+    monkeypatch.setattr(estimate, "_CARRIED_COST", np.inf)
+    assert place_error(solved(carried)[1], truth[105:195]) > 0.05
+
+
+def test_any_part_that_is_lowest_bears_who_has_no_foot_on_the_floor() -> None:
+    people, truth, _ = seen_and_true("waltz", is_upside_down=True)
+    _, found = solved(people)
+    thought = np.stack([one.positions_m for one in people], axis=1)
+    assert place_error(thought, truth) > 0.2
+    assert place_error(found, truth) < 0.16
 
 
 def test_a_known_height_of_the_camera_and_known_statures_give_sizes() -> None:

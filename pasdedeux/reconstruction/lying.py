@@ -1,0 +1,88 @@
+"""People on the floor: poses of a database laid down, for those whose back is not upright in the image.
+
+Capture is mostly of people on their feet.  Who lies, or stands on hands and feet, bends the joints as others do who
+stand, reach or step: their poses are those of a database turned down on the belly or the back.  What bears them tells
+which are possible: on the belly anything may bear, on the back the trunk does, so that no limb is far below it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pasdedeux.arrays import Array, Flags
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.tracks import Track
+from pasdedeux.skeletons import OP14
+
+_UPRIGHT = float(np.cos(np.deg2rad(30.0)))
+"""Backs of people who stand are as near to the image's vertical."""
+_LEG_RANGE = (1.1, 2.6)
+"""Height of mid-hip over the lower ankle in the image, as a multiple of the back's length: of who stands."""
+_MIN_BACK = 0.7
+"""The back's length over the width of the shoulders: of who does not lie towards the camera."""
+
+_MAX_UPRIGHT = 0.3
+"""Whose back is upright in a larger part of the frames is not looked for on the floor."""
+_MAX_PROJECTIONS = 600_000
+"""Projections of poses laid down that are looked through, at most: an even choice."""
+ON_BELLY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns somebody who faces +Z and stands down on the belly, head towards +Z; the transpose lays him on his back."""
+_MAX_BELOW_M = 0.08
+"""Limbs are no further below the trunk of somebody on the back."""
+_ANKLES, _SHOULDERS = (OP14.indices([f"left_{name}", f"right_{name}"]) for name in ("ankle", "shoulder"))
+_TRUNK = OP14.indices([f"{side}_{name}" for name in ("hip", "shoulder") for side in ("left", "right")])
+
+
+def stands(track: Track) -> Flags:
+    """Tell in which frames somebody is seen to stand: back upright in the image, legs under it."""
+    is_upright, legs = _back_and_legs(track)
+    return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1])
+
+
+def is_on_floor(track: Track) -> bool:
+    """Tell whether a track shows somebody whose back is hardly ever upright; not without back and legs in the image."""
+    is_upright, legs = _back_and_legs(track)
+    is_seen = np.isfinite(legs)
+    return bool(is_seen.any()) and float(is_upright[is_seen].mean()) < _MAX_UPRIGHT
+
+
+def _back_and_legs(track: Track) -> tuple[Flags, Array]:
+    """Return whether the back is upright, and how far legs reach down as a multiple of it (frame,), NaN if not seen."""
+    keypoints_px = np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan)
+    hips, neck = mid_hip(keypoints_px), keypoints_px[:, OP14.root]
+    back = np.linalg.norm(hips - neck, axis=-1)
+    shoulders = np.linalg.norm(np.diff(keypoints_px[:, _SHOULDERS], axis=1)[:, 0], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        legs = np.fmax(*(keypoints_px[:, _ANKLES, 1] - hips[:, None, 1]).T) / back
+        return ((hips - neck)[:, 1] > _UPRIGHT * back) & ~(back < _MIN_BACK * shoulders), legs
+
+
+def searchers_for(searcher: Searcher, tracks: Sequence[Track]) -> list[Searcher]:
+    """Return what to search each track with: poses laid down as well for who is on the floor, made ready once."""
+    is_lying = [is_on_floor(track) for track in tracks]
+    laid = with_laid(searcher) if any(is_lying) else searcher
+    return [laid if lies else searcher for lies in is_lying]
+
+
+def with_laid(searcher: Searcher) -> Searcher:
+    """Return a searcher that finds poses laid down as well; its rows are those of the poses that were laid down."""
+    database = searcher.database
+    poses, rows = database.poses_m, np.arange(database.num_rows)
+    step = max(1, -(-2 * database.num_projections // _MAX_PROJECTIONS))
+    chosen = rows[::step]
+    belly, back = (poses[chosen] @ turn for turn in (ON_BELLY.T, ON_BELLY))
+    below = back[:, _TRUNK, 1].min(axis=1) - back[..., 1].min(axis=1)
+    is_borne = below < _MAX_BELOW_M
+    source = np.concatenate([rows, chosen, chosen[is_borne]])
+    starts = np.concatenate([[True], np.diff(source) != 1]) | database.is_sequence_start[source]
+    laid = replace(
+        database,
+        poses_m=np.concatenate([poses, belly, back[is_borne]]),
+        is_sequence_start=starts,
+        body22_unitquat=None,
+    )
+    return replace(Searcher.of(laid), published=searcher.published, source_row=source)

@@ -72,7 +72,8 @@ def reconstruct(
             raise InputError("--follow reads OpenPose files, not film")
         whole_only = {"--height": height, "--stature": stature, "--person": person}
         given = [name for name, value in whole_only.items() if value] + ["--units"] * (units != "cm")
-        given += sorted(f"--set {key}" for key in video.model_fields_set - {"id", "path", "rate_hz", "image_size_px"})
+        footage = {"rate_hz", "image_size_px", "focal_px", "fov_deg"}
+        given += sorted(f"--set {key}" for key in video.model_fields_set - {"id", "path"} - footage)
         if given:
             raise InputError(f"{given[0]} is for whole videos: with --follow, leave it out")
         options = LiveOptions(lag=lag, has_clean_up=clean_up)

@@ -24,6 +24,7 @@ from flows.machine import remembered_ctrl_c
 from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.pictures import PLAYER, Picture
+from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
@@ -72,12 +73,15 @@ def follow_video(
     """
     if not video.path.is_dir():
         raise InputError(f"{video.path} is not a folder of OpenPose files")
+    focal_px = Footage(focal_px=video.focal_px, fov_deg=video.fov_deg).focal_of(video.image_size_px)
     source, refs = _projections(database, store)
     (seen,), _ = _databases(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
     searcher = Searcher.of(seen)
     warm_up(searcher, options)
     rate_hz = video.rate_hz or DEFAULT_RATE_HZ
-    people = LivePeople(searcher, rate_hz=rate_hz, image_size_px=video.image_size_px, options=options)
+    people = LivePeople(
+        searcher, rate_hz=rate_hz, image_size_px=video.image_size_px, focal_px=focal_px, options=options
+    )
     typer.echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
     # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
     with ExitStack() as stack:

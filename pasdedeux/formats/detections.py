@@ -5,6 +5,7 @@ Every reader of a detector's files ends here, so that layouts, people and frame 
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -58,6 +59,18 @@ class Footage:
     rate_hz: float | None = None
     focal_px: float | None = None
     fov_deg: float | None = None
+
+    def focal_of(self, image_size_px: tuple[int, int] | None) -> float | None:
+        """Return the focal length in an image of this size, pixels; None where nothing is known of it.
+
+        Raises:
+            InputError: The field of view is known, but not the size.
+        """
+        if self.focal_px or not self.fov_deg:
+            return self.focal_px
+        if image_size_px is None:
+            raise InputError("a field of view needs the size of the image (image_size_px)")
+        return 0.5 * image_size_px[0] / math.tan(math.radians(0.5 * self.fov_deg))
 
 
 UNKNOWN = Footage()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
@@ -136,11 +135,7 @@ def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> A
         size = stated.image_size_px or sizes.get(name) or video.image_size_px
         if size:
             sizes[name] = size
-        if stated.focal_px:
-            focals[name] = stated.focal_px
-        elif stated.fov_deg:
-            if size is None:
-                raise InputError("a field of view needs the size of the image (image_size_px)")
-            focals[name] = 0.5 * size[0] / math.tan(math.radians(0.5 * stated.fov_deg))
+        if focal_px := stated.focal_of(size):
+            focals[name] = focal_px
     rate_hz = stated.rate_hz or frames.rate_hz or video.rate_hz
     return replace(frames, image_size_px=sizes, focal_px=focals, rate_hz=rate_hz)

@@ -2,18 +2,19 @@
 
 The figure is the error to expect, with an interval that holds in 80 % of cases.  That of a person comes from how far
 the fit moved the retrieved poses: where the database holds the motion, the image only touches them up; where it does
-not, or the camera is not where it was taken to be, they have to give way; from how badly the pitch is known; and from
-how lively the person moves, because a wrong pose stays wrong while nothing new is seen.  What is left of the match's
-distance when the image's noise is taken off is compared with that of the database's own motions, each matched against
-all others: farther than those, the database lacks the motion.  That of a place, where one of a couple is to the other,
-is the deviation that the scene's estimate states.
+not, or the camera is not where it was taken to be, they have to give way; from how badly the pitch is known; from how
+lively the person moves, because a wrong pose stays wrong while nothing new is seen; and from how far the hips are
+turned, because of who faces the camera nothing shows how far the back leans.  What is left of the match's distance when
+the image's noise is taken off is compared with that of the database's own motions, each matched against all others:
+farther than those, the database lacks the motion.  That of a place, where one of a couple is to the other, comes from
+the deviation that the scene's estimate states, and from what is expected of the poses that it trusts in.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -29,18 +30,26 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 
-_WEIGHTS = np.array([np.log(0.0735), 6.13, -0.46, 3.48])
+_WEIGHTS = np.array([-2.91, 6.696, -0.263, 1.232, -0.259])
 """Of the logarithm of the mean error of a joint: constant, per metre that the fit moved it, per logarithm of the
-acceleration of the joints about the mid-hip, per radian of the pitch's deviation.  Least squares on 112 people of 63
-clips of 4 s, nine families of takes, each reconstructed without itself: `python -m tests.families` prints it."""
+acceleration of the joints about the mid-hip, per radian of the pitch's deviation, and per logarithm of how far the hips
+are turned out of the image.  Least squares on 224 people of 126 clips of 4 s, nine families of takes, each
+reconstructed without itself: `python -m tests.families DATA --clips 14` prints it."""
+_PLACE_WEIGHTS = np.array([1.815, 0.878])
+"""The same of where one is to the other, of 98 couples: constant, and per logarithm of the product of the deviation
+that the scene's estimate states and of the error expected of the poses of the two."""
+_MIN_TURNED = 0.1
+"""Added to how far the hips are turned, 0 to 1."""
 _MIN_ACCELERATION_M_S2, _ACCELERATION_HZ = 0.5, 30.0
 """Added to the acceleration, and the rate of the frames that it is taken from."""
-_MAX_EXPECTED_M = 0.5
+_MAX_EXPECTED_M, _MAX_EXPECTED_PLACE_M = 0.5, 2.0
 """Worse than this nothing was measured."""
-_PERSON_RANGE, _PLACE_RANGE = (0.63, 1.56), (0.48, 2.2)
+_PERSON_RANGE, _PLACE_RANGE = (0.68, 1.53), (0.45, 2.37)
 """What errors of people and of places are as parts of the expected, four times in five, in families left out of all."""
+_BEYOND_RAD = float(np.deg2rad(10.0))
+"""What a pitch at the edge of those that were tried may be off by, beside its deviation."""
 
-DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.10, 0.20
+DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.09, 0.20
 DOUBTFUL_PLACE_M, BAD_PLACE_M = 0.20, 0.40
 FAR = 1.5
 """Times the misfit of the database's own motions: farther from it, nothing is to be believed."""
@@ -58,6 +67,7 @@ LEFT_OUT_PERCENTILE = 95.0
 _LEVEL_RAD = float(np.deg2rad(-1.0))
 """A camera that looks up by less is as good as level."""
 _NUM_LEFT_OUT, _NUM_NEIGHBOURS = 128, 1000
+_HIPS = OP14.indices(["left_hip", "right_hip"])
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 """Multiples of it lie evenly spread in a turn."""
 
@@ -75,6 +85,7 @@ class Reliability:
         share_bridged: Share of the frames that are interpolated.
         doubts: Further reasons for a warning, such as those about the camera.
         farthest_s: Time of the video at which the database is farthest from the image.
+        is_unproven: Nothing but the poses of the database says where up is, so that it must not lack the motion.
         evidence: What the logarithm of the expected error is a weighted sum of (n,).
     """
 
@@ -85,7 +96,8 @@ class Reliability:
     share_bridged: float
     doubts: tuple[str, ...] = ()
     farthest_s: float = float("nan")
-    evidence: Array = field(default_factory=lambda: np.zeros(0))
+    is_unproven: bool = False
+    evidence: Array = field(default_factory=lambda: np.zeros(0), compare=False)
 
     @property
     def is_lacking(self) -> bool:
@@ -102,6 +114,7 @@ class Reliability:
         """Pass, warn or fail, and why; of a failure what would help."""
         reasons = []
         is_far = self.expected_error_m > BAD_ERROR_M or self.misfit_m > FAR * self.left_out_m
+        is_far |= self.is_unproven and self.is_lacking
         if self.expected_error_m > DOUBTFUL_ERROR_M:
             reasons.append(f"an error of {self.expected_in_words} is expected")
         if self.is_lacking:
@@ -130,10 +143,14 @@ class Place:
     Args:
         expected_error_m: Expected length by which the vector between the mid-hips is off, mean over frames.
         doubts: Further reasons for a warning, such as those about the camera.
+        is_unproven: The video is too short, or shows nobody who stands, so that nothing says where the camera is.
+        evidence: What the logarithm of the expected error is a weighted sum of (n,).
     """
 
     expected_error_m: float
     doubts: tuple[str, ...] = ()
+    is_unproven: bool = False
+    evidence: Array = field(default_factory=lambda: np.zeros(0), compare=False)
 
     @property
     def expected_in_words(self) -> str:
@@ -150,7 +167,8 @@ class Place:
                 f"the place of the two is badly known: {self.expected_in_words}; what would help: "
                 "takes of such couples in the database",
             )
-        level = Level.FAIL if self.expected_error_m > BAD_PLACE_M else Level.WARN if reasons else Level.PASS
+        is_bad = self.is_unproven or self.expected_error_m > BAD_PLACE_M
+        level = Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS
         figure = ("expected error of place", self.expected_error_m, "m")
         return Verdict(level, "; ".join(reasons), *figure, thing="couples")
 
@@ -189,20 +207,29 @@ def judge_tracks(
     made = found.methods[-1].people
     broken = broken_doubts(sequence_id, [one.track for one in made])
     doubts = (*found.doubts, *camera_doubt(pitches_rad, found.pitch))
-    if (longest := max(len(one.track.frames) / one.track.rate_hz for one in made)) < MIN_LENGTH_S:
-        doubts = (f"{longest:.1f} s are too short to tell camera and places from", *doubts)
+    longest_s = max(len(one.track.frames) / one.track.rate_hz for one in made)
+    if is_short := longest_s < MIN_LENGTH_S:
+        doubts = (f"{longest_s:.1f} s are too short to tell camera and places from", *doubts)
+    deviation_rad = found.pitch.deviation_rad
+    if _is_at_edge(pitches_rad, found.pitch):
+        deviation_rad = float(np.hypot(deviation_rad, _BEYOND_RAD))
     people, places = {}, {}
     for one in made:
         name = one.track.person_id
         own = (*doubts, *((broken[name],) if name in broken else ()))
-        people[name] = judge_person(one, left_out_m, pitch_deviation_rad=found.pitch.deviation_rad, doubts=own)
+        people[name] = judge_person(
+            one, left_out_m, pitch_deviation_rad=deviation_rad, doubts=own, is_unproven=found.pitch.is_guess
+        )
     between = {} if found.scene is None else found.scene.place_deviation_m
     for (first, second), deviation_m in between.items():
         couple = made[first].track, made[second].track
         if couple[0].partner_id == couple[1].person_id:
             ids = couple[0].person_id, couple[1].person_id
             lost = [broken[name] for name in ids if name in broken]
-            places[ids] = Place(deviation_m, tuple(dict.fromkeys((*doubts, *lost))))
+            expected_m = float(np.mean([people[name].expected_error_m for name in ids]))
+            own = tuple(dict.fromkeys((*doubts, *lost)))
+            place = _judge_place(deviation_m, expected_m, own)
+            places[ids] = replace(place, is_unproven=is_short or found.pitch.is_guess)
     return Judged(people, places)
 
 
@@ -212,6 +239,7 @@ def judge_person(
     *,
     pitch_deviation_rad: float = 0.0,
     doubts: Sequence[str] = (),
+    is_unproven: bool = False,
 ) -> Reliability:
     """Judge a person's reconstruction by method `fit`; of another nobody knows what error to expect.
 
@@ -220,13 +248,15 @@ def judge_person(
         left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
         pitch_deviation_rad: Standard deviation of the camera's pitch.
         doubts: Further reasons for a warning.
+        is_unproven: Nobody is seen standing, so that nothing but the poses says where up is.
     """
     is_known = ~found.is_bridged & np.isfinite(found.score_m)
     noise = MEAN_OF_RAYLEIGH * found.noise_m
     left = np.sqrt(np.maximum(found.score_m[is_known] ** 2 - noise**2, 0.0))
     misfit = float(np.median(left)) if len(left) else float("nan")
     acceleration = np.log(_MIN_ACCELERATION_M_S2 + _acceleration_m_s2(found))
-    evidence = np.array([1.0, _mean(found.correction_m[is_known]), acceleration, pitch_deviation_rad])
+    turned = np.log(_MIN_TURNED + _turned(found))
+    evidence = np.array([1.0, _mean(found.correction_m[is_known]), acceleration, pitch_deviation_rad, turned])
     return Reliability(
         expected_error_m=float(np.minimum(np.exp(_WEIGHTS @ evidence), _MAX_EXPECTED_M)),
         misfit_m=misfit,
@@ -235,8 +265,18 @@ def judge_person(
         share_bridged=_mean(found.is_bridged),
         doubts=tuple(doubts),
         farthest_s=float(found.track.times_s[is_known][np.argmax(left)]) if len(left) else float("nan"),
+        is_unproven=is_unproven,
         evidence=evidence,
     )
+
+
+def _judge_place(deviation_m: float, expected_m: float, doubts: tuple[str, ...]) -> Place:
+    """Judge the place of two people by its deviation, and the error to expect of their poses where that is known."""
+    if not math.isfinite(expected_m):
+        return Place(deviation_m, doubts)
+    evidence = np.array([1.0, np.log(deviation_m * expected_m)])
+    expected = float(np.minimum(np.exp(_PLACE_WEIGHTS @ evidence), _MAX_EXPECTED_PLACE_M))
+    return Place(expected, doubts, evidence=evidence)
 
 
 def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.NDArray[np.object_]) -> float:
@@ -275,9 +315,16 @@ def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[st
         return (f"nobody is seen standing, so that {pitch.in_words()} is a guess: state it ({how})",)
     if len(pitches_rad) < 2:
         return ()
-    if pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD):
+    if _is_at_edge(pitches_rad, pitch):
         return (f"{pitch.in_words()}, at the edge of what was tried: it may be more, or wrong",)
     return (f"{pitch.in_words()}",) if pitch.deviation_rad > DOUBTFUL_PITCH_RAD else ()
+
+
+def _is_at_edge(pitches_rad: Sequence[float], pitch: PitchEstimate) -> bool:
+    """Tell whether a pitch lies where none was tried beyond."""
+    if len(pitches_rad) < 2 or pitch.is_given:
+        return False
+    return pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD)
 
 
 def _acceleration_m_s2(found: Reconstruction) -> float:
@@ -288,6 +335,12 @@ def _acceleration_m_s2(found: Reconstruction) -> float:
         return 0.0
     bend = np.linalg.norm(np.diff(poses, n=2, axis=0), axis=-1)
     return float(bend.mean()) * (found.track.rate_hz / step) ** 2
+
+
+def _turned(found: Reconstruction) -> float:
+    """Return how far the line between the hips is turned out of the image, 0 to 1, on average."""
+    across = np.diff(found.positions_m[:, _HIPS], axis=1)[:, 0]
+    return _mean(np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=-1), 1e-9))
 
 
 def _with_interval(error_m: float, parts: tuple[float, float]) -> str:

@@ -157,6 +157,16 @@ def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_wh
                 np.testing.assert_array_equal(pose.positions_m, same[0].positions_m)
 
 
+def test_a_stated_lens_puts_people_as_far_away_as_it_says(searcher: Searcher) -> None:
+    px, truth = video(12)
+    away = []
+    for focal_px in (1400.0, 2800.0):
+        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), focal_px=focal_px)
+        away.append(np.median([-pose.root_m[2] for pose in run(people, px[:, :1])]))
+    assert away[1] / away[0] == pytest.approx(2.0, rel=0.05)
+    assert away[0] == pytest.approx(-mid_hip(truth)[:12, 0, 2].mean(), rel=0.15)
+
+
 def test_people_who_leave_are_given_out_within_the_lag_and_gaps_are_bridged_over(searcher: Searcher) -> None:
     px, _ = video(50)
     people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=4, has_own_proportions=False))

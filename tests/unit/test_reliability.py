@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.people import reconstruct_people
-from pasdedeux.reconstruction.pitch import PitchEstimate
+from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, reconstruct_track
 from pasdedeux.reconstruction.reliability import (
     Place,
@@ -200,6 +201,39 @@ def test_a_height_says_nothing_of_the_size_of_who_has_no_feet_below_the_camera(
     assert found.doubts == ()
 
 
+@pytest.mark.parametrize("kind", ["overhead", "lying", "five frames"])
+def test_where_nothing_says_where_the_camera_is_the_place_fails_and_nobody_passes(
+    walkers: tuple[Searcher, np.ndarray], kind: str
+) -> None:
+    worlds = np.stack([walk(48, seed=2), walk(48, seed=3) + np.array([1.2, 0.0, 0.3])], axis=1)
+    if kind == "lying":
+        worlds = worlds @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    middle = mid_hip(worlds).mean(axis=(0, 1))
+    pitch_rad = np.deg2rad({"overhead": 85.0, "lying": 20.0, "five frames": 10.0}[kind])
+    camera = look_at_camera(middle, distance_m=5.0, yaw_rad=0.3, pitch_rad=pitch_rad, focal_px=1400.0)
+    px = camera.project(worlds).px[: 5 if kind == "five frames" else None]
+    tracks = [Track(px[:, one], np.ones((*px.shape[:1], 14)), 24.0, LENS, one, partner_id=1 - one) for one in (0, 1)]
+    pitches = [0.0, 0.25, 0.5]
+    pitch = choose_pitch([walkers[0].pitched(one) for one in pitches], tracks)
+    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), tracks, [Method.FIT], pitch=pitch)
+    judged = judge_tracks(found, pitches_rad=pitches).verdicts
+    assert judged["place of 0 and 1"].level is Level.FAIL
+    says = "0.2 s are too short" if kind == "five frames" else "nobody is seen standing"
+    for one in judged.values():
+        assert one.level is not Level.PASS
+        assert says in one.reason
+
+
+def test_a_pitch_at_the_edge_lets_expect_a_larger_error(walkers: tuple[Searcher, np.ndarray]) -> None:
+    found = reconstruct_people(walkers[0], [seen(walk(48, seed=2))], [Method.FIT], pitch=PitchEstimate(0, 0.1, 0.02))
+    expected = [
+        judge_tracks(found, pitches_rad=tried).people[0].expected_error_m for tried in ([-1.0, 1.0], [-1.0, -0.9])
+    ]
+    assert expected[1] > 1.15 * expected[0]
+    of_one = judge_tracks(found, pitches_rad=[0.1]).people[0]
+    assert of_one.expected_error_m == expected[0]
+
+
 def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_others(
     walkers: tuple[Searcher, np.ndarray],
 ) -> None:
@@ -218,7 +252,7 @@ def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_o
 
 def test_a_badly_known_place_warns_then_fails_and_says_what_would_help() -> None:
     assert [Place(error).verdict.level for error in (0.1, 0.25, 0.6)] == [Level.PASS, Level.WARN, Level.FAIL]
-    assert "25 cm (12 to 55); what would help: takes of such couples" in Place(0.25).verdict.reason
+    assert "25 cm (11 to 59); what would help: takes of such couples" in Place(0.25).verdict.reason
 
 
 def test_large_expected_errors_and_hardly_anything_seen_fail() -> None:
@@ -228,5 +262,7 @@ def test_large_expected_errors_and_hardly_anything_seen_fail() -> None:
     assert far.level is Level.FAIL
     assert "what would help: takes of such motion in the database, it is farthest at 2.5 s" in far.reason
     assert replace(good, share_seen=0.2).verdict.level is Level.FAIL
+    lacking = replace(good, misfit_m=0.06)
+    assert [replace(lacking, is_unproven=one).verdict.level for one in (False, True)] == [Level.WARN, Level.FAIL]
     assert replace(good, share_bridged=0.5).verdict.level is Level.WARN
     assert replace(good, expected_error_m=float("nan"), left_out_m=float("nan")).verdict.level is Level.PASS

@@ -23,6 +23,7 @@ class LivePeople:
         searcher: Database made ready.
         rate_hz: Frames per second.
         image_size_px: Width and height; estimated from the first people seen when not given.
+        focal_px: Focal length where it is known.
         options: How.
     """
 
@@ -32,12 +33,13 @@ class LivePeople:
         *,
         rate_hz: float,
         image_size_px: tuple[int, int] | None = None,
+        focal_px: float | None = None,
         options: LiveOptions | None = None,
     ) -> None:
         self._options = options or LiveOptions()
         self._searcher = searcher
         self._rate_hz = rate_hz
-        self._size = image_size_px
+        self._size, self._focal_px = image_size_px, focal_px
         self._lens: Lens | None = None
         self._follower = Follower()
         self._people: dict[int, LivePerson] = {}
@@ -58,7 +60,7 @@ class LivePeople:
         found = self._follower.step(frame / self._rate_hz, keypoints_px, confidence)
         if self._lens is None and (found.track_id >= 0).any():
             width, height = self._size or (None, None)
-            self._lens = Lens.assumed(width, height, found.keypoints_px)
+            self._lens = Lens.assumed(width, height, found.keypoints_px, self._focal_px)
         poses: list[LivePose] = []
         at = {int(person): index for index, person in enumerate(found.track_id) if person >= 0}
         for person in at:

@@ -247,6 +247,8 @@ class Viewer:
     def mark_clip(self, edge: Literal["start", "end"]) -> None:
         """Let the clip that choices are about start or end at this frame; the other edge gives way."""
         with self.lock:
+            if self.part.table not in CLIPPED:
+                raise InputError(f"clips are chosen of {', '.join(CLIPPED)}, not of {self.part.table}")
             first, last = self.clip or (0, self.scene.num_frames - 1)
             frame = self.frame
             self.clip = (frame, max(frame, last)) if edge == "start" else (min(first, frame), frame)
@@ -488,12 +490,16 @@ class Viewer:
         flats = [] if is_skipped else self.flats()  # without the lock: a key need not wait for them
         if scene is self.scene:
             self.side.show(flats)
-            if scene.film is not None and scene.camera is not None:
-                self.room.show_film(scene.film(frame) if self._handles["film"].value else None)
+        if scene.film is not None and scene.camera is not None:
+            image = scene.film(frame) if self._handles["film"].value else None
+            with self.lock:
+                if scene is self.scene:
+                    self.room.show_film(image)
 
     def flats(self) -> list[Flat]:
         """Return the 2D pictures of this moment, with the 2D poses of the first as they were changed."""
-        scene, frame, changed = self.scene, self.frame, self.image_px
+        with self.lock:
+            scene, frame, changed = self.scene, self.frame, self.image_px
         flats = scene.images(frame)
         if scene.nearest is not None and self._handles["nearest"].value:
             flats = [*flats, *scene.nearest(frame)]

@@ -62,6 +62,8 @@ def find_breaks(
 ) -> list[Break]:
     """Return whose track ends where another's begins; each is continued by one other at most, the nearest.
 
+    Rows that show nobody say where nobody is; but who has one in a frame cannot be anybody else of that frame.
+
     Args:
         frame: Frame of each row (row,).
         person_id: Person of each row (row,), once a frame.
@@ -73,8 +75,10 @@ def find_breaks(
     rows = np.flatnonzero(is_seen.any(axis=1))
     rows = rows[np.argsort(frame[rows], kind="stable")]
     ends: dict[int, tuple[_End, _End]] = {}
+    spans: dict[int, tuple[int, int]] = {}
     for person in np.unique(person_id[rows]).tolist():
-        own = rows[person_id[rows] == person]
+        own, listed = rows[person_id[rows] == person], frame[person_id == person]
+        spans[person] = int(listed.min()), int(listed.max())
         points = np.where(is_seen[own, :, None], keypoints_px[own], np.nan)
         parts = [abs(frame[own] - frame[own[at]]) <= _END_S * rate_hz for at in (0, -1)]
         first, last = (
@@ -87,7 +91,7 @@ def find_breaks(
         end, start = ends[before][1], ends[after][0]
         gap_s = (start.frame - end.frame) / rate_hz
         size = max(end.size_px, start.size_px)
-        if not 0.0 < gap_s <= _BROKEN_S or not size > 0.0:
+        if spans[before][1] >= spans[after][0] or not 0.0 < gap_s <= _BROKEN_S or not size > 0.0:
             continue
         growth = size / max(min(end.size_px, start.size_px), 1e-9)
         apart = float(np.linalg.norm(start.place_px - end.place_px)) / size
@@ -97,7 +101,7 @@ def find_breaks(
         moved_s, step = _FADE_S * (1.0 - float(np.exp(-gap_s / _FADE_S))), start.place_px - end.place_px
         off = max(float(np.linalg.norm(step - moved_s * speed)) for speed in (end.speed_px_s, start.speed_px_s)) / size
         is_clear = growth <= _CLEAR_GROWTH and max(apart, off) <= _CLEAR_SIZES
-        found.append((apart, Break(before, after, start.frame, ends[after][1].frame, is_clear)))
+        found.append((apart, Break(before, after, *spans[after], is_clear)))
     return _nearest([one for _, one in sorted(found, key=lambda one: one[0])])
 
 

@@ -104,6 +104,17 @@ def test_a_person_lost_twice_is_one_and_the_table_of_people_says_so_and_overrule
     assert set(given.frames.person_id.tolist()) == {0, 1, 2, 3}
 
 
+def test_rows_that_show_nobody_are_joined_with_the_others_and_never_two_of_one_frame() -> None:
+    lost, found = rows(0, 110, 0), rows(85, 130, 2)
+    lost["px"][41:] = np.nan
+    assert set(resolve_people(source(lost, found)).frames.person_id.tolist()) == {0, 2}
+    lost["px"][:] = rows(0, 110, 0)["px"]
+    found["px"][:5] = found["px"][-5:] = np.nan
+    lost = {name: values[:41] for name, values in lost.items()}
+    (sequence,) = resolve_people(source(lost, found)).sequences
+    assert [one.in_words() for one in sequence.joined] == ["clip,85,130,2,0"]
+
+
 def test_the_row_of_a_break_joins_it() -> None:
     own = together(rows(0, 40, 0), rows(45, 90, 2, x_px=150.0))
     (one,) = find_breaks(own["frame"], own["person_id"], own["px"], np.ones(own["px"].shape[:2]), rate_hz=24.0)

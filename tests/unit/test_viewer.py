@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -138,6 +138,45 @@ def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
     assert viewer.frame == viewer.scene.num_frames - 1
     viewer.step(-1)
     assert viewer.frame == viewer.scene.num_frames - 2
+
+
+def test_pictures_are_of_the_frame_of_their_scene_while_another_is_put_in_place(viewer: Viewer) -> None:
+    asked: list[int] = []
+    viewer.seek(5)
+    with viewer.lock:
+        whole = viewer.scene
+        viewer.scene = replace(whole, images=lambda frame: asked.append(frame) or [])
+        other = threading.Thread(target=viewer.flats)
+        other.start()
+        other.join(timeout=0.2)
+        viewer.frame = 0
+    other.join(timeout=20.0)
+    assert set(asked) == {0}
+    viewer.scene = whole
+
+
+def test_film_that_is_read_too_late_is_not_shown_behind_what_came_meanwhile(
+    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[object] = []
+    monkeypatch.setattr(viewer.room, "show_film", shown.append)
+    whole, was_read = viewer.scene, threading.Event()
+
+    def read(_: int) -> np.ndarray:
+        viewer.scene = whole
+        was_read.set()
+        return np.zeros((4, 4, 3), dtype=np.uint8)
+
+    viewer.scene = replace(whole, film=read, camera=SimpleNamespace())
+    viewer.describe_frame()
+    assert was_read.is_set()
+    assert shown == []
+
+
+def test_clips_are_chosen_of_reconstructions_alone(viewer: Viewer) -> None:
+    with pytest.raises(InputError, match="clips are chosen of motions, not of poses"):
+        viewer.mark_clip("start")
+    assert viewer.clip is None
 
 
 def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) -> None:

@@ -161,21 +161,25 @@ def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
 
 
 def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
-    """Drag the handle at a joint along its x axis, as the camera of the browser shows it."""
+    """Drag the handle at a joint along its x axis, as the camera of the browser shows it, which may be on its way."""
     (client,) = viewer.server.get_clients().values()
     before = editor.pose
-    turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
-    focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
 
     def seen(point: Array) -> Array:
+        turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
         own = turn.inv().apply(point - client.camera.position)
+        focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
         middle = [client.camera.image_width / 2, client.camera.image_height / 2]
         return np.asarray(middle + focal * own[:2] / own[2])
 
-    hand = np.array(editor._hand.position)
-    tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
-    wait_until(lambda: viewer.pose is not None, "the drag", limit_s=60.0)
-    assert np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02
+    def is_dragged() -> bool:
+        if viewer.pose is None:
+            hand = np.array(editor._hand.position)
+            tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
+        return viewer.pose is not None
+
+    wait_for(viewer, "the drag", is_dragged)
+    wait_for(viewer, "its end", lambda: np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02)
     np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
 
 

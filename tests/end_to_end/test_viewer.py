@@ -87,6 +87,25 @@ def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(edito
     assert found[0].title.startswith("A: waltz frame ")
 
 
+def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "motions")
+    name, first = "/".join(viewer.item.names), viewer.scene.first_number
+    for frame, edge in ((3, "start"), (6, "end")):
+        viewer.seek(frame)
+        viewer.mark_clip(edge)  # type: ignore[arg-type]
+    viewer.decide("reject")
+    (choice,) = viewer.choosing.clips("motions", name)
+    assert (choice.decision, choice.frames) == ("reject", (first + 3, first + 6))
+    viewer.show_item(viewer.index)
+    viewer.seek(5)
+    viewer.describe_frame()
+    assert "frames 3 to 6 rejected" in viewer._handles["facts"].value
+    assert viewer.choosing.about("motions", name) is None
+    viewer.decide("undo")
+    assert not viewer.choosing.clips("motions", name)
+
+
 def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -> None:
     viewer = editor.viewer
     part_of(viewer, "draws")

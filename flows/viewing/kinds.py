@@ -216,8 +216,14 @@ def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:
 
 
 def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[Any, People, Integers]:
-    data = item.read(shelf.store, part.table, ["pair17_m", *columns])
-    return data, People(PAIR17, np.asarray(data["pair17_m"], dtype=np.float32)), np.arange(data.num_rows)
+    data = item.read(shelf.store, part.table, columns)
+    pairs: Any = np.empty((data.num_rows, 2, PAIR17.num_joints, 3), dtype=np.float32)
+    rows = 0
+    for piece in item.pieces:  # one at a time: there may be 100,000 draws
+        own = Item(item.names, (piece,), item.label).read(shelf.store, part.table, ["pair17_m"])["pair17_m"]
+        pairs[rows : rows + len(own)] = own
+        rows += len(own)
+    return data, People(PAIR17, pairs), np.arange(data.num_rows)
 
 
 def _seeds(shelf: Shelf, part: Part, item: Item) -> Scene:

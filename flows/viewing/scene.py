@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,10 +90,10 @@ class Scene:
         """Number of frames."""
         return len(self.people.positions_m)
 
-    @property
+    @cached_property
     def is_flat(self) -> bool:
         """Who is shown is an image that stands in the room."""
-        return bool(np.nanmax(np.abs(self.people.positions_m[..., 2]), initial=0.0) == 0.0)
+        return bool(np.fmax.reduce(np.abs(self.people.positions_m[..., 2]), axis=None, initial=0.0) == 0.0)
 
     def row_of(self, frame: int) -> int:
         """Return the first row of the item that is of a frame."""

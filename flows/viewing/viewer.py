@@ -14,6 +14,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 import numpy as np
+import pyarrow
 
 from flows.viewing.images import encode, encode_clip, plot_curves, presence_strip
 from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
@@ -156,6 +157,7 @@ class Viewer:
             if self.wants_flat and scene.flat is not None:
                 scene = replace(scene, people=scene.flat, camera=None)
             self._show_scene(scene, row)
+            pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
 
     def show_beside(self, pair_m: Array, before_m: Array) -> None:
         """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
@@ -439,7 +441,7 @@ class Viewer:
         for name, curve in scene.curves.items():
             label, factor, _ = figure_label(name)
             values = factor * np.asarray(curve, dtype=np.float64)
-            if len(np.unique(values[np.isfinite(values)])) > 1:
+            if np.fmax.reduce(values) > np.fmin.reduce(values):
                 known[label] = values
         chosen = self._handles["curve"]
         if known and tuple(known) != chosen.options:

@@ -87,6 +87,25 @@ def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(edito
     assert found[0].title.startswith("A: waltz frame ")
 
 
+def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "motions")
+    name, first = "/".join(viewer.item.names), viewer.scene.first_number
+    for frame, edge in ((3, "start"), (6, "end")):
+        viewer.seek(frame)
+        viewer.mark_clip(edge)  # type: ignore[arg-type]
+    viewer.decide("reject")
+    (choice,) = viewer.choosing.clips("motions", name)
+    assert (choice.decision, choice.frames) == ("reject", (first + 3, first + 6))
+    viewer.show_item(viewer.index)
+    viewer.seek(5)
+    viewer.describe_frame()
+    assert "frames 3 to 6 rejected" in viewer._handles["facts"].value
+    assert viewer.choosing.about("motions", name) is None
+    viewer.decide("undo")
+    assert not viewer.choosing.clips("motions", name)
+
+
 def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -> None:
     viewer = editor.viewer
     part_of(viewer, "draws")
@@ -161,21 +180,25 @@ def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
 
 
 def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
-    """Drag the handle at a joint along its x axis, as the camera of the browser shows it."""
+    """Drag the handle at a joint along its x axis, as the camera of the browser shows it, which may be on its way."""
     (client,) = viewer.server.get_clients().values()
     before = editor.pose
-    turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
-    focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
 
     def seen(point: Array) -> Array:
+        turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
         own = turn.inv().apply(point - client.camera.position)
+        focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
         middle = [client.camera.image_width / 2, client.camera.image_height / 2]
         return np.asarray(middle + focal * own[:2] / own[2])
 
-    hand = np.array(editor._hand.position)
-    tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
-    wait_until(lambda: viewer.pose is not None, "the drag", limit_s=60.0)
-    assert np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02
+    def is_dragged() -> bool:
+        if viewer.pose is None:
+            hand = np.array(editor._hand.position)
+            tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
+        return viewer.pose is not None
+
+    wait_for(viewer, "the drag", is_dragged)
+    wait_for(viewer, "its end", lambda: np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02)
     np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
 
 

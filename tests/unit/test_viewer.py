@@ -355,6 +355,21 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path
         )
 
 
+def test_a_video_beside_keypoints_is_their_film_where_it_has_their_size(tmp_path: Path) -> None:
+    keys = write_keys(tmp_path / "dance.csv", [0, 1])
+    grey_film(tmp_path / "dance.avi", 5)
+    ingest = {"annotations": [{"id": "dance", "path": str(keys)}]}
+    told = {"id": "dance", "video_size_px": [64, 48]}
+    manifest = SimpleNamespace(parameters=told, files=())
+    found = find_film(manifest, ingest)  # type: ignore[arg-type]
+    assert isinstance(found, FilmReader)
+    assert found.image(4) is not None
+    told["video_size_px"] = [640, 480]
+    assert find_film(manifest, ingest) is None  # type: ignore[arg-type]
+    keys.unlink()
+    assert find_film(manifest, ingest) is None, "who looks later may have moved it"  # type: ignore[arg-type]
+
+
 def tree(store: Store) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in sorted(store.root.rglob("*"))}
 

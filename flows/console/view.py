@@ -38,7 +38,8 @@ def view(
       pasdedeux view a.bvh b.bvh                 motion files, one for each person
 
     Space plays, left and right step, up and down change the item, Home and End go to the first and the last frame, F to
-    the next frame that fails; K and X accept and reject what is shown, for exports and training (`curate`).
+    the next frame that fails; K and X accept and reject what is shown, of a reconstruction a clip from I to O, for
+    exports and training (`curate`).
 
     Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
     """

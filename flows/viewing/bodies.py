@@ -16,6 +16,7 @@ from pasdedeux.interaction.contacts import find_contacts
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import Skeleton
+from pasdedeux.spread import evenly_spread
 
 THROUGH_M = 0.01
 """Surfaces deeper within each other than this are shown as penetrating: less is cloth and flesh."""
@@ -111,10 +112,12 @@ def rgb(colour: str) -> tuple[int, int, int]:
 def _radii(people: People) -> Array:
     """Return radii (person, joint), metres, from the frames in which everybody is there; a usual body's where none."""
     model = capsule_model(people.skeleton)
-    whole = people.positions_m[np.isfinite(people.positions_m).all(axis=(1, 2, 3))]
+    is_whole = np.isfinite(people.positions_m).all(axis=(1, 2, 3))
+    some = np.flatnonzero(is_whole)[evenly_spread(int(is_whole.sum()), 64)]
+    whole = np.asarray(people.positions_m[some], dtype=np.float64)
     if not len(whole) or not np.ptp(whole[..., 2]):
         return np.broadcast_to(model.radii_m(1.7), people.positions_m.shape[1:3])
-    return model.radii_of(np.asarray(whole[:: max(1, len(whole) // 64)], dtype=np.float64))
+    return model.radii_of(whole)
 
 
 def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, Array]:

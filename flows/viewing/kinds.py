@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -18,9 +18,13 @@ from pasdedeux.cameras.frames import project_pair
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.reconstruction.tracks import Lens
-from pasdedeux.skeletons import BODY22, COUNTED17, PAIR17
+from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store
@@ -28,11 +32,15 @@ from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_s
 from tasks.curation import CLIPPED, POSITIONS, clip_name, content_columns, content_of, names_of, rows_of
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.facts import MotionFacts, SequenceFacts
+from tasks.projections import read_database
+from tasks.stage import verdicts_of_parts
 from tasks.takes import read_motion, read_objects, take_of
 
 IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""
 _NUM_NEAREST = 3
+_MAX_PROJECTIONS = 300_000
+"""Of the database so many projections are looked through, evenly spread."""
 _NUM_LOCATED = 60
 """Frames by which the camera of a reconstruction is located."""
 _LIMBS = [name for name in PAIR17.joint_names if name.endswith(("shoulder", "elbow", "wrist", "knee", "ankle"))]
@@ -86,17 +94,23 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
 
 def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     store, sequence_id = shelf.store, item.names[0]
-    columns = ["person_id", "frame", "time_s", "body22_m", "score_m", "match_take_id", "match_frame", "yaw_rad"]
+    columns = ["person_id", "frame", "time_s", "body22_m", "op14_m", "score_m", "match_take_id", "match_frame"]
     data = item.read(store, "motions", columns)
     grid = Grid.of(data["frame"], data["person_id"])
     shown = grid.fill(data["body22_m"])
     matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
     seen = _Seen.of(shelf, sequence_id)
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
-    facts = MotionFacts.of(store.manifest(item.pieces[0][0]))
+    manifest = store.manifest(item.pieces[0][0])
+    facts = MotionFacts.of(manifest)
     # From the axes of a camera that looks down to a world in which people stand upright.
     camera_from_upright = DatabaseCamera(math.radians(facts.pitch_deg)).camera_from_upright_rotmat
     shown = shown @ camera_from_upright.astype(np.float32)
+    curves = {"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)}
+    if truth is not None:
+        both = ((one - one[:, :, [BODY22.root]])[..., _LIMBS22, :] for one in (shown, truth @ camera_from_upright))
+        off = np.subtract(*both)
+        curves = {"error_m": np.nanmean(np.linalg.norm(off, axis=-1), axis=(1, 2))} | curves
     if truth is not None:  # on the floor, and the mid-hips of the first frame together
         truth = truth @ camera_from_upright
         away = np.nanmean(truth[0, :, BODY22.root] - shown[0, :, BODY22.root], axis=0)
@@ -110,15 +124,50 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
         film=seen.film_of(grid.frames),
         first_number=int(grid.frames[0]),
-        curves={"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)},
+        curves=curves,
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
+        nearest=partial(_nearest_poses, store, manifest.ref, grid.fill(data["op14_m"])),
         facts=(
+            *(f"{name}: {verdict_words(verdict)}" for name, verdict in verdicts_of_parts(manifest).items()),
             f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
             f'people_file = "people.csv" in [[ingest.annotations]]',
             *seen.film_words,
         ),
     )
+
+
+def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) -> list[Flat]:
+    """Return the poses of the database that each person of a reconstruction (frame, person, 14, 3) looks most like."""
+    found = _database(store, ref)
+    if found is None:
+        return []
+    database, index, takes, frames = found
+    flats = []
+    for person, pose in enumerate(op14_m[frame]):
+        image = (pose - mid_hip(pose))[:, :2]
+        best = index.search(image, num_neighbours=_NUM_NEAREST)
+        for row, yaw, distance_m in zip(best.row, best.yaw_index, best.distance_m, strict=True):
+            if np.isfinite(distance_m):
+                title = f"{'ABCDEFGHIJ'[person]}: {takes[row]} frame {frames[row]}, {100 * distance_m:.1f} cm"
+                alone = np.full((person + 1, OP14.num_joints, 2), np.nan)  # in the colour of this person
+                alone[person] = database.project(row, row + 1)[0, yaw]
+                flats.append(_image_of(alone, title, OP14))
+    return flats
+
+
+@lru_cache(maxsize=1)
+def _database(store: Store, ref: ArtifactRef) -> tuple[Database, ProjectionIndex, Array, Integers] | None:
+    """Return the database that a reconstruction was made with, thinned, as its camera saw it; None where it is gone."""
+    refs = [one for one in store.manifest(ref).inputs if store.find(one.stage, one.key)]
+    refs = [one for one in refs if "projections" in store.manifest(one).tables]
+    if not refs:
+        return None
+    level, takes, frames = read_database(store, refs)
+    step = -(-level.num_projections // _MAX_PROJECTIONS)
+    pitch_rad = math.radians(MotionFacts.of(store.manifest(ref)).pitch_deg)
+    thin = replace(level.thinned(_MAX_PROJECTIONS), camera=replace(level.camera, pitch_rad=pitch_rad))
+    return thin, build_index(thin), takes[::step], frames[::step]
 
 
 def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
@@ -167,8 +216,14 @@ def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:
 
 
 def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[Any, People, Integers]:
-    data = item.read(shelf.store, part.table, ["pair17_m", *columns])
-    return data, People(PAIR17, np.asarray(data["pair17_m"], dtype=np.float32)), np.arange(data.num_rows)
+    data = item.read(shelf.store, part.table, columns)
+    pairs: Any = np.empty((data.num_rows, 2, PAIR17.num_joints, 3), dtype=np.float32)
+    rows = 0
+    for piece in item.pieces:  # one at a time: there may be 100,000 draws
+        own = Item(item.names, (piece,), item.label).read(shelf.store, part.table, ["pair17_m"])["pair17_m"]
+        pairs[rows : rows + len(own)] = own
+        rows += len(own)
+    return data, People(PAIR17, pairs), np.arange(data.num_rows)
 
 
 def _seeds(shelf: Shelf, part: Part, item: Item) -> Scene:
@@ -432,10 +487,10 @@ def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
     return found
 
 
-def _image_of(image_m: Array, title: str) -> Flat:
+def _image_of(image_m: Array, title: str, skeleton: Skeleton = PAIR17) -> Flat:
     """Return an image in metres (person, joint, 2), y up, as pixels."""
     points = image_m * [400.0, -400.0]
-    return Flat(PAIR17, points - np.nanmin(points, axis=(0, 1)) + 40.0, _size(np.nan, np.nan, points), title)
+    return Flat(skeleton, points - np.nanmin(points, axis=(0, 1)) + 40.0, _size(np.nan, np.nan, points), title)
 
 
 def _size(width: float, height: float, points_px: Array) -> tuple[int, int]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
 from flows.viewing.scene import Scene
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
 
 COMPARE = ("over", "beside", "hidden")
@@ -16,14 +17,17 @@ COMPARE = ("over", "beside", "hidden")
 _MARK_M = 0.035
 _APART_M = 0.5
 _MOVED_M = 2.0
-"""Cameras follow where people are further than this from those before."""
+"""Cameras follow where people are further than this from those before; up and down counts more."""
+_UP_COUNTS = 4.0
 _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
 _FOV_RAD = float(np.deg2rad(75.0))
 _BEHIND_M = 1.0
 """The screen for film stands so far behind the farthest joint."""
 _GREY = (120, 120, 120)
-_DARKER = 1.7
+_AMBIENT = 1.0
+_DARKER = 1.5
 """Exponent of colours: the lights of the room make them paler."""
+_LINE = (200, 200, 200)
 _NO_POINTS = np.empty((0, 3))
 
 
@@ -38,10 +42,15 @@ class Room:
         self._server = server
         self._nodes: dict[str, Any] = {}
         self._groups: set[str] = set()
-        self._rod, self._ball = _meshes()
+        # A rod along z, of radius and length 1; its ends are in balls.
+        self._rod, self._ball, self._mark = _surface(np.ones(2), np.array([-0.5, 0.5]), 20), _ball(16), _ball(8)
         self._middle = np.full(3, np.inf)
         self._grey: tuple[Any, Any] | None = None
         server.scene.set_up_direction("+y")
+        # Browsers that draw by software take three times as long with reflections, shadows and a shaded floor.
+        server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.add_light_ambient("/light", intensity=_AMBIENT)
         server.on_client_connect(self._aim)
 
     def show(self, shown: Scene, where: str) -> None:
@@ -49,18 +58,16 @@ class Room:
         scene, points = self._server.scene, shown.people.positions_m
         self._scene, self._bodies = shown, Bodies(shown.people, shown.ends_m, shown.radii_m, is_thin=shown.is_flat)
         self._behind = None if shown.behind is None else Bodies(shown.behind)
-        is_there = np.asarray(np.isfinite(points).all(axis=-1))
-        seen = points[is_there] if is_there.any() else np.zeros((1, 3))
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        flat = points.reshape(-1, 3)
+        low, high = (np.nan_to_num(extreme.reduce(flat)) for extreme in (np.fmin, np.fmax))  # neither copies
         floor = 0.0 if shown.has_floor and abs(low[1]) < 1.0 else float(low[1])
         middle = np.array([np.round((low[0] + high[0]) / 2), floor, np.round((low[2] + high[2]) / 2)])
         size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
-        grid = scene.add_grid("/floor", size, size, plane="xz", cell_size=1.0, section_size=1.0, position=middle)
-        grid.fade_distance = 1e3
-        count = is_there.sum(axis=(1, 2))
-        start = seen[: max(1, int(count[np.argmax(count > 0)]))].mean(axis=0)  # of the first frame with somebody
+        scene.add_line_segments("/floor", _grid(size), _LINE, thickness=1.5, thickness_units="screen", position=middle)
+        first = points[np.argmax(np.isfinite(points[..., 0]).any(axis=(1, 2)))].reshape(-1, 3)  # with somebody
+        start = np.nan_to_num(first[np.isfinite(first).all(axis=-1)].mean(axis=0)) if np.isfinite(first).any() else low
         middle = np.array([start[0], floor + 0.9, start[2]])
-        if np.linalg.norm(middle - self._middle) > _MOVED_M:
+        if np.linalg.norm((middle - self._middle) * [1.0, _UP_COUNTS, 1.0]) > _MOVED_M:
             self._middle = middle
             for client in self._server.get_clients().values():
                 self._aim(client)
@@ -81,8 +88,10 @@ class Room:
         if shown.camera is not None:
             wxyz, position, fov = _view_of(shown.camera)
             width, height = shown.camera.image_size_px
-            scene.add_camera_frustum("/camera", fov, width / height, scale=0.3, wxyz=wxyz, position=position)
-            self._far_m = float(-shown.camera.camera_from_world(seen)[:, 2].min()) + _BEHIND_M
+            scene.add_camera_frustum(
+                "/camera", fov, width / height, scale=0.3, thickness=0.005, color=_GREY, wxyz=wxyz, position=position
+            )
+            self._far_m = float(-np.nanmin(shown.camera.camera_from_world(flat)[:, 2])) + _BEHIND_M
 
     def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:
         """Send the bodies of a frame; return how many contacts and penetrations are marked.
@@ -149,7 +158,7 @@ class Room:
         if (handle := self._nodes.get(name)) is not None:
             handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
             return handle
-        mesh = self._ball if name.endswith("balls") else self._rod
+        mesh = self._rod if name.endswith("rods") else self._mark if name.startswith("/marks") else self._ball
         turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(places), 1))
         self._nodes[name] = self._server.scene.add_batched_meshes_simple(
             name, mesh.vertices, mesh.faces, turns, places, batched_scales=sizes, batched_colors=pale, lod="off",
@@ -171,11 +180,39 @@ class Room:
             client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
 
 
-def _meshes() -> tuple[Any, Any]:
-    """Return a rod (along z, of radius and length 1) and a ball (of radius 1)."""
-    import trimesh
+def _grid(size: float) -> Array:
+    """Return the lines of a square grid of metres on the floor about the origin, a metre at a time, (n, 2, 3)."""
+    at = np.arange(-size / 2, size / 2 + 0.5)
+    x, z = (one.ravel() for one in np.meshgrid(at, at[:-1]))
+    along = np.stack([np.stack([x, 0 * x, z], axis=-1), np.stack([x, 0 * x, z + 1.0], axis=-1)], axis=1)
+    return np.concatenate([along, along[..., ::-1]]).astype(np.float32)
 
-    return trimesh.creation.cylinder(1.0, 1.0, sections=20), trimesh.creation.icosphere(2, 1.0)
+
+@dataclass(frozen=True)
+class _Mesh:
+    """Corners (n, 3) and triangles (m, 3) of a surface."""
+
+    vertices: Array
+    faces: Integers
+
+
+def _surface(radii: Array, heights: Array, sides: int) -> _Mesh:
+    """Return a surface of revolution round z, closed where its radii end with 0."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    corners = [np.column_stack([radius * ring, np.full(sides, z)]) for radius, z in zip(radii, heights, strict=True)]
+    row, at = np.mgrid[: len(radii) - 1, :sides]
+    here, beside = row * sides + at, row * sides + (at + 1) % sides
+    faces = np.concatenate(
+        [np.stack([here, beside, beside + sides], -1), np.stack([here, beside + sides, here + sides], -1)]
+    )
+    return _Mesh(np.concatenate(corners), faces.reshape(-1, 3))
+
+
+def _ball(sides: int) -> _Mesh:
+    """Return a ball of radius 1."""
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
+    return _surface(np.cos(latitude), np.sin(latitude), sides)
 
 
 def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:

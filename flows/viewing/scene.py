@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ class Scene:
         facts: What is known of the item, a line each.
         say: Gives what is known of a frame, a line each.
         images: Gives the 2D pictures that belong to a frame.
+        nearest: Gives further ones, which take time to find: the poses of the database that are nearest.
         first_number: Number that the store has for the first frame.
         has_floor: The floor is at y = 0; else it is drawn under the lowest joint.
     """
@@ -79,6 +81,7 @@ class Scene:
     facts: tuple[str, ...] = ()
     say: Callable[[int], list[str]] = lambda frame: []
     images: Callable[[int], list[Flat]] = lambda frame: []
+    nearest: Callable[[int], list[Flat]] | None = None
     first_number: int = 0
     has_floor: bool = True
 
@@ -87,10 +90,10 @@ class Scene:
         """Number of frames."""
         return len(self.people.positions_m)
 
-    @property
+    @cached_property
     def is_flat(self) -> bool:
         """Who is shown is an image that stands in the room."""
-        return bool(np.nanmax(np.abs(self.people.positions_m[..., 2]), initial=0.0) == 0.0)
+        return bool(np.fmax.reduce(np.abs(self.people.positions_m[..., 2]), axis=None, initial=0.0) == 0.0)
 
     def row_of(self, frame: int) -> int:
         """Return the first row of the item that is of a frame."""

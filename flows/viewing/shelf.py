@@ -19,6 +19,7 @@ from flows.records import last_sections
 from flows.viewing.films import find_film, find_shot
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.names import in_words
 from storage_schema import (
     TABLES,
     ArtifactRef,
@@ -230,17 +231,37 @@ def moment_in(text: str) -> str:
         raise InputError(f"'{text[:60]}' is no address of a moment") from None
 
 
+_SHOWN = {
+    "_m_s3": (1.0, "m/s^3", ".3g"),
+    "_m_s": (1.0, "m/s", ".3g"),
+    "_m": (100.0, "cm", ".2f"),
+    "_rad": (180.0 / np.pi, "degrees", ".3g"),
+    "_s": (1.0, "s", ".2f"),
+}
+"""By the ending of a figure's name the factor to the unit that people read, that unit, and the format."""
+
+
+def figure_label(name: str) -> tuple[str, float, str]:
+    """Return the words of a figure with the unit that people read, the factor to that unit, and the format.
+
+    >>> [figure_label(name)[0] for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
+    ['contact drift (cm)', 'R-hat, most', 'number of fail frames']
+    """
+    ending = next((one for one in _SHOWN if name.endswith(one)), "")
+    words = re.sub("^num ", "number of ", in_words(name.removesuffix(ending)))
+    factor, unit, form = _SHOWN.get(ending, (1.0, "", ".4g"))
+    return f"{words} ({unit})" if unit else words, factor, form
+
+
 def figure_words(name: str, value: Any) -> str:
-    """Return a figure by the name of its column, in a unit that people read.
+    """Return a figure in words, in a unit that people read.
 
     >>> figure_words("contact_drift_m", 0.00152), figure_words("rhat_max", 1.25), figure_words("bend_rad", np.pi)
-    ('contact drift 0.15 cm', 'rhat max 1.25', 'bend 180 degrees')
+    ('contact drift 0.15 cm', 'R-hat, most 1.25', 'bend 180 degrees')
     """
-    words, _, unit = name.rpartition("_")
-    scaled = {"m": (100.0, "cm", ".2f"), "rad": (180.0 / np.pi, "degrees", ".3g")}.get(unit)
-    if scaled is None or not _is_finite(value):
-        return f"{name.replace('_', ' ')} {plain(value)}"
-    return f"{words.replace('_', ' ')} {value * scaled[0]:{scaled[2]}} {scaled[1]}"
+    label, factor, form = figure_label(name)
+    words, _, unit = label.removesuffix(")").partition(" (")
+    return f"{words} {value * factor:{form}} {unit}".rstrip() if _is_finite(value) else f"{words} {plain(value)}"
 
 
 def _is_finite(value: Any) -> bool:

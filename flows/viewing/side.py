@@ -133,22 +133,25 @@ def joint_at(flat: Flat, panel: Panel, placed: Array, reach: float) -> tuple[int
 
 
 def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
-    """Return width and height of a panel of a picture of these 2D poses: one by itself is as high as its image."""
-    if len(flats) != 1:
+    """Return width and height of the first panel of a picture: by itself, or over film, it is as high as its image."""
+    is_over_film = bool(flats) and flats[0].image is not None
+    if len(flats) != 1 and not is_over_film:
         return _SMALL_SIZE
-    width, height = _SIZE if flats[0].image is None else _IMAGE_SIZE
+    width, height = _IMAGE_SIZE if is_over_film else _SIZE
     return width, min(height, int(width * flats[0].size_px[1] / flats[0].size_px[0]) + _TITLE_PX + 1)
 
 
 def flat_picture(flats: Sequence[Flat]) -> Array:
-    """Return 2D poses as one image (height, width, 3), RGB, two panels in a row."""
+    """Return 2D poses as one image (height, width, 3), RGB: the first above the others where it is large, two in a row.
+
+    Below film there are three in a row.
+    """
     size = picture_size(flats)
-    panels = [_drawn(flat, size) for flat in flats] or [_paper(size)]
-    if len(panels) > 1:
-        if len(panels) % 2:
-            panels.append(_paper(size))
-        panels = [np.hstack(panels[row : row + 2]) for row in range(0, len(panels), 2)]
-    return np.vstack(panels)
+    first = [] if size == _SMALL_SIZE else [_drawn(flats[0], size)]
+    small = [_drawn(flat, _SMALL_SIZE) for flat in flats[len(first) :]] or ([] if first else [_paper(size)])
+    in_row = max(1, (size[0] if first else min(len(small), 2) * size[0]) // _SMALL_SIZE[0])
+    small += [_paper(_SMALL_SIZE)] * (-len(small) % in_row)
+    return np.vstack([*first, *(np.hstack(small[at : at + in_row]) for at in range(0, len(small), in_row))])
 
 
 def _paper(size: tuple[int, int]) -> Any:

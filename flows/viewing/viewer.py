@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,17 +14,19 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 import numpy as np
+import pyarrow
 
 from flows.viewing.images import encode, encode_clip, plot_curves, presence_strip
 from flows.viewing.kinds import KINDS, is_each_frame, qualities, thing_of
 from flows.viewing.room import COMPARE, Room
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_in, moment_reference
+from flows.viewing.shelf import GROUPS, Item, Part, Shelf, figure_label, figure_words, moment_in, moment_reference
 from flows.viewing.side import Pointer, SidePicture, flat_picture
 from pasdedeux.arrays import Array
-from pasdedeux.errors import PasdedeuxError
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.augmentation.variations import scale_axes
+from pasdedeux.errors import InputError, PasdedeuxError
+from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import StorageError
 from tasks.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision
 
@@ -69,6 +71,8 @@ class Viewer:
         self._started = (0.0, 0)
         self._handles: dict[str, Any] = {}
         self._curves: list[Array] = []
+        self._names: dict[str, str] = {}
+        """Names of figures by the words that the panel has for them."""
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
         self._looked = threading.Event()
@@ -125,9 +129,11 @@ class Viewer:
         with self.lock:
             self.part = part
             self._figures = qualities(self.shelf, part)
-            numbers = [name for name, value in next(iter(self._figures.values()), {}).items() if _is_number(value)]
+            first = next(iter(self._figures.values()), {})
+            numbers = [name for name, value in first.items() if _is_figure(part, name, value)]
             self._set("part", self._part_label(part))
-            self.gui_sort.options = (STORED_ORDER, *numbers)
+            self._names |= {figure_label(name)[0]: name for name in numbers}
+            self.gui_sort.options = (STORED_ORDER, *(figure_label(name)[0] for name in numbers))
             self.sort(index)
             self.show_item(index, row)
 
@@ -139,7 +145,7 @@ class Viewer:
         shown = [{ALL, str(row.get("verdict", "")), self._chosen(at)} for at, row in enumerate(rows)]
         order = [at for at, words in enumerate(shown) if at == kept or wanted in words]
         if by != STORED_ORDER:
-            order.sort(key=lambda at: -_number(rows[at].get(by)))
+            order.sort(key=lambda at: -_number(rows[at].get(self._names[by])))
         self.order = order
         self.gui_item.options = tuple(self._item_label(at) for at in order) or ("none",)
 
@@ -151,6 +157,7 @@ class Viewer:
             if self.wants_flat and scene.flat is not None:
                 scene = replace(scene, people=scene.flat, camera=None)
             self._show_scene(scene, row)
+            pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
 
     def show_beside(self, pair_m: Array, before_m: Array) -> None:
         """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
@@ -171,6 +178,7 @@ class Viewer:
             known = {"compare": scene.behind, "through": scene.camera, "failing": scene.levels, "film": scene.film}
             for name, needed in known.items():
                 self._handles[name].visible = needed is not None
+            self._handles["nearest"].visible = scene.nearest is not None
             for name in ("start", "end"):
                 self._handles[name].visible = self.part.table in CLIPPED
             self._handles["compare"].label = scene.behind_name or "compare"
@@ -273,6 +281,7 @@ class Viewer:
         put["compare"] = gui.add_dropdown("compare", COMPARE)
         put["failing"] = self._button("Next failing frame", lambda _: self.next_failing(), "F")
         put["through"] = self._button("Look through its camera", lambda event: self.room.look_through(event.client))
+        put["nearest"] = gui.add_checkbox("nearest poses of the database", initial_value=False)
         put["film"] = gui.add_checkbox("film behind people", initial_value=True)
         put["said"] = gui.add_text("message", "", multiline=True, disabled=True)
         with gui.add_folder("Playing", expand_by_default=False):
@@ -282,12 +291,12 @@ class Viewer:
         with gui.add_folder("Filter and sort", expand_by_default=False):
             self.gui_filter = put["filter"] = gui.add_dropdown("only", ONLY)
             self.gui_sort = put["sort"] = gui.add_dropdown("largest first", (STORED_ORDER,))
-        self._scales_folder = gui.add_folder("Scales", visible=False)
         self._curve_folder = gui.add_folder("Curve")
         with self._curve_folder:
             put["strip"] = gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
             put["curve"] = gui.add_dropdown("figure", ("none",))
             put["plot"] = gui.add_image(flat_picture([]), visible=False)
+        self._scales_folder = gui.add_folder("Scales", visible=False)
         with gui.add_folder("Accept or reject", expand_by_default=False):
             put["reason"] = gui.add_text("reason", "")
             self._button("Accept", lambda _: self.decide("accept"), "K")
@@ -297,8 +306,8 @@ class Viewer:
             put["end"] = self._button("Clip ends here", lambda _: self.mark_clip("end"), "O")
         with gui.add_folder("Link and save", expand_by_default=False):
             put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
-            self._button("Save picture", lambda event: self._save(event.client, is_clip=False))
-            self._button("Save clip", lambda event: self._save(event.client, is_clip=True))
+            self._button("Save picture", lambda event: self._save(event.client, is_clip=False), is_alone=False)
+            self._button("Save clip", lambda event: self._save(event.client, is_clip=True), is_alone=False)
         self._scales: list[Any] = []
         changes: Mapping[str, Callable[[Any], None]] = {
             "part": lambda value: self.show_part(self.shelf.parts[put["part"].options.index(value)]),
@@ -307,7 +316,7 @@ class Viewer:
             "compare": lambda _: self.show_item(self.index, self.scene.row_of(self.frame)),
             "speed": lambda _: self.play(self.is_playing),
             "marks": lambda _: self.show_frame(),
-            "film": lambda _: self.look(),
+            **dict.fromkeys(("film", "nearest"), lambda _: self.look()),
             "curve": lambda _: self._draw_curve(),
             **dict.fromkeys(("filter", "sort"), lambda _: self._sorted_again()),
             "link": self.visit,
@@ -324,20 +333,20 @@ class Viewer:
     def _bind(self, label: str, key: str, action: Callable[..., None]) -> None:
         self.server.gui.add_command(label, hotkey=key).on_trigger(self.safely(action))
 
-    def _button(self, label: str, action: Callable[..., None], key: str = "") -> Any:
+    def _button(self, label: str, action: Callable[..., None], key: str = "", *, is_alone: bool = True) -> Any:
         """Add a button, which a key may press too."""
         button = self.server.gui.add_button(f"{label} ({key})" if key else label)
-        button.on_click(self.safely(action))
+        button.on_click(self.safely(action, is_alone=is_alone))
         if key:
             self._bind(label, key, action)
         return button
 
-    def safely(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return a callback that says in the panel what went wrong with what the store holds."""
+    def safely(self, action: Callable[[Any], None], *, is_alone: bool = True) -> Callable[[Any], None]:
+        """Return a callback that says in the panel what went wrong; others wait for its end where it is alone."""
 
         def run(event: Any) -> None:
             try:
-                with self.lock:
+                with self.lock if is_alone else nullcontext():
                     action(event)
             except (PasdedeuxError, StorageError, OSError, RuntimeError, TimeoutError) as error:
                 self.tell(str(error) or type(error).__name__)
@@ -381,36 +390,38 @@ class Viewer:
     def _item_lines(self) -> list[str]:
         """Return what is known of the item: its figures as the store has them."""
         row = self._figures.get(self.item.names, {})
-        figures = [figure_words(name, value) for name, value in row.items() if _is_number(value)]
-        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *figures]
+        figures = [figure_words(name, value) for name, value in row.items() if _is_figure(self.part, name, value)]
+        heading = ["all frames together:"] if figures else []
+        return [*filter(None, [str(row.get("reason") or "")]), *self.scene.facts, *heading, *figures]
 
     # Scales of variants.
 
     def _show_scales(self) -> None:
-        """Offer a slider for each person's uniform scale, through what was built."""
-        known = {item.names: self._figures.get(item.names, {}) for item in self.shelf.items(self.part)}
-        scales = {names: row["uniform_scale"] for names, row in known.items() if "uniform_scale" in row}
-        every = np.nan_to_num(np.array(list(scales.values())), nan=1.0) if scales else np.ones((1, 0))
-        self._scaled_items = list(scales), every
-        varied = [person for person, column in enumerate(every.T) if np.ptp(column)]
-        self._scales_folder.visible = bool(varied)
-        for person in range(len(self._scales), max(varied, default=-1) + 1):
+        """Offer a slider for whatever is scaled by itself - people, limbs, bones - through what was built."""
+        rows = {item.names: self._figures.get(item.names, {}).get("bone_scale") for item in self.shelf.items(self.part)}
+        known = {name: np.reshape(own, (-1, BODY22.num_joints)) for name, own in rows.items() if own is not None}
+        axes = scale_axes(np.array(list(known.values()), dtype=np.float64)) if self.item.names in known else {}
+        self._scaled_items = list(known), np.array(list(axes.values())).T
+        self._scales_folder.visible = bool(axes)
+        for axis in range(len(self._scales), len(axes)):
             with self._scales_folder:
-                slider = self.server.gui.add_slider(f"person {'ABCDEFGHIJ'[person]}", 0.0, 1.0, 0.01, initial_value=0.0)
-            slider.on_update(self._from_client(partial(self._scaled, person)))
+                slider = self.server.gui.add_slider("scale", 0.0, 1.0, 0.01, initial_value=0.0)
+            slider.on_update(self._from_client(partial(self._scaled, axis)))
             self._scales.append(slider)
-        for person, slider in enumerate(self._scales):
-            slider.visible = person in varied
-            if person in varied:
-                slider.max, slider.min = float(every[:, person].max()), float(every[:, person].min())
-                slider.value = float(every[self._scaled_items[0].index(self.item.names), person])
+        own = list(known).index(self.item.names) if axes else 0
+        for axis, slider in enumerate(self._scales):
+            slider.visible = axis < len(axes)
+            if slider.visible:
+                label, scales = list(axes.items())[axis]
+                slider.label, slider.max, slider.min = label, float(scales.max()), float(scales.min())
+                slider.value = float(scales[own])
 
-    def _scaled(self, person: int, value: float) -> None:
+    def _scaled(self, axis: int, value: float) -> None:
         """Show the variant nearest to the scales of the sliders, of which one was moved."""
         known, every = self._scaled_items
         wanted = every[known.index(self.item.names)].copy()
-        wanted[person] = value
-        weight = np.where(np.arange(len(wanted)) == person, 2.0, 1.0)
+        wanted[axis] = value
+        weight = np.where(np.arange(len(wanted)) == axis, 2.0, 1.0)
         names = known[int(np.argmin((weight * np.abs(every - wanted)).sum(axis=1)))]
         index = next(at for at, item in enumerate(self.shelf.items(self.part)) if item.names == names)
         if index != self.index:
@@ -424,15 +435,20 @@ class Viewer:
         there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
         self._handles["strip"].visible = has_strip = scene.levels is not None or not there.all()
         self._handles["strip"].image = presence_strip(there, scene.levels)
-        known = [name for name, curve in scene.curves.items() if np.isfinite(curve).any() and np.ptp(curve) > 0]
+        known = {}
+        for name, curve in scene.curves.items():
+            label, factor, _ = figure_label(name)
+            values = factor * np.asarray(curve, dtype=np.float64)
+            if np.fmax.reduce(values) > np.fmin.reduce(values):
+                known[label] = values
         chosen = self._handles["curve"]
         if known and tuple(known) != chosen.options:
             chosen.options = tuple(known)
         for handle in (chosen, self._handles["plot"]):
             handle.visible = bool(known)
         self._curve_folder.visible = bool(known) or has_strip
-        others = scene.others if known and chosen.value == known[0] else ()
-        self._curves = [*others, np.asarray(scene.curves[str(chosen.value)], dtype=np.float64)] if known else []
+        others = scene.others if known and chosen.value == next(iter(known)) else ()
+        self._curves = [*others, known[str(chosen.value)]] if known else []
         self._looked.set()
 
     def look(self) -> None:
@@ -479,7 +495,10 @@ class Viewer:
 
     def flats(self) -> list[Flat]:
         """Return the 2D pictures of this moment, with the 2D poses of the first as they were changed."""
-        flats, changed = self.scene.images(self.frame), self.image_px
+        scene, frame, changed = self.scene, self.frame, self.image_px
+        flats = scene.images(frame)
+        if scene.nearest is not None and self._handles["nearest"].value:
+            flats = [*flats, *scene.nearest(frame)]
         return flats if changed is None or not flats else [replace(flats[0], points_px=changed), *flats[1:]]
 
     def _point(self) -> None:
@@ -524,25 +543,34 @@ class Viewer:
     # Pictures and clips.
 
     def _save(self, client: Any, *, is_clip: bool) -> None:
-        """Send a browser what it shows, as a picture or as a clip of some seconds."""
+        """Send a browser what it shows, as a picture or as a clip of some seconds; nobody waits for it meanwhile."""
         name = f"{self.part.table}-{'-'.join(self.item.names)}-{self.frame}".replace("/", "-")
         width, height = client.camera.image_width, client.camera.image_height
         if not is_clip:
             image = client.get_render(height, width, timeout=60.0)
             client.send_file_download(f"{name}.png", encode(image, ".png"), save_immediately=True)
             return
-        self.play(False)
-        rate = self.scene.rate_hz or STILLS_HZ
+        with self.lock:
+            self.play(False)
+            scene, first, rate = self.scene, self.frame, self.scene.rate_hz or STILLS_HZ
         step = max(1, round(rate / _CLIP_HZ))
-        images = []
-        for frame in range(self.frame, min(self.frame + int(_CLIP_S * rate), self.scene.num_frames), step):
-            self.seek(frame)
+        images, last = [], first
+        for frame in range(first, min(first + int(_CLIP_S * rate), scene.num_frames), step):
+            with self.lock:
+                if self.scene is not scene or self.frame != last:
+                    raise InputError("the clip was not saved: something else was shown meanwhile")
+                self.seek(frame)
+                last = frame
             images.append(client.get_render(height // 2, width // 2, timeout=60.0))
+            self.tell(f"saving a clip: {frame - first} of {min(int(_CLIP_S * rate), scene.num_frames - first)} frames")
         client.send_file_download(f"{name}.webp", encode_clip(images, rate / step), save_immediately=True)
+        self.tell(f"saved {name}.webp")
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+def _is_figure(part: Part, name: str, value: Any) -> bool:
+    """Tell whether a column of the figures of a part's items is a number that names nothing."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+    return is_number and name not in {*GROUPS[part.table], "person"}
 
 
 def _number(value: Any) -> float:

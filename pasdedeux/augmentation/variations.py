@@ -171,6 +171,31 @@ def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",), nu
     return _scaled(bones, scales, persons, num_people)
 
 
+def scale_axes(bone_scale: Array) -> dict[str, Array]:
+    """Return what varies by itself in scales (variant, person, 22): a person, a group of limbs, a bone and its mirror.
+
+    By its name the scales of the variants (variant,); what all have in common is left out.
+
+    >>> scale_axes(np.stack([one.bone_scale for one in group_variations([0.8, 1.2], ["B"], ["arms"])]))
+    {'B arms': array([0.8, 1.2])}
+    """
+    axes: dict[str, Array] = {}
+    for letter, own in zip(ascii_uppercase, np.moveaxis(bone_scale, 1, 0), strict=False):
+        parts = {f"person {letter}": list(BODY22.joint_names[1:])}
+        if _differ(own[:, 1:]):
+            parts = {}
+            for group, names in LIMB_GROUPS.items():
+                alone = {f"{letter} {name.removeprefix('left_')}": [name] for name in names if name[:6] != "right_"}
+                parts |= alone if _differ(own[:, BODY22.indices(names)]) else {f"{letter} {group}": list(names)}
+        axes |= {label: own[:, BODY22.indices(names)[0]] for label, names in parts.items()}
+    return {label: scales for label, scales in axes.items() if np.ptp(scales) > 1e-9}
+
+
+def _differ(scales: Array) -> bool:
+    """Tell whether bones of a variant differ in scales (variant, bone)."""
+    return bool(np.ptp(scales, axis=1).max() > 1e-9)
+
+
 def _scaled(
     bones: Mapping[str, Sequence[str]], scales: Sequence[float], persons: Sequence[str], num_people: int
 ) -> list[Variation]:

@@ -20,7 +20,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import Store
 from tasks.curation import Choosing, read_choices
 from tests.builders.browser import Tab, open_page
@@ -57,6 +57,53 @@ def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
             assert viewer._handles["facts"].value.startswith(f"frame {frame} of "), table
             viewer.visit(viewer.reference)
             assert (viewer.part.table, viewer.frame) == (table, frame), "a link leads back"
+
+
+def test_a_slider_moves_through_the_variants_that_were_built(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "variants")
+    assert [one.label for one in viewer._scales if one.visible] == ["person A"]
+    for value, scale in ((1.25, "1.25"), (0.9, "0.95"), (0.0, "0.75")):
+        viewer._scaled(0, value)
+        assert viewer.item.names[1] == f"A-uniform-{scale}"
+        assert viewer._scales[0].value == float(scale)
+
+
+def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "motions")
+    scene, names = viewer.scene, ("left_wrist", "right_ankle", "left_knee", "right_elbow")
+    assert scene.camera is not None
+    away = []
+    for frame in range(scene.num_frames):
+        limbs = scene.people.frame(frame)[:, BODY22.indices(names)]
+        away.append(scene.camera.project(limbs).px - scene.images(frame)[0].points_px[:, PAIR17.indices(names)])
+    height = float(np.ptp(scene.images(0)[0].points_px[..., 1]))
+    assert np.nanmedian(np.linalg.norm(away, axis=-1)) < 0.05 * height
+    assert "error (cm)" in viewer._handles["curve"].options, "the truth is known"
+    assert scene.nearest is not None
+    found = scene.nearest(1)
+    assert len(found) == 3 * scene.people.positions_m.shape[1]
+    assert found[0].title.startswith("A: waltz frame ")
+
+
+def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Editor) -> None:
+    viewer = editor.viewer
+    part_of(viewer, "motions")
+    name, first = "/".join(viewer.item.names), viewer.scene.first_number
+    for frame, edge in ((3, "start"), (6, "end")):
+        viewer.seek(frame)
+        viewer.mark_clip(edge)  # type: ignore[arg-type]
+    viewer.decide("reject")
+    (choice,) = viewer.choosing.clips("motions", name)
+    assert (choice.decision, choice.frames) == ("reject", (first + 3, first + 6))
+    viewer.show_item(viewer.index)
+    viewer.seek(5)
+    viewer.describe_frame()
+    assert "frames 3 to 6 rejected" in viewer._handles["facts"].value
+    assert viewer.choosing.about("motions", name) is None
+    viewer.decide("undo")
+    assert not viewer.choosing.clips("motions", name)
 
 
 def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -> None:
@@ -116,6 +163,7 @@ def screenshot(tab: Tab, name: str, folder: Path) -> None:
     assert tab.screenshot(kept / f"{name}.png").stat().st_size > 10_000
 
 
+FACTS = "[...document.querySelectorAll('textarea')].some((one) => one.value.startsWith('frame 0 of'))"
 PICTURE = (
     "[...document.querySelectorAll('img')].find((one) => one.parentElement.parentElement.textContent === "
     f"'{DRAG_LABEL}')"
@@ -132,21 +180,25 @@ def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
 
 
 def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
-    """Drag the handle at a joint along its x axis, as the camera of the browser shows it."""
+    """Drag the handle at a joint along its x axis, as the camera of the browser shows it, which may be on its way."""
     (client,) = viewer.server.get_clients().values()
     before = editor.pose
-    turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
-    focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
 
     def seen(point: Array) -> Array:
+        turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
         own = turn.inv().apply(point - client.camera.position)
+        focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
         middle = [client.camera.image_width / 2, client.camera.image_height / 2]
         return np.asarray(middle + focal * own[:2] / own[2])
 
-    hand = np.array(editor._hand.position)
-    tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
-    wait_until(lambda: viewer.pose is not None, "the drag", limit_s=60.0)
-    assert np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02
+    def is_dragged() -> bool:
+        if viewer.pose is None:
+            hand = np.array(editor._hand.position)
+            tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
+        return viewer.pose is not None
+
+    wait_for(viewer, "the drag", is_dragged)
+    wait_for(viewer, "its end", lambda: np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02)
     np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
 
 
@@ -157,6 +209,7 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
         wait_for(
             viewer, "the page", lambda: viewer.server.get_clients() and tab.run("!!document.querySelector('canvas')")
         )
+        wait_for(viewer, "the panel", lambda: tab.run(FACTS))
         tab.press("ArrowRight")
         wait_for(viewer, "a step", lambda: viewer.frame == 1)
         tab.press(" ")

@@ -22,6 +22,8 @@ from flows.collecting import collect
 from flows.console.app import run_command_line
 from flows.outcomes import Outcome
 from flows.planning import Selection
+from flows.viewing.shelf import Shelf
+from flows.viewing.viewer import Viewer
 from storage_schema import (
     ArtifactRef,
     StorageError,
@@ -36,6 +38,7 @@ from storage_schema import (
 from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.errors import DatasetExists, NamedByDataset
 from storage_schema.mirror import Mirror
+from tasks.curation import Choosing
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
 from tests.builders.storage_rows import commit_rows, put, random_columns
@@ -547,3 +550,29 @@ def test_a_bucket_that_does_not_answer_or_is_not_there_is_one_sentence_before_an
 def test_an_artifact_that_is_not_there_is_said_with_the_store(server: S3Server) -> None:
     with pytest.raises(StorageError, match=rf"is not in the store {server.place}"):
         Store(server.place).manifest(ArtifactRef("poses", "0" * 64, "1" * 64))
+
+
+def test_of_a_store_in_a_bucket_the_viewer_fetches_what_is_looked_at(
+    server: S3Server, elsewhere: Callable[[], None], tmp_path: Path
+) -> None:
+    store = Store(server.place)
+    with in_use(store):
+        refs = []
+        for partition in ("ic-seed0", "ic-seed1"):
+            columns = random_columns("draws", 20) | {"density": ["ic"] * 20, "seed_index": [0] * 20, "chain": [0] * 20}
+            columns |= {"sequence_id": [None] * 20}
+            refs.append(put(store, "chains", partition, {"draws": columns}, {}).ref)
+    elsewhere()
+    there = Store(server.place)
+    there.refresh()
+    server.requests.clear()
+    viewer = Viewer(Shelf(there, refs), choosing=Choosing(tmp_path / "curation.txt"))
+    try:
+        fetched = [one for one in server.requests if one.startswith("GET") and "/parts/" in one]
+        assert len(fetched) == 1, fetched
+        viewer.show_part(viewer.shelf.parts[1])
+        viewer.describe_frame()
+        assert viewer._handles["facts"].value.startswith("frame 0 of 20")
+    finally:
+        viewer.stop()
+    assert {one.split()[0] for one in server.requests} <= {"GET", "HEAD"}, "looking writes nothing there"

@@ -8,6 +8,7 @@ from pasdedeux.augmentation.variations import (
     bone_variations,
     group_variations,
     make_variations,
+    scale_axes,
 )
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
@@ -56,6 +57,23 @@ def test_longer_legs_raise_the_root() -> None:
     (arms,) = group_variations([1.2], ["A"], ["arms"])
     assert legs.bone_scale[0, BODY22.root] == pytest.approx(1.2)
     assert arms.bone_scale[0, BODY22.root] == 1.0
+
+
+def test_what_was_varied_by_itself_is_found_again_in_the_scales() -> None:
+    def axes(*parts: list[Variation]) -> dict[str, list[float]]:
+        scales = np.stack([one.bone_scale for part in parts for one in part])
+        return {label: own.tolist() for label, own in scale_axes(scales).items()}
+
+    assert axes(uniform_variations([0.8, 1.2], ["A", "B"])) == {
+        "person A": [0.8, 1.2, 1, 1],
+        "person B": [1, 1, 0.8, 1.2],
+    }
+    groups = axes(group_variations([0.9], ["B"]), uniform_variations([1.2], ["A"]))
+    assert list(groups) == ["person A", *(f"B {group}" for group in LIMB_GROUPS)]
+    assert groups["B arms"] == [1, 1, 0.9, 1, 1, 1]
+    bones = axes(bone_variations([0.9], ["A"]))
+    assert len(bones) == len(bone_variations([0.9], ["A"])), "left and right together"
+    assert all(sorted(own)[:2] == [0.9, 1.0] for own in bones.values()), "one at a time"
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf"), 1e6])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import http.client
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,6 +34,7 @@ from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, new_run
+from tasks.curation import Choosing
 from tasks.ingest.annotations import find_videos
 from tasks.ingest.films import digest_of
 from tasks.ingest.parameters import FilmOptions
@@ -351,3 +354,82 @@ def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_fram
     assert frames.status is not None
     assert frames.status[row, own] == KeypointStatus.ANNOTATED
     np.testing.assert_allclose(frames.keypoints_px[row, own], after[13][1, wrist], atol=0.01)
+
+
+def test_a_video_beside_keypoints_is_their_film_where_it_has_their_size(tmp_path: Path) -> None:
+    keys = write_keys(tmp_path / "dance.csv", [0, 1])
+    grey_film(tmp_path / "dance.avi", 5)
+    ingest = {"annotations": [{"id": "dance", "path": str(keys)}]}
+    told = {"id": "dance", "video_size_px": [64, 48]}
+    manifest = SimpleNamespace(parameters=told, files=())
+    found = find_film(manifest, ingest)  # type: ignore[arg-type]
+    assert isinstance(found, FilmReader)
+    assert found.image(4) is not None
+    told["video_size_px"] = [640, 480]
+    assert find_film(manifest, ingest) is None  # type: ignore[arg-type]
+    keys.unlink()
+    assert find_film(manifest, ingest) is None, "who looks later may have moved it"  # type: ignore[arg-type]
+
+
+def tree(store: Store) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in sorted(store.root.rglob("*"))}
+
+
+def test_looking_and_choosing_write_nothing_into_the_store(store: Store, tmp_path: Path) -> None:
+    before = tree(store)
+    shown = Viewer(open_shelf(Store(store.root), "short"), choosing=Choosing(tmp_path / "curation.txt"))
+    try:
+        Editor(shown, tmp_path / "restarts")
+        shown.step(3)
+        shown.decide("reject")
+        shown.describe_frame()
+    finally:
+        shown.stop()
+    assert tree(store) == before
+    assert "poses waltz" in (tmp_path / "curation.txt").read_text()
+
+
+@dataclass
+class Browser:
+    """A browser that renders images of different grey, and keeps files; `meanwhile` is done while it renders."""
+
+    meanwhile: Callable[[], None] = lambda: None
+    num_renders: int = 0
+    downloads: dict[str, bytes] = field(default_factory=dict)
+    camera: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(image_width=64, image_height=48))
+
+    def get_render(self, height: int, width: int, timeout: float) -> np.ndarray:
+        """Return an image."""
+        self.meanwhile()
+        self.num_renders += 1
+        return np.full((height, width, 3), 20 * self.num_renders, dtype=np.uint8)
+
+    def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
+        """Keep a file."""
+        self.downloads[name] = content
+
+
+def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> None:
+    viewer.seek(5)
+    browser = Browser()
+    viewer._save(browser, is_clip=True)
+    (content,) = browser.downloads.values()
+    found, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
+    step = max(1, round((viewer.scene.rate_hz or 0.0) / 10.0))
+    assert found
+    assert len(clip.frames) == len(range(5, viewer.scene.num_frames, step))
+
+
+def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer: Viewer) -> None:
+    viewer.seek(0)
+
+    def step_elsewhere() -> None:
+        other = threading.Thread(target=viewer.step, args=(4,))
+        other.start()
+        other.join(timeout=20.0)
+        assert not other.is_alive(), "it waits for the clip"
+
+    browser = Browser(step_elsewhere)
+    viewer.safely(lambda _: viewer._save(browser, is_clip=True), is_alone=False)(None)
+    assert viewer._handles["said"].value == "the clip was not saved: something else was shown meanwhile"
+    assert (viewer.frame, browser.downloads) == (4, {})

@@ -24,7 +24,7 @@ from pasdedeux.formats.detections import (
 )
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
-from pasdedeux.skeletons.layouts import KeypointLayout
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
 _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 """COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible."""
@@ -64,6 +64,7 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
         raise InputError("this file holds nobody: no image of it has keypoints")
     places, sizes = _places_of_images(named.get("images")) if is_annotations else (_places_of_ids(items), {})
     footage = known_footage(content)
+    layout = _layout_named(named) if layout == "auto" else layout
     if footage.image_size_px:
         sizes = sizes or {video: footage.image_size_px for video, _ in places.values()}
     detections = []
@@ -80,6 +81,16 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
             table[:, 2] = _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)]
         detections.append(Detection(places[item.image], _person_number(item.content), table, item.where, status))
     return join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, rate_hz=footage.rate_hz)
+
+
+def _layout_named(content: dict[str, Any]) -> str:
+    """Return the layout whose keypoints the categories name in its order, "auto" where they name those of none."""
+    categories = content.get("categories")
+    listed = (
+        [one.get("keypoints") for one in categories if isinstance(one, dict)] if isinstance(categories, list) else []
+    )
+    named = {tuple(map(str, names)) for names in listed if isinstance(names, list)}
+    return next((one.name for one in KEYPOINT_LAYOUTS.values() if named == {one.keypoint_names}), "auto")
 
 
 def read_image_results(data: bytes) -> list[Detection]:

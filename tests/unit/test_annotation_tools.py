@@ -51,10 +51,12 @@ def test_cvat_gives_back_places_key_frames_what_is_hidden_and_who_is_who(layout:
     assert_same(read_cvat(write_cvat(frames), "clip"), frames)
 
 
-def test_coco_gives_back_all_of_it_with_confidences_and_rate() -> None:
-    frames = two_people()
+@pytest.mark.parametrize("layout", ["coco17", "pair17", "body25"])
+def test_coco_gives_back_all_of_it_with_confidences_and_rate(layout: str) -> None:
+    frames = two_people(layout)
     rng = np.random.default_rng(0)
-    frames = replace(frames, confidence=np.round(frames.confidence * rng.uniform(0.3, 1.0, (20, 17)), 4))
+    shares = rng.uniform(0.3, 1.0, frames.confidence.shape)
+    frames = replace(frames, confidence=np.round(frames.confidence * shares, 4))
     found = read_coco(write_coco(frames), "clip")
     assert_same(found, frames)
     assert found.rate_hz == 25.0

@@ -355,6 +355,46 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path
         )
 
 
+def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "walk.mp4", (painted(0, frame) for frame in range(20)))
+    keys = write_keys(tmp_path / "keys.csv", [0, 8, 19])
+    source = {"id": "walk", "path": str(film), "keys": str(keys)}
+    store = Store(tmp_path / "store")
+    (manifest,) = run(store, planned(videos=[source])).values()
+    shown = Viewer(Shelf(store, [manifest.ref], sections={"ingest": {"videos": [source]}}))
+    try:
+        editor = Editor(shown, tmp_path / "out")
+        editor._is_on.value = True
+        editor._begin()
+        assert editor._next.visible
+        editor.next_to_correct()
+        shown.seek(13)
+        wrist = PAIR17.index("left_wrist")
+        before = [shown.scene.images(at)[0].points_px.copy() for at in range(20)]
+        drag = shown.side.on_drag
+        assert drag is not None
+        for share in (0.5, 1.0):
+            drag(Dragged(1, wrist, before[13][1, wrist] + share * np.array([16.0, 6.0]), is_last=share == 1.0))
+        assert shown.frame == 13
+        after = [shown.scene.images(at)[0].points_px for at in range(20)]
+        moved = [np.linalg.norm(one - other, axis=-1) for one, other in zip(after, before, strict=True)]
+        assert moved[13][1, wrist] == pytest.approx(np.hypot(16.0, 6.0), abs=0.01)
+        assert min(moved[at][1, wrist] for at in (12, 14)) > 3.0
+        assert max(np.delete(one.reshape(-1), 17 + wrist).max() for one in moved) < 1e-3
+        with pytest.raises(InputError, match="chest is no keypoint of the layout 'coco17'"):
+            drag(Dragged(1, PAIR17.index("chest"), before[13][1, wrist], is_last=True))
+        saved = editor.save()
+    finally:
+        shown.stop()
+    (one,) = find_videos(FilmOptions(id="walk", path=film, keys=saved))
+    frames = one.read()
+    row = np.flatnonzero((frames.frame == 13) & (frames.person_id == 1))[0]
+    own = KEYPOINT_LAYOUTS["coco17"].keypoint_names.index("left_wrist")
+    assert frames.status is not None
+    assert frames.status[row, own] == KeypointStatus.ANNOTATED
+    np.testing.assert_allclose(frames.keypoints_px[row, own], after[13][1, wrist], atol=0.01)
+
+
 def test_a_video_beside_keypoints_is_their_film_where_it_has_their_size(tmp_path: Path) -> None:
     keys = write_keys(tmp_path / "dance.csv", [0, 1])
     grey_film(tmp_path / "dance.avi", 5)
@@ -432,43 +472,3 @@ def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer:
     viewer.safely(lambda _: viewer._save(browser, is_clip=True), is_alone=False)(None)
     assert viewer._handles["said"].value == "the clip was not saved: something else was shown meanwhile"
     assert (viewer.frame, browser.downloads) == (4, {})
-
-
-def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(tmp_path: Path) -> None:
-    film = write_film(tmp_path / "walk.mp4", (painted(0, frame) for frame in range(20)))
-    keys = write_keys(tmp_path / "keys.csv", [0, 8, 19])
-    source = {"id": "walk", "path": str(film), "keys": str(keys)}
-    store = Store(tmp_path / "store")
-    (manifest,) = run(store, planned(videos=[source])).values()
-    shown = Viewer(Shelf(store, [manifest.ref], sections={"ingest": {"videos": [source]}}))
-    try:
-        editor = Editor(shown, tmp_path / "out")
-        editor._is_on.value = True
-        editor._begin()
-        assert editor._next.visible
-        editor.next_to_correct()
-        shown.seek(13)
-        wrist = PAIR17.index("left_wrist")
-        before = [shown.scene.images(at)[0].points_px.copy() for at in range(20)]
-        drag = shown.side.on_drag
-        assert drag is not None
-        for share in (0.5, 1.0):
-            drag(Dragged(1, wrist, before[13][1, wrist] + share * np.array([16.0, 6.0]), is_last=share == 1.0))
-        assert shown.frame == 13
-        after = [shown.scene.images(at)[0].points_px for at in range(20)]
-        moved = [np.linalg.norm(one - other, axis=-1) for one, other in zip(after, before, strict=True)]
-        assert moved[13][1, wrist] == pytest.approx(np.hypot(16.0, 6.0), abs=0.01)
-        assert min(moved[at][1, wrist] for at in (12, 14)) > 3.0
-        assert max(np.delete(one.reshape(-1), 17 + wrist).max() for one in moved) < 1e-3
-        with pytest.raises(InputError, match="chest is no keypoint of the layout 'coco17'"):
-            drag(Dragged(1, PAIR17.index("chest"), before[13][1, wrist], is_last=True))
-        saved = editor.save()
-    finally:
-        shown.stop()
-    (one,) = find_videos(FilmOptions(id="walk", path=film, keys=saved))
-    frames = one.read()
-    row = np.flatnonzero((frames.frame == 13) & (frames.person_id == 1))[0]
-    own = KEYPOINT_LAYOUTS["coco17"].keypoint_names.index("left_wrist")
-    assert frames.status is not None
-    assert frames.status[row, own] == KeypointStatus.ANNOTATED
-    np.testing.assert_allclose(frames.keypoints_px[row, own], after[13][1, wrist], atol=0.01)

@@ -111,15 +111,17 @@ def reconstruct_people(
     pitch = pitch or PitchEstimate(0, camera.pitch_rad)
     skipped: dict[int, str] = {}
     matched = []
-    for track, own in zip(tracks, searchers_for(searcher, tracks), strict=True):
+    ready = dict(zip((track.person_id for track in tracks), searchers_for(searcher, tracks), strict=True))
+    for track in tracks:
         try:
-            matched.append((track, own, match_track(own, track, options)))
+            matched.append((track, match_track(ready[track.person_id], track, options)))
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
-        for track, own, matches in matched:
+        for track, matches in matched:
+            own = ready[track.person_id]
             one = hold_hips(reconstruct_track(own, track, method, options, matches=matches))
             tried[method] = (*tried.get(method, ()), one)
             on_step()
@@ -139,7 +141,7 @@ def reconstruct_people(
                     doubts.append(f"person {name} {tall}: that height is wrong, or the pitch")
                 elif stated_m and max(stated_m / by_height_m, by_height_m / stated_m) > _MAX_CONTRADICTION:
                     doubts.append(f"person {name} of {stated_m:.2f} m {tall}: one of both is wrong, or the pitch")
-        couples = [(matches, one) for (*_, matches), one in zip(matched, people, strict=True)]
+        couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
             pitch,

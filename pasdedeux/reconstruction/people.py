@@ -115,15 +115,17 @@ def reconstruct_people(
     pitch = pitch or PitchEstimate(0, camera.pitch_rad)
     skipped: dict[int, str] = {}
     matched = []
-    for track, own in zip(tracks, searchers_for(searcher, tracks), strict=True):
+    ready = dict(zip((track.person_id for track in tracks), searchers_for(searcher, tracks), strict=True))
+    for track in tracks:
         try:
-            matched.append((track, own, match_track(own, track, options)))
+            matched.append((track, match_track(ready[track.person_id], track, options)))
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
-        for track, own, matches in matched:
+        for track, matches in matched:
+            own = ready[track.person_id]
             one = hold_hips(reconstruct_track(own, track, method, options, matches=matches))
             tried[method] = (*tried.get(method, ()), one)
             on_step()
@@ -137,7 +139,7 @@ def reconstruct_people(
     if fitted:
         people = tried[fitted[-1]]
         known, doubts = _sizes_stated(people, camera, statures_m, camera_height_m)
-        couples = [(matches, one) for (*_, matches), one in zip(matched, people, strict=True)]
+        couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
             pitch,

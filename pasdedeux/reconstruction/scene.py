@@ -83,8 +83,8 @@ _ACCELERATION_M_S2 = 8.0
 """Deviation of the second derivative of a person's distance."""
 _PAIR_S = 0.5
 """As `_LOOK_S`, for what pairs say."""
-_CARRIED_COST = 14.0
-"""Somebody is taken to be carried if that lowers the cost by more."""
+_CARRIED_COST, _HELD_SHARE = 14.0, 0.5
+"""Somebody is taken to be carried if that lowers the cost by more; tried of who is held in a larger share of frames."""
 _TOUCH_DEVIATION_M = 0.08
 """Deviation of the gap of two people who touch."""
 _TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.03, 3.0, 0.1
@@ -172,7 +172,8 @@ class _Problem:
         camera_height_m: float | None,
     ) -> None:
         self.people, self.pairs, self.pitch = people, pairs, pitch
-        self.carried: int | None = None
+        # Who is carried, and by whom: `estimate_scene` tries it.
+        self.carried: tuple[int, int] | None = None
         is_lens_known = all(one.track.lens.is_known for one in people)
         self.lens_deviation = _KNOWN_DEVIATION if is_lens_known else _LENS_DEVIATION
         self.log_height = float(np.log(camera_height_m or _CAMERA_HEIGHT_M))
@@ -211,10 +212,11 @@ class _Problem:
                 self.near.append((first, second, frames - one.first_frame, frames - other.first_frame))
         self.touching = {(first, second): self._touching(first, second, *at) for first, second, *at in self.near}
 
-    @property
-    def carried_ones(self) -> list[int]:
-        """Numbers of the people that another may carry: hands are seen on a body for half of the time."""
-        return sorted({n for both, hands in self.touching.items() if hands.any(axis=(1, 2)).mean() > 0.5 for n in both})
+    def may_carry(self) -> Iterator[tuple[int, int]]:
+        """Yield who may be carried and by whom: of two people hands are seen on a body for half of the time."""
+        for both, hands in self.touching.items():
+            if hands.any(axis=(1, 2)).mean() > _HELD_SHARE:
+                yield from (both, both[::-1])
 
     def _still(self, one: Reconstruction) -> Array:
         """Return how much each foot stands by the image alone (frame, foot)."""
@@ -270,7 +272,8 @@ class _Problem:
             gaps = between.min(axis=(1, 2))
             stencil = np.stack([self.starts[first] + one_at, self.starts[second] + other_at], axis=1)
             alike = self._alike(first, _FLOOR_S)
-            apart = gaps if self.carried in (first, second) else np.minimum(gaps, 0.0)
+            is_carried = self.carried in ((first, second), (second, first))
+            apart = gaps if is_carried else np.minimum(gaps, 0.0)
             terms.append(Term(apart / (size.mean() * _GAP_DEVIATION_M), stencil, weight=alike))
             touching = self.touching[first, second]
             hands = np.where(touching, _of_hands(between), np.inf).min(axis=2)
@@ -307,7 +310,7 @@ class _Problem:
         alike = self._alike(number, _FLOOR_S)
         # Errors of poses grow with people: whoever is small gains nothing by it.
         floor = above.min(axis=1) / (size * _FLOOR_DEVIATION_M)
-        if number == self.carried:
+        if self.carried is not None and number == self.carried[0]:
             floor = np.minimum(floor, 0.0)
         terms.append(Term(floor[known], at[known, None], is_robust=floor[known] > 0, weight=alike))
         if len(at) > 2:
@@ -383,8 +386,8 @@ def estimate_scene(
         check_positive(camera_height_m, "the height of the camera")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
     solution = solve(problem, robust=_ROBUST)
-    for number in problem.carried_ones:
-        problem.carried = number
+    for carried in problem.may_carry():
+        problem.carried = carried
         other = solve(problem, robust=_ROBUST)
         if other.cost + _CARRIED_COST < solution.cost:
             solution = other

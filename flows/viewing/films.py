@@ -115,7 +115,7 @@ class FilmReader:
         if frame is None:
             self._next = _NOWHERE
             return None
-        number = self._next if self.rate_hz is None else max(round(frame.time_s * self.rate_hz), self._next)
+        number = self._next if self.rate_hz is None else round(frame.time_s * self.rate_hz)
         scale = min(1.0, _LARGEST_PX / max(frame.image.shape[:2]))
         size = [max(1, round(scale * one)) for one in frame.image.shape[1::-1]]
         small = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)

@@ -23,7 +23,7 @@ from flows.viewing.bodies import Bodies, capsules, marks
 from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
 from flows.viewing.images import encode, encode_clip, plot_curves
-from flows.viewing.kinds import qualities
+from flows.viewing.kinds import _Seen, qualities
 from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
 from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
@@ -33,7 +33,7 @@ from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
 from storage_schema import Store, new_run
 from tasks.curation import Choosing
-from tasks.ingest.films import digest_of
+from tasks.ingest.films import FilmFrame, digest_of
 from tasks.stage import SourceFile
 from tests.builders.ingest_runs import duet_store
 from tests.builders.rendered_film import write_film
@@ -123,6 +123,17 @@ def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) ->
     shelf = Shelf(store, [take.ref], [judged.ref])
     found = qualities(shelf, shelf.parts[0])["waltz",]
     assert found["verdict"] == "fail"
+
+
+def test_the_image_of_2d_poses_has_the_size_of_its_own_sequence(tmp_path: Path) -> None:
+    places = {"sequence_id": ["small", "small", "large", "large"], "frame": [0] * 4, "person_id": [0, 1, 0, 1]}
+    columns = random_columns("annotations", 4) | places | {"partner_id": [1, 0, 1, 0]}
+    columns |= {"image_width_px": [640, 640, 1920, 1920], "image_height_px": [480, 480, 1080, 1080]}
+    columns["pair17_px"] = np.random.default_rng(0).uniform(0.0, 400.0, (4, 17, 2))
+    store = Store(tmp_path / "store")
+    ref = put(store, "ingest", "images", {"annotations": columns}, {}).ref
+    for name, size in {"small": (640, 480), "large": (1920, 1080)}.items():
+        assert [flat.size_px for flat in _Seen(store, ref, name).flats(0, name)] == [size]
 
 
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
@@ -332,6 +343,19 @@ def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, mo
         assert abs(float(image.mean()) - 6 * number) < 2.5, number
     assert film.image(40) is None
     assert film.image(4) is not None, "after its end it is read again"
+
+
+def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times_s = [0.0, 0.05, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.4, 0.5]  # faster for a while, then a gap
+    images = [FilmFrame(np.full((8, 8, 3), round(100 * at), dtype=np.uint8), at) for at in times_s]
+    monkeypatch.setattr("flows.viewing.films.read_film", lambda files, begin: iter(images[begin:]))
+    film = FilmReader((SourceFile(path="vary.mp4", sha256=""),), 0, 0, 10.0)
+    for number, wanted_s in ((1, 0.1), (2, 0.2), (4, 0.4), (3, 0.4), (5, 0.5)):
+        image = film.image(number)
+        assert image is not None
+        assert abs(float(image.mean()) / 100 - wanted_s) <= 0.051, number
 
 
 def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path) -> None:

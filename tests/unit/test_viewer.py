@@ -374,6 +374,18 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path
         )
 
 
+def test_a_film_of_images_of_which_one_has_changed_is_not_shown(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{number}.png" for number in range(3)]
+    for path in paths:
+        cv2.imwrite(str(path), np.full((8, 8, 3), 90, dtype=np.uint8))
+    told = {"num_given": 0, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
+    files = tuple((path.name, digest_of(path)) for path in paths)
+    ingest = {"videos": [{"id": "images", "path": str(tmp_path)}]}
+    assert isinstance(find_film(SimpleNamespace(parameters=told, files=files), ingest), FilmReader)  # type: ignore[arg-type]
+    changed = (*files[:2], (paths[2].name, "1" * 64))
+    assert isinstance(find_film(SimpleNamespace(parameters=told, files=changed), ingest), str)  # type: ignore[arg-type]
+
+
 def tree(store: Store) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in sorted(store.root.rglob("*"))}
 

@@ -109,7 +109,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind_name="as captured",
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
         film=seen.film_of(grid.frames),
-        first_number=int(grid.frames[0]),
+        numbers=grid.frames,
         curves={"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)},
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),

@@ -185,6 +185,20 @@ def test_clips_are_chosen_of_reconstructions_alone(viewer: Viewer) -> None:
     assert viewer.clip is None
 
 
+def test_a_clip_has_the_frames_of_the_video_also_behind_a_gap(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen: list[object] = []
+    monkeypatch.setattr("flows.viewing.viewer.thing_of", lambda *told: chosen.append(told[-1]) or ("video/fit", "0"))
+    numbers = np.arange(viewer.scene.num_frames) + 3
+    numbers[4:] += 20
+    with viewer.lock:
+        whole, viewer.scene = viewer.scene, replace(viewer.scene, numbers=numbers)
+        viewer.clip, viewer._thing = (2, 5), ("", "")
+        viewer._thing_shown()
+        assert [viewer.scene.frame_at(number) for number in (3, 6, 7, 27, 28)] == [0, 3, 4, 4, 5]
+        viewer.scene, viewer.clip, viewer._thing = whole, None, ("", "")
+    assert chosen == [(5, 28)]
+
+
 def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) -> None:
     port = viewer.server.get_port()
 

@@ -17,6 +17,8 @@ from typing import Any
 
 _ONE_AT_A_TIME = RLock()
 """Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
+_LOCKED: set[str] = set()
+"""Names of the kernels that this process compiles alone, by the one thread that holds numba's lock."""
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -124,15 +126,18 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
 def _alone(folder: str | None, name: str) -> Iterator[None]:
     """Let no other process of this machine be in this block for the kernel of this name; where files can be locked.
 
-    Kernels call each other in one direction, so processes never wait in a circle.
+    Kernels call each other in one direction, so processes never wait in a circle; one that calls itself with arguments
+    of another type is in its own block already.
     """
     handle = None
-    if folder is not None:
+    if folder is not None and name not in _LOCKED:
         with suppress(OSError):
             handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
             fcntl.flock(handle, fcntl.LOCK_EX)
+            _LOCKED.add(name)
     try:
         yield
     finally:
         if handle is not None:
+            _LOCKED.discard(name)
             os.close(handle)

@@ -21,7 +21,7 @@ def curate(
     reference: Annotated[str, Argument(metavar="REF", help="Any row of what it is about: variants:study/take#row.")],
     reason: Annotated[str, Option("--reason", metavar="TEXT", help="Why, for those who read it later.")] = "",
     frames: Annotated[
-        str | None, Option(metavar="FIRST-LAST", help="Of a reconstructed motion: only this clip of it.")
+        str | None, Option(metavar="FIRST-LAST", help="Only this clip of a motion, in frames of the video.")
     ] = None,
     curation: CurationOption = CURATION,
     store: StoreOption = Path("store"),
@@ -47,7 +47,7 @@ def curate(
 
     clip = re.fullmatch(r"(\d+)-(\d+)", frames) if frames is not None else None
     if frames is not None and clip is None:
-        raise InputError(f"--frames {frames}: a clip is FIRST-LAST, such as 30-45, frames counted from 0")
+        raise InputError(f"--frames {frames}: a clip is FIRST-LAST in frames of the video, such as 30-45")
     opened = open_store(store)
     shelf = open_shelf(opened, reference)
 

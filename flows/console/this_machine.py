@@ -103,10 +103,10 @@ def _check_dask() -> str:
 
 @app.command()
 def bench(
-    stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage; default: all.")] = None,
+    stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage, or commands; default: all.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the compiled kernels on this machine, each relative to its plain form."""
+    """Measure kernels and whole commands here, each relative to a plain form."""
     os.environ.update(worker_environment())
     found = find_benchmarks()
     if stage is not None and stage not in found:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -30,7 +30,7 @@ from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.references import find_rows
-from tasks.curation import IDENTITY, rows_without, without
+from tasks.curation import IDENTITY, rows_without
 from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
 from tasks.stage import verdict_of
 from tasks.takes import read_motion, read_variants, take_of
@@ -253,10 +253,10 @@ def _own_rig(person: Person, own: OwnSkeleton, wanted_m: Array | None, rest_pose
 def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     """Yield the people of each video and method, upright on one floor; what lies between rejected clips each apart."""
     store = export.store
-    rows = without(store.read(ref, "motions"), export.left_out)
+    rows = store.read(ref, "motions")
     # From the axes of a camera that looks down to a world in which people stand upright.
     camera = DatabaseCamera(math.radians(MotionFacts.of(store.manifest(ref)).pitch_deg))
-    for (sequence_id, method), part, *clip in _without_gaps(rows):
+    for (sequence_id, method), part, *clip in _kept_parts(rows, export.left_out):
         ids = np.unique(rows["person_id"][part]).tolist()
         people = []
         for own in (part[rows["person_id"][part] == one] for one in ids):
@@ -290,13 +290,15 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
         )
 
 
-def _without_gaps(rows: TableData) -> Iterator[tuple[Any, ...]]:
-    """Yield video and method, rows, and of several parts the frames of each: a reconstruction itself has no gaps."""
+def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[Any, ...]]:
+    """Yield video and method, rows that are kept, and where it is cut, as frames between are left out, the part's."""
+    is_kept = np.isin(np.arange(rows.num_rows), rows_without(rows, left_out))
     for key, own in groups(rows, "sequence_id", "method"):
-        frames = np.unique(rows["frame"][own])
-        parts = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+        frames = np.unique(rows["frame"][own[is_kept[own]]])
+        gone = np.setdiff1d(rows["frame"][own], frames)  # gaps in which nobody is there are no cuts
+        parts = np.split(frames, np.flatnonzero(np.diff(np.searchsorted(gone, frames))) + 1)
         for part in (one for one in parts if len(one) > 1):
-            is_part = np.isin(rows["frame"][own], part)
+            is_part = is_kept[own] & np.isin(rows["frame"][own], part)
             yield key, own[is_part], *([f"{part[0]}-{part[-1]}"] if len(parts) > 1 else [])
 
 

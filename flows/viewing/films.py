@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -79,17 +79,17 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
 
 
 def _film_of_study(manifest: Manifest, names: Sequence[tuple[str, str]], paths: Sequence[Path]) -> FilmReader | str:
-    told, (first, digest) = manifest.parameters, names[0]
+    told, first = manifest.parameters, names[0][0]
     for path in paths:
         folder = path if path.is_dir() else path.parent
-        if (folder / first).is_file() and _digest(folder / first) == digest:
+        if all((folder / name).is_file() and _digest(folder / name) == digest for name, digest in names):
             files = tuple(SourceFile(path=str(folder / name), sha256=sha) for name, sha in names)
             rate_hz = None if told["is_constant_rate"] else told["video_rate_hz"]
             return FilmReader(files, told["first_number"], told["first_frame"], rate_hz)
     return f"its film {first} is not where the study says, or has changed since"
 
 
-@lru_cache(maxsize=16)
+@cache  # the shots of a film are each an artifact of all of its images
 def _digest(path: Path) -> str:
     return digest_of(path)
 
@@ -141,7 +141,7 @@ class FilmReader:
         if frame is None:
             self._next = _NOWHERE
             return None
-        number = self._next if self.rate_hz is None else max(round(frame.time_s * self.rate_hz), self._next)
+        number = self._next if self.rate_hz is None else round(frame.time_s * self.rate_hz)
         scale = min(1.0, _LARGEST_PX / max(frame.image.shape[:2]))
         size = [max(1, round(scale * one)) for one in frame.image.shape[1::-1]]
         small = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)

@@ -123,7 +123,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind_name="as captured",
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
         film=seen.film_of(grid.frames),
-        first_number=int(grid.frames[0]),
+        numbers=grid.frames,
         curves=curves,
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
@@ -415,7 +415,7 @@ class _Seen:
         if not np.isfinite(px).any():
             return None
         size = found[0][1].size_px
-        focal_px = _lens(self.store, self.ref)[2]
+        focal_px = _lenses(self.store, self.ref)[self.sequence_id][2]
         lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
         return PinholeCamera.locate(
             points,
@@ -449,7 +449,7 @@ class _Seen:
         if self.ref is None or not people:
             return []
         points = np.stack([people[who] for who in sorted(people)])
-        width, height, _ = _lens(self.store, self.ref)
+        width, height, _ = _lenses(self.store, self.ref)[self.sequence_id]
         return [Flat(PAIR17, points, _size(width, height, points), f"{title} frame {frame}", self.image(frame))]
 
 
@@ -468,12 +468,14 @@ def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[
     return found
 
 
-@lru_cache(maxsize=64)
-def _lens(store: Store, ref: ArtifactRef) -> Array:
-    """Return width, height and focal length of the camera of an artifact of 2D poses, pixels, NaN where unknown."""
+@lru_cache(maxsize=16)
+def _lenses(store: Store, ref: ArtifactRef) -> Mapping[str, Array]:
+    """Return width, height and focal length of the camera of each sequence of 2D poses, pixels, NaN where unknown."""
     columns = ["image_width_px", "image_height_px", "focal_px"]
-    data = store.read(ref, "annotations", columns=columns, rows=slice(0, 1))
-    return np.array([np.nan if data.is_null(name)[0] else float(data[name][0]) for name in columns])
+    data = store.read(ref, "annotations", columns=["sequence_id", *columns])
+    names, rows = np.unique(data["sequence_id"].astype(str), return_index=True)
+    lenses = np.stack([np.where(data.is_null(name), np.nan, data[name])[rows] for name in columns], axis=-1)
+    return dict(zip(names.tolist(), lenses, strict=True))
 
 
 @lru_cache(maxsize=4)

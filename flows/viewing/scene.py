@@ -61,7 +61,7 @@ class Scene:
         say: Gives what is known of a frame, a line each.
         images: Gives the 2D pictures that belong to a frame.
         nearest: Gives further ones, which take time to find: the poses of the database that are nearest.
-        first_number: Number that the store has for the first frame.
+        numbers: Numbers that the store has for the frames (frame,), rising, with gaps where nobody is there.
         has_floor: The floor is at y = 0; else it is drawn under the lowest joint.
     """
 
@@ -82,7 +82,7 @@ class Scene:
     say: Callable[[int], list[str]] = lambda frame: []
     images: Callable[[int], list[Flat]] = lambda frame: []
     nearest: Callable[[int], list[Flat]] | None = None
-    first_number: int = 0
+    numbers: Integers | None = None
     has_floor: bool = True
 
     @property
@@ -94,6 +94,14 @@ class Scene:
     def is_flat(self) -> bool:
         """Who is shown is an image that stands in the room."""
         return bool(np.fmax.reduce(np.abs(self.people.positions_m[..., 2]), axis=None, initial=0.0) == 0.0)
+
+    def number_of(self, frame: int) -> int:
+        """Return the number that the store has for a frame."""
+        return frame if self.numbers is None else int(self.numbers[frame])
+
+    def frame_at(self, number: int) -> int:
+        """Return the frame of a number, or the next one where that is in a gap."""
+        return number if self.numbers is None else int(np.searchsorted(self.numbers, number))
 
     def row_of(self, frame: int) -> int:
         """Return the first row of the item that is of a frame."""

@@ -236,7 +236,7 @@ class Viewer:
         with self.lock:
             name, content = self._thing_shown()
             if decision == "undo" and self.clip is None:
-                at = self.scene.first_number + self.frame
+                at = self.scene.number_of(self.frame)
                 here = (one.name for one in self._clips_chosen() if one.frames[0] <= at <= one.frames[1])
                 name = next(here, name)
             reason = str(self._handles["reason"].value)
@@ -482,8 +482,8 @@ class Viewer:
             marked = "" if self.clip is None else f"clip of frames {self.clip[0]} to {self.clip[1]}: "
             chosen = [marked + self.choosing.words(self.part.table, *self._thing_shown())]
             for one in self._clips_chosen():
-                clip = [frame - scene.first_number for frame in one.frames]
-                chosen.append(f"frames {clip[0]} to {clip[1]} {one.words}")
+                start, end = scene.frame_at(one.frames[0]), scene.frame_at(one.frames[1] + 1) - 1
+                chosen.append(f"frames {start} to {end} {one.words}")
             self._set("facts", "\n".join([*lines, *chosen, *self._item_lines()]))
             self._set("link", f"{self.url}/?at={quote(self.reference, safe='@')}")
             if self._curves:
@@ -516,8 +516,8 @@ class Viewer:
     def _thing_shown(self) -> tuple[str, str]:
         """Return name and content of what would be accepted or rejected now; an item's is read once."""
         if is_each_frame(self.part, self.item) or not self._thing[0]:
-            first = self.scene.first_number
-            clip = None if self.clip is None else (first + self.clip[0], first + self.clip[1])
+            number = self.scene.number_of
+            clip = None if self.clip is None else (number(self.clip[0]), number(self.clip[1]))
             self._thing = thing_of(self.shelf, self.part, self.item, self.scene.row_of(self.frame), clip)
         return self._thing
 

@@ -90,7 +90,7 @@ def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(edito
 def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Editor) -> None:
     viewer = editor.viewer
     part_of(viewer, "motions")
-    name, first = "/".join(viewer.item.names), viewer.scene.first_number
+    name, first = "/".join(viewer.item.names), viewer.scene.number_of(0)
     for frame, edge in ((3, "start"), (6, "end")):
         viewer.seek(frame)
         viewer.mark_clip(edge)  # type: ignore[arg-type]

@@ -58,6 +58,13 @@ def factorial(number: int) -> int:
 
 
 @compiled()
+def halvings(number: float) -> int:
+    if number <= 1:
+        return 0
+    return 1 + halvings(number / 2)
+
+
+@compiled()
 def power(base: int, exponent: int) -> int:
     return base**exponent
 
@@ -72,6 +79,10 @@ def test_a_kernel_calls_kernels_inlines_them_and_calls_itself() -> None:
     assert total(values) == total(values=values) == 5.0
     assert factorial(10) == 3628800
     assert twice(3) == 6.0  # also once it is known to have been called by another
+
+
+def test_a_kernel_that_calls_itself_with_another_type_does_not_wait_for_itself() -> None:
+    assert halvings(8) == 3
 
 
 def test_a_kernel_is_compiled_once_whatever_constants_others_pass() -> None:

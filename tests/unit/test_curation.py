@@ -10,7 +10,7 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.exports import Export, export_reference
-from flows.exports.casts import _without_gaps
+from flows.exports.casts import _kept_parts
 from flows.reasons import changed_leaves
 from flows.study import load_study, study_from_record
 from flows.study_files import StudyError
@@ -29,7 +29,6 @@ from tasks.curation import (
     read_choices,
     rejected_names,
     rejections,
-    without,
     write_choices,
 )
 from tasks.data import LOOK, Data, PairDataset
@@ -231,9 +230,18 @@ def test_what_lies_between_rejected_clips_is_a_motion_of_its_own(video: tuple[St
         assert reject_clip(store, reference, file, frames) == 0
     parsed = parse_reference(reference)
     export = Export(store, reference, parsed, tuple(resolve(parsed, store)), choices=as_settings(read_choices(file)))
-    rows = without(store.read(export.refs[0], "motions"), export.left_out)
-    parts = [(*key, *clip, sorted(set(rows["frame"][own]))) for key, own, *clip in _without_gaps(rows)]
+    rows = store.read(export.refs[0], "motions")
+    parts = [(*key, *clip, sorted(set(rows["frame"][own]))) for key, own, *clip in _kept_parts(rows, export.left_out)]
     assert parts == [("video", "fit", "3-4", [3, 4]), ("video", "fit", "6-7", [6, 7])]
+
+
+def test_a_reconstruction_of_which_nothing_is_rejected_is_one_motion_also_where_nobody_is_there(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    columns = random_columns("motions", 6) | {"sequence_id": ["video"] * 6, "method": ["fit"] * 6}
+    columns |= {"person_id": [0, 0, 0, 1, 1, 1], "frame": [0, 1, 2, 7, 8, 9]}
+    ref = put(store, "reconstruction", "video", {"motions": columns}, {}).ref
+    ((key, own, *clip),) = _kept_parts(store.read(ref, "motions"), ())
+    assert (key, own.tolist(), clip) == (("video", "fit"), [0, 1, 2, 3, 4, 5], [])
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from flows.viewing.bodies import Bodies, capsules, marks
 from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
 from flows.viewing.images import encode, encode_clip, plot_curves
-from flows.viewing.kinds import qualities
+from flows.viewing.kinds import _Seen, qualities
 from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
 from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
@@ -36,7 +36,7 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, new_run
 from tasks.curation import Choosing
 from tasks.ingest.annotations import find_videos
-from tasks.ingest.films import digest_of
+from tasks.ingest.films import FilmFrame, digest_of
 from tasks.ingest.parameters import FilmOptions
 from tasks.stage import SourceFile
 from tests.builders.ingest_runs import duet_store, planned, run
@@ -130,6 +130,17 @@ def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) ->
     assert found["verdict"] == "fail"
 
 
+def test_the_image_of_2d_poses_has_the_size_of_its_own_sequence(tmp_path: Path) -> None:
+    places = {"sequence_id": ["small", "small", "large", "large"], "frame": [0] * 4, "person_id": [0, 1, 0, 1]}
+    columns = random_columns("annotations", 4) | places | {"partner_id": [1, 0, 1, 0]}
+    columns |= {"image_width_px": [640, 640, 1920, 1920], "image_height_px": [480, 480, 1080, 1080]}
+    columns["pair17_px"] = np.random.default_rng(0).uniform(0.0, 400.0, (4, 17, 2))
+    store = Store(tmp_path / "store")
+    ref = put(store, "ingest", "images", {"annotations": columns}, {}).ref
+    for name, size in {"small": (640, 480), "large": (1920, 1080)}.items():
+        assert [flat.size_px for flat in _Seen(store, ref, name).flats(0, name)] == [size]
+
+
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
     viewer.seek(0)
     viewer.step(-1)
@@ -177,6 +188,20 @@ def test_clips_are_chosen_of_reconstructions_alone(viewer: Viewer) -> None:
     with pytest.raises(InputError, match="clips are chosen of motions, not of poses"):
         viewer.mark_clip("start")
     assert viewer.clip is None
+
+
+def test_a_clip_has_the_frames_of_the_video_also_behind_a_gap(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen: list[object] = []
+    monkeypatch.setattr("flows.viewing.viewer.thing_of", lambda *told: chosen.append(told[-1]) or ("video/fit", "0"))
+    numbers = np.arange(viewer.scene.num_frames) + 3
+    numbers[4:] += 20
+    with viewer.lock:
+        whole, viewer.scene = viewer.scene, replace(viewer.scene, numbers=numbers)
+        viewer.clip, viewer._thing = (2, 5), ("", "")
+        viewer._thing_shown()
+        assert [viewer.scene.frame_at(number) for number in (3, 6, 7, 27, 28)] == [0, 3, 4, 4, 5]
+        viewer.scene, viewer.clip, viewer._thing = whole, None, ("", "")
+    assert chosen == [(5, 28)]
 
 
 def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) -> None:
@@ -339,6 +364,19 @@ def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, mo
     assert film.image(4) is not None, "after its end it is read again"
 
 
+def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times_s = [0.0, 0.05, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.4, 0.5]  # faster for a while, then a gap
+    images = [FilmFrame(np.full((8, 8, 3), round(100 * at), dtype=np.uint8), at) for at in times_s]
+    monkeypatch.setattr("flows.viewing.films.read_film", lambda files, begin: iter(images[begin:]))
+    film = FilmReader((SourceFile(path="vary.mp4", sha256=""),), 0, 0, 10.0)
+    for number, wanted_s in ((1, 0.1), (2, 0.2), (4, 0.4), (3, 0.4), (5, 0.5)):
+        image = film.image(number)
+        assert image is not None
+        assert abs(float(image.mean()) / 100 - wanted_s) <= 0.051, number
+
+
 def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path) -> None:
     path = grey_film(tmp_path / "grey.avi", 5)
     told = {"num_given": 1, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
@@ -408,6 +446,18 @@ def test_a_video_beside_keypoints_is_their_film_where_it_has_their_size(tmp_path
     assert find_film(manifest, ingest) is None  # type: ignore[arg-type]
     keys.unlink()
     assert find_film(manifest, ingest) is None, "who looks later may have moved it"  # type: ignore[arg-type]
+
+
+def test_a_film_of_images_of_which_one_has_changed_is_not_shown(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{number}.png" for number in range(3)]
+    for path in paths:
+        cv2.imwrite(str(path), np.full((8, 8, 3), 90, dtype=np.uint8))
+    told = {"num_given": 0, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
+    files = tuple((path.name, digest_of(path)) for path in paths)
+    ingest = {"videos": [{"id": "images", "path": str(tmp_path)}]}
+    assert isinstance(find_film(SimpleNamespace(parameters=told, files=files), ingest), FilmReader)  # type: ignore[arg-type]
+    changed = (*files[:2], (paths[2].name, "1" * 64))
+    assert isinstance(find_film(SimpleNamespace(parameters=told, files=changed), ingest), str)  # type: ignore[arg-type]
 
 
 def tree(store: Store) -> dict[str, int]:

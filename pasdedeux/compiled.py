@@ -127,11 +127,11 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
     Kernels call each other in one direction, so processes never wait in a circle.
     """
     handle = None
-    if folder is not None:
-        with suppress(OSError):
-            handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
-            fcntl.flock(handle, fcntl.LOCK_EX)
     try:
+        if folder is not None:
+            with suppress(OSError):
+                handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
+                fcntl.flock(handle, fcntl.LOCK_EX)
         yield
     finally:
         if handle is not None:

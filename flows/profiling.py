@@ -11,8 +11,7 @@ from pasdedeux.evaluation.pictures import Picture, figure_svg, label_axis, legen
 from pasdedeux.evaluation.report import render
 from pasdedeux.evaluation.score_tables import TextTable
 from storage_schema import Manifest, Store
-from storage_schema.store import PROCESSOR_S
-from tasks.shards import ShardDone
+from tasks.shards import Place, ShardDone
 
 PROFILE_FILE = "profile.html"
 _NUM_LONGEST = 10
@@ -24,15 +23,9 @@ class _Bar:
     """A shard that was computed: its artifact, where, and from when to when in seconds of the run."""
 
     manifest: Manifest
-    process: str
-    memory_bytes: int
+    place: Place
     start_s: float
-    end_s: float
-
-    @property
-    def seconds(self) -> float:
-        """What it took by the clock."""
-        return self.end_s - self.start_s
+    seconds: float
 
 
 def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path:
@@ -42,11 +35,7 @@ def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path
     """
     computed = [(one, one.place) for one in done if one.place is not None]
     origin_s = min((place.began_s for _, place in computed), default=0.0)
-    bars = []
-    for one, place in computed:
-        start_s = place.began_s - origin_s
-        manifest = store.manifest(one.ref)
-        bars.append(_Bar(manifest, place.process, place.memory_bytes, start_s, start_s + one.seconds))
+    bars = [_Bar(store.manifest(one.ref), place, place.began_s - origin_s, one.seconds) for one, place in computed]
     bars.sort(key=lambda bar: bar.start_s)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / PROFILE_FILE
@@ -56,22 +45,25 @@ def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path
 
 def _words(bars: Sequence[_Bar]) -> str:
     """Say how much was computed, by how many processes, and how busy they were."""
-    num_processes, end_s = len({bar.process for bar in bars}), max((bar.end_s for bar in bars), default=0.0)
+    num_processes, end_s = (
+        len({bar.place.process for bar in bars}),
+        max((bar.start_s + bar.seconds for bar in bars), default=0.0),
+    )
     busy = sum(bar.seconds for bar in bars) / (num_processes * end_s) if end_s else 0.0
     return (
-        f"{len(bars)} shards, without those that were there already. {num_processes} processes for {end_s:.1f} s, "
+        f"{len(bars)} shards, without those that were there already. Processes: {num_processes}, for {end_s:.1f} s, "
         f"at work {busy:.0%} of that. Memory is the most that a process had held by the end of a shard."
     )
 
 
 def _time_line(bars: Sequence[_Bar]) -> Picture:
     """Show when each process computed what."""
-    processes = list(dict.fromkeys(bar.process for bar in bars))
+    processes = list(dict.fromkeys(bar.place.process for bar in bars))
     stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))
     figure, ((axis,),) = new_figure(9.5, 1.3 + 0.35 * len(processes))
     for number, stage in enumerate(stages):
         own = [bar for bar in bars if bar.manifest.ref.stage == stage]
-        rows, starts = [processes.index(bar.process) for bar in own], [bar.start_s for bar in own]
+        rows, starts = [processes.index(bar.place.process) for bar in own], [bar.start_s for bar in own]
         lengths = [bar.seconds for bar in own]
         axis.barh(rows, lengths, left=starts, color=f"C{number}", edgecolor="white", linewidth=0.3, label=stage)
     axis.set_yticks(range(len(processes)), [f"process {number}" for number in range(1, len(processes) + 1)])
@@ -101,12 +93,12 @@ def _tables(bars: Sequence[_Bar]) -> list[TextTable]:
 
 
 def _row(bars: Sequence[_Bar], total_s: float) -> tuple[str, ...]:
-    """Return what shards took in the columns of `_HEADINGS`; the clock's includes what comes before the commit."""
+    """Return what shards took, in the columns of `_HEADINGS`."""
     seconds = sum(bar.seconds for bar in bars)
     return (
         f"{seconds:.2f} s",
-        f"{sum(bar.manifest.timings.get(PROCESSOR_S, 0.0) for bar in bars):.2f} s",
+        f"{sum(bar.place.processor_s for bar in bars):.2f} s",
         f"{seconds / total_s:.1%}" if total_s else "-",
-        f"{max(bar.memory_bytes for bar in bars) / 1e6:.0f} MB",
+        f"{max(bar.place.memory_bytes for bar in bars) / 1e6:.0f} MB",
         f"{sum(bar.manifest.num_bytes for bar in bars) / 1e6:.2f} MB",
     )

@@ -130,12 +130,12 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
     of another type is in its own block already.
     """
     handle = None
-    if folder is not None and name not in _LOCKED:
-        with suppress(OSError):
-            handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
-            fcntl.flock(handle, fcntl.LOCK_EX)
-            _LOCKED.add(name)
     try:
+        if folder is not None and name not in _LOCKED:
+            with suppress(OSError):
+                handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
+                fcntl.flock(handle, fcntl.LOCK_EX)
+                _LOCKED.add(name)
         yield
     finally:
         if handle is not None:

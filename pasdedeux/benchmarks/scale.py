@@ -29,10 +29,10 @@ Work = Callable[[], object]
 _NUM_QUERIES = 200
 
 
-def _grown(
+def grown(
     name: str, unit: str, sizes: Sequence[int], prepare: Callable[[int], Work], *, count: int = 0
 ) -> BenchmarkResult:
-    """Measure work at several sizes, smallest first; each is done once before, which may compile, but for the largest.
+    """Measure work at several sizes, smallest first; that of the smallest is done once before, which may compile.
 
     Args:
         name: What was measured.
@@ -105,13 +105,11 @@ def _variants(num_variants: int) -> Work:
 
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
-    "database": partial(_grown, "index of a database", "projections", (20_000, 200_000, 2_000_000), _index),
-    "query": partial(
-        _grown, "query of a database", "queries", (20_000, 200_000, 2_000_000), _query, count=_NUM_QUERIES
-    ),
+    "database": partial(grown, "index of a database", "projections", (20_000, 200_000, 2_000_000), _index),
+    "query": partial(grown, "query of a database", "queries", (20_000, 200_000, 2_000_000), _query, count=_NUM_QUERIES),
     "annotations": partial(
-        _grown, "likelihood among annotations", "evaluations", (500, 4_000, 32_000), _likelihood, count=_NUM_QUERIES
+        grown, "likelihood among annotations", "evaluations", (500, 4_000, 32_000), _likelihood, count=_NUM_QUERIES
     ),
-    "coverage": partial(_grown, "coverage of 100 pairs", "draws", (500, 2_000, 8_000), _coverage),
-    "variants": partial(_grown, "variants of a take of 2 s", "variants", (16, 64, 256), _variants),
+    "coverage": partial(grown, "coverage of 100 pairs", "draws", (500, 2_000, 8_000), _coverage),
+    "variants": partial(grown, "variants of a take of 2 s", "variants", (16, 64, 256), _variants),
 }

@@ -2,7 +2,7 @@
 
 from tasks.shards.cluster import ClusterSettings, connect, worker_environment
 from tasks.shards.errors import ClusterError, ShardError, Stopped, in_one_line, joined
-from tasks.shards.running import Call, ClusterPool, HereClient, HerePool, Pool, ShardDone, ShardFailed, run
+from tasks.shards.running import Call, ClusterPool, HereClient, HerePool, Place, Pool, ShardDone, ShardFailed, run
 
 __all__ = [
     "Call",
@@ -11,6 +11,7 @@ __all__ = [
     "ClusterSettings",
     "HereClient",
     "HerePool",
+    "Place",
     "Pool",
     "ShardDone",
     "ShardError",

@@ -42,16 +42,18 @@ _GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the schedu
 
 @dataclass(frozen=True)
 class Place:
-    """Where and when a shard was computed.
+    """Where and when a shard was computed, and what it took there.
 
     Args:
         process: Machine and number of the process.
         began_s: Seconds since 1970 when it began.
+        processor_s: Seconds of processor time of its thread.
         memory_bytes: The most memory that the process had held by the end.
     """
 
     process: str
     began_s: float
+    processor_s: float
     memory_bytes: int
 
 
@@ -97,7 +99,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
 
         time.sleep(_GIVE_BACK_S)
         raise Reschedule
-    began_s, started = time.time(), time.perf_counter()
+    began_s, started, spent_s = time.time(), time.perf_counter(), time.thread_time()
     try:
         store = Store(store_root)
         if not shard.replaces and (found := store.find(shard.stage, shard.key)) is not None:
@@ -111,8 +113,9 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
             reason += f"; {dropped} is damaged and was removed, the same command computes it again"
         failure = ShardError(_where(shard), type(error).__name__, reason, trace)
     else:
-        process = f"{platform.node()} {os.getpid()}"
-        return ref, time.perf_counter() - started, Place(process, began_s, peak_memory_bytes(None))
+        spent_s = time.thread_time() - spent_s
+        place = Place(f"{platform.node()} {os.getpid()}", began_s, spent_s, peak_memory_bytes(None))
+        return ref, time.perf_counter() - started, place
     raise failure  # out here it drags no original error along, which may not be picklable
 
 

@@ -12,13 +12,14 @@ from contextlib import suppress
 from graphlib import TopologicalSorter
 from pathlib import Path
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
 
-from flows.machine import cluster_settings
+from flows.machine import cluster_settings, kernel_cache
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from storage_schema.provenance import package_versions
@@ -413,3 +414,14 @@ def test_threads_of_a_process_compute_one_shard_after_the_other(tmp_path: Path) 
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/somewhere")
     assert worker_environment()["NUMBA_CACHE_DIR"] == "/somewhere"
+
+
+def test_kernels_are_kept_where_there_is_a_folder_with_room(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "new"))
+    assert kernel_cache() == (tmp_path / "new", "")
+    with monkeypatch.context() as full:
+        full.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1e6))
+        assert kernel_cache()[1] == f"the disk of {tmp_path / 'new'} has 1 MB left"
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    assert kernel_cache()[1] == f"{tmp_path / 'file'} cannot be written to: Not a directory"

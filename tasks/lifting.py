@@ -13,7 +13,7 @@ from pydantic import Field
 
 from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.expected_error import expected_error
+from pasdedeux.completion.expected_error import expected_error, expected_over_time
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
@@ -29,11 +29,11 @@ from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pair
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
 from tasks.facts import LiftedFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
-from tasks.projections import ProjectionsParameters
+from tasks.projections import Pitches, ProjectionsParameters
 from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
-LIFTING = StageName("lifting", 8)
+LIFTING = StageName("lifting", 9)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -54,6 +54,11 @@ class LiftingParameters(Parameters):
     """Which annotations of a source are lifted, and how."""
 
     max_frames: int = Field(40, ge=1, description="Annotated pairs lifted of each source of annotations, evenly spread")
+    pitches_deg: Pitches = Field(
+        ProjectionsParameters().pitches_deg,
+        min_length=1,
+        description="Pitches of the camera between which that of a video is found whose pairs are lifted together",
+    )
     between_frames: int = Field(
         15,
         ge=0,
@@ -118,7 +123,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     wanted = sorted({*chosen, *(end for span in spans for end in span)})
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
-    over_time = _over_time(store, shard.ref("annotations"), in_time, set(wanted), draws.pairs_m)
+    over_time = _over_time(store, shard.ref("annotations"), in_time, set(wanted), draws.pairs_m, options.pitches_deg)
     for place in wanted:
         known = lifted_from.get(place[:3], ())
         found, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
@@ -213,13 +218,22 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
 
 
 def _over_time(
-    store: Store, annotations: ArtifactRef, places: Sequence[Place], wanted: set[Place], pairs_m: np.ndarray
-) -> dict[Place, np.ndarray]:
-    """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between."""
+    store: Store,
+    annotations: ArtifactRef,
+    places: Sequence[Place],
+    wanted: set[Place],
+    pairs_m: np.ndarray,
+    pitches_deg: Sequence[float],
+) -> dict[Place, tuple[np.ndarray, float]]:
+    """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between.
+
+    Beside them stands what error is expected of them.
+    """
+    stated = SequenceFacts.of(store.manifest(annotations))
     couples: dict[Place, list[Place]] = {}
     for place in places:
         couples.setdefault(place._replace(frame=0), []).append(place)
-    found: dict[Place, np.ndarray] = {}
+    found: dict[Place, tuple[np.ndarray, float]] = {}
     for couple, own in couples.items():
         between = {own[at] for at in evenly_spread(len(own), _NUM_OVER_TIME)}
         chosen = sorted(between.union(wanted.intersection(own)))
@@ -230,14 +244,25 @@ def _over_time(
         if not {couple.person_id, couple.partner_id} <= set(tracks):
             continue
         both = [tracks[couple.person_id], tracks[couple.partner_id]]
-        pitches = np.deg2rad(ProjectionsParameters().pitches_deg)
-        made = lift_over_time(pairs_m, both, np.array([place.frame for place in chosen]), pitches.tolist())
-        found |= {} if made is None else dict(zip(chosen, made, strict=True))
+        made = lift_over_time(
+            pairs_m,
+            both,
+            np.array([place.frame for place in chosen]),
+            np.deg2rad(pitches_deg).tolist(),
+            statures_m=stated.statures_m,
+            camera_height_m=stated.camera_height_m,
+        )
+        if made is not None:
+            found |= dict(zip(chosen, zip(made.positions_m, made.expected_m.tolist(), strict=True), strict=True))
     return found
 
 
 def _lift(
-    one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int], over_time: np.ndarray | None = None
+    one: SeenPair,
+    draws: DrawSet,
+    index: DrawIndex,
+    own: Sequence[int],
+    over_time: tuple[np.ndarray, float] | None = None,
 ) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
     found = retrieve(index, one.image_m, one.directions)
@@ -260,11 +285,12 @@ def _lift(
     mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m
     expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     if over_time is not None:
-        fitted = as_pair17(over_time, fitted)
+        people_m, together_m = over_time
+        expected = expected_over_time(expected, together_m)
+        fitted = as_pair17(people_m, fitted)
         off = np.nanmean(np.where(one.is_seen[..., None], fitted[..., :2] - one.image_m, np.nan), axis=(0, 1))
         fitted = fitted - np.array([*off, fitted[..., 2].mean()])
         rows.append(_row(one, "over_time", fitted, **known))
-    # That of the pair lifted alone also stands for the one over time, which it was not fitted to.
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))

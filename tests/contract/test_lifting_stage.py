@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
@@ -208,6 +209,20 @@ def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
     method = np.asarray(table["method"])
     assert (method == "over_time").sum() == (method == "fitted").sum() == made.facts["num_lifted"]
     np.testing.assert_array_equal(np.isfinite(np.asarray(table["expected_error_m"])), method == "over_time")
+    # What is stated of the people is believed, at the pitch that is stated.
+    facts = {"purpose": "video", "rate_hz": 30.0, "statures_m": {"0": 2.3, "1": 2.3}}
+    film, film_views = put_film(store, tables, facts)
+    tall = StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
+    other = store.read(
+        lift(store, tall, max_frames=2, between_frames=0, pitches_deg=(10,))["film31"].ref, "lifted_pairs"
+    )
+    sizes = [
+        np.median(
+            bone_lengths(PAIR17, np.asarray(one["pair17_m"], dtype=float)[np.asarray(one["method"]) == "over_time"])
+        )
+        for one in (table, other)
+    ]
+    assert sizes[1] > 1.15 * sizes[0]
 
 
 def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(inputs: Any) -> None:

@@ -27,7 +27,7 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
-from tasks.facts import LiftedFacts, SequenceFacts
+from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters
 from tasks.reconstruction import SequenceShard, read_tracks
@@ -54,11 +54,6 @@ class LiftingParameters(Parameters):
     """Which annotations of a source are lifted, and how."""
 
     max_frames: int = Field(40, ge=1, description="Annotated pairs lifted of each source of annotations, evenly spread")
-    pitches_deg: Pitches = Field(
-        ProjectionsParameters().pitches_deg,
-        min_length=1,
-        description="Pitches of the camera between which that of a video is found whose pairs are lifted together",
-    )
     between_frames: int = Field(
         15,
         ge=0,
@@ -73,6 +68,12 @@ class LiftingParameters(Parameters):
     baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
         (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"
     )
+
+
+class LiftingShard(LiftingParameters):
+    """Parameters of a shard: also the pitches of the cameras that see the projection database, if there is one."""
+
+    pitches_deg: Pitches = ProjectionsParameters().pitches_deg
 
 
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
@@ -103,12 +104,15 @@ def _shard(
     if parameters.baselines:
         bases = [one for one in inputs.of("torso_basis") if not shares_takes(annotated, one)]
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
-    return LIFTING.shard(inputs, annotated.partition, annotated.name, parameters, read)
+    pitches = {pitch for part in inputs.of("projections") for pitch in ProjectionFacts.of(part).pitches_deg}
+    cameras = {"pitches_deg": tuple(sorted(pitches))} if pitches else {}
+    own = parameters.part(LiftingShard, **cameras)
+    return LIFTING.shard(inputs, annotated.partition, annotated.name, own, read)
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Lift the chosen pairs of one artifact of annotations and fill in between them."""
-    options = shard.options(LiftingParameters)
+    options = shard.options(LiftingShard)
     annotated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
     draws, index = _indexed_draws(store, shard.refs("draws"))
     lifted_from = _lifted_from(store, shard.refs("draws"), draws)
@@ -354,7 +358,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
 
 def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[Place, SeenPair]) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
-    options = shard.options(LiftingParameters)
+    options = shard.options(LiftingShard)
     whole = [one.image_m for one in every.values() if one.is_seen.all()]
     if not options.baselines or not whole:
         return []
@@ -410,7 +414,7 @@ def _columns(rows: list[Row]) -> dict[str, list[Any]]:
 
 STAGE = Stage(
     *LIFTING,
-    reads=("annotations", "views", "seeds", "draws", "joint_limits", "torso_basis"),
+    reads=("annotations", "views", "seeds", "draws", "joint_limits", "torso_basis", "projections"),
     writes=("lifted_pairs", "in_betweens"),
     parameters=LiftingParameters,
     plan=plan,

@@ -165,8 +165,8 @@ class Place:
         if self.expected_error_m > DOUBTFUL_PLACE_M:
             reasons.insert(
                 0,
-                f"the place of the two is badly known: {self.expected_in_words}; what would help: "
-                "takes of such couples in the database",
+                f"the place of the two is badly known: {self.expected_in_words}; what would help: a stature "
+                "(--stature, in a study statures_m), or takes of such couples in the database",
             )
         is_bad = self.is_unproven or self.expected_error_m > BAD_PLACE_M
         level = Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS

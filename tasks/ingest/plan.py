@@ -34,7 +34,7 @@ from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_perso
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
 from tasks.stage import Shard, StageInputs, StageName
 
-INGEST = StageName("ingest", 17)
+INGEST = StageName("ingest", 18)
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:

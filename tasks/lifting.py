@@ -13,7 +13,7 @@ from pydantic import Field
 
 from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.expected_error import expected_error
+from pasdedeux.completion.expected_error import expected_error, expected_over_time
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
@@ -27,9 +27,9 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
-from tasks.facts import LiftedFacts, SequenceFacts
+from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
-from tasks.projections import ProjectionsParameters
+from tasks.projections import Pitches, ProjectionsParameters
 from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
@@ -70,6 +70,12 @@ class LiftingParameters(Parameters):
     )
 
 
+class LiftingShard(LiftingParameters):
+    """Parameters of a shard: also the pitches of the cameras that see the projection database, if there is one."""
+
+    pitches_deg: Pitches = ProjectionsParameters().pitches_deg
+
+
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     """Plan a shard per artifact of annotated pairs that has views; none without draws.
 
@@ -98,12 +104,15 @@ def _shard(
     if parameters.baselines:
         bases = [one for one in inputs.of("torso_basis") if not shares_takes(annotated, one)]
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
-    return LIFTING.shard(inputs, annotated.partition, annotated.name, parameters, read)
+    pitches = {pitch for part in inputs.of("projections") for pitch in ProjectionFacts.of(part).pitches_deg}
+    cameras = {"pitches_deg": tuple(sorted(pitches))} if pitches else {}
+    own = parameters.part(LiftingShard, **cameras)
+    return LIFTING.shard(inputs, annotated.partition, annotated.name, own, read)
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Lift the chosen pairs of one artifact of annotations and fill in between them."""
-    options = shard.options(LiftingParameters)
+    options = shard.options(LiftingShard)
     annotated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
     draws, index = _indexed_draws(store, shard.refs("draws"))
     lifted_from = _lifted_from(store, shard.refs("draws"), draws)
@@ -118,7 +127,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     wanted = sorted({*chosen, *(end for span in spans for end in span)})
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
-    over_time = _over_time(shard, store, in_time, set(wanted))
+    over_time = _over_time(shard, store, in_time, set(wanted), options.pitches_deg)
     for place in wanted:
         known = lifted_from.get(place[:3], ())
         found, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
@@ -213,18 +222,23 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
 
 
 @lru_cache(maxsize=1)
-def _filmed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> FilmedDraws:
+def _filmed_draws(store: Store, refs: tuple[ArtifactRef, ...], pitches_deg: Pitches) -> FilmedDraws:
     """Return the draws before every camera that is tried, made ready once for all shards of a worker."""
-    pitches = np.deg2rad(ProjectionsParameters().pitches_deg).tolist()
-    return FilmedDraws.of(_indexed_draws(store, refs)[0].pairs_m, pitches)
+    return FilmedDraws.of(_indexed_draws(store, refs)[0].pairs_m, np.deg2rad(pitches_deg).tolist())
 
 
-def _over_time(shard: Shard, store: Store, places: Sequence[Place], wanted: set[Place]) -> dict[Place, np.ndarray]:
-    """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between."""
+def _over_time(
+    shard: Shard, store: Store, places: Sequence[Place], wanted: set[Place], pitches_deg: Pitches
+) -> dict[Place, tuple[np.ndarray, float]]:
+    """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between.
+
+    Beside them stands what error is expected of them.
+    """
+    stated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
     couples: dict[Place, list[Place]] = {}
     for place in places:
         couples.setdefault(place._replace(frame=0), []).append(place)
-    found: dict[Place, np.ndarray] = {}
+    found: dict[Place, tuple[np.ndarray, float]] = {}
     for couple, own in couples.items():
         between = {own[at] for at in evenly_spread(len(own), _NUM_OVER_TIME)}
         chosen = sorted(between.union(wanted.intersection(own)))
@@ -237,14 +251,24 @@ def _over_time(shard: Shard, store: Store, places: Sequence[Place], wanted: set[
         if not {couple.person_id, couple.partner_id} <= set(tracks):
             continue
         both = [tracks[couple.person_id], tracks[couple.partner_id]]
-        draws = _filmed_draws(store, shard.refs("draws"))
-        made = lift_over_time(draws, both, np.array([place.frame for place in chosen]))
-        found |= {} if made is None else dict(zip(chosen, made, strict=True))
+        made = lift_over_time(
+            _filmed_draws(store, shard.refs("draws"), pitches_deg),
+            both,
+            np.array([place.frame for place in chosen]),
+            statures_m=stated.statures_m,
+            camera_height_m=stated.camera_height_m,
+        )
+        if made is not None:
+            found |= dict(zip(chosen, zip(made.positions_m, made.expected_m.tolist(), strict=True), strict=True))
     return found
 
 
 def _lift(
-    one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int], over_time: np.ndarray | None = None
+    one: SeenPair,
+    draws: DrawSet,
+    index: DrawIndex,
+    own: Sequence[int],
+    over_time: tuple[np.ndarray, float] | None = None,
 ) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
     found = retrieve(index, one.image_m, one.directions)
@@ -267,11 +291,12 @@ def _lift(
     mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m
     expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     if over_time is not None:
-        fitted = as_pair17(over_time, fitted)
+        people_m, together_m = over_time
+        expected = expected_over_time(expected, together_m)
+        fitted = as_pair17(people_m, fitted)
         off = np.nanmean(np.where(one.is_seen[..., None], fitted[..., :2] - one.image_m, np.nan), axis=(0, 1))
         fitted = fitted - np.array([*off, fitted[..., 2].mean()])
         rows.append(_row(one, "over_time", fitted, **known))
-    # That of the pair lifted alone also stands for the one over time, which it was not fitted to.
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))
@@ -335,7 +360,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
 
 def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[Place, SeenPair]) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
-    options = shard.options(LiftingParameters)
+    options = shard.options(LiftingShard)
     whole = [one.image_m for one in every.values() if one.is_seen.all()]
     if not options.baselines or not whole:
         return []
@@ -391,7 +416,7 @@ def _columns(rows: list[Row]) -> dict[str, list[Any]]:
 
 STAGE = Stage(
     *LIFTING,
-    reads=("annotations", "views", "seeds", "draws", "joint_limits", "torso_basis"),
+    reads=("annotations", "views", "seeds", "draws", "joint_limits", "torso_basis", "projections"),
     writes=("lifted_pairs", "in_betweens"),
     parameters=LiftingParameters,
     plan=plan,

@@ -329,6 +329,8 @@ def say_expected(rows: Sequence[Row]) -> None:
     """Print how well expected errors hold, as they are and as those fitted to the other families do."""
     true, expected = np.array([[row.errors_m["ours"], row.expected_m] for row in rows]).T
     large = true > LARGE_M * (2 if rows[0].is_place else 1)
+    if len({row.clip.family for row in rows}) < 3 or not 0 < np.count_nonzero(large) < len(rows):
+        return
     passed = np.array([row.verdict == "pass" for row in rows])
     say(f"in use: AUC of large errors {auc(expected, large):.2f}; pass: {np.mean(passed[large]):.0%} of them,")
     say(f"  {np.mean(passed[~large]):.0%} of the others")
@@ -336,8 +338,6 @@ def say_expected(rows: Sequence[Row]) -> None:
     left, low, high = np.full((3, len(rows)), np.nan)
     for family in (names := np.unique(families)):
         own = families == family
-        if own.all():
-            return
         left[own] = np.exp(evidence[own] @ fitted(evidence[~own], true[~own]))
         # Intervals, too, are those of families left out among the others.
         parts = np.quantile(parts_left_out(evidence, true, families, ~own), INTERVAL)

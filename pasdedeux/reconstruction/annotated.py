@@ -6,8 +6,9 @@ floor, sizes, touch and the pairs that look alike, as in `scene`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
+from pasdedeux.reconstruction.reliability import judge_tracks
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.spread import evenly_spread
@@ -59,20 +61,44 @@ class FilmedDraws:
         return cls(op14, tuple(Searcher.of(Database(poses, starts, camera=camera)) for camera in cameras))
 
 
-def lift_over_time(draws: FilmedDraws, tracks: Sequence[Track], frames: Integers) -> Array | None:
-    """Return two people in annotated frames of one camera (frame, person=2, 14, 3), camera axes, metres.
+class LiftedFrames(NamedTuple):
+    """Two people in annotated frames of one camera.
+
+    Args:
+        positions_m: Joints (frame, person=2, 14, 3), camera axes, metres.
+        expected_m: What poses and place of the two let expect of the error of a joint of the pair (frame,).
+    """
+
+    positions_m: Array
+    expected_m: Array
+
+
+def lift_over_time(
+    draws: FilmedDraws,
+    tracks: Sequence[Track],
+    frames: Integers,
+    *,
+    statures_m: Mapping[int, float] | None = None,
+    camera_height_m: float | None = None,
+) -> LiftedFrames | None:
+    """Return two people in annotated frames of one camera.
 
     Args:
         draws: The database, with the pitches that are tried.
         tracks: The two people.
         frames: Annotated frames of the sequence (frame,) that show both, rising; need not be regular.
+        statures_m: Stature by person id, where it is known.
+        camera_height_m: Height of the camera over the floor where it is known.
 
     Returns:
         None where there are too few frames, or somebody cannot be reconstructed.
     """
     if len(frames) < MIN_FRAMES:
         return None
-    found = []
+    stated_m = {
+        number: stature for number, one in enumerate(tracks) if (stature := (statures_m or {}).get(one.person_id))
+    }
+    found, expected = [], []
     for part in np.array_split(frames, -(-len(frames) // _MAX_FRAMES)):
         step = max(float(np.median(np.diff(part))), 1.0) if len(part) > 1 else 1.0
         both = [
@@ -90,12 +116,24 @@ def lift_over_time(draws: FilmedDraws, tracks: Sequence[Track], frames: Integers
         pitch = choose_pitch(draws.searchers, both)
         searcher = draws.searchers[0].pitched(pitch.pitch_rad)
         made = reconstruct_people(
-            searcher, both, [Method.FIT], has_clean_up=False, pairs_m=centre_pairs(draws.op14_m), pitch=pitch
+            searcher,
+            both,
+            [Method.FIT],
+            has_clean_up=False,
+            pairs_m=centre_pairs(draws.op14_m),
+            pitch=pitch,
+            statures_m=stated_m,
+            camera_height_m=camera_height_m,
         )
         if made.skipped:
             return None
         found.append(np.stack([one.positions_m for one in made.methods[-1].people], axis=1))
-    return np.concatenate(found)
+        judged = judge_tracks(made)
+        poses_m = np.mean([one.expected_error_m for one in judged.people.values()])
+        # About their middle, each of the two is off by half of what their place is.
+        whole_m = np.hypot(poses_m, 0.5 * judged.places[0, 1].expected_error_m)
+        expected.append(np.full(len(part), whole_m))
+    return LiftedFrames(np.concatenate(found), np.concatenate(expected))
 
 
 def as_pair17(op14_m: Array, pair_m: Array) -> Array:

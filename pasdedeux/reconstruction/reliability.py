@@ -46,8 +46,9 @@ _MAX_EXPECTED_M, _MAX_EXPECTED_PLACE_M = 0.5, 2.0
 """Worse than this nothing was measured."""
 _PERSON_RANGE, _PLACE_RANGE = (0.68, 1.53), (0.45, 2.37)
 """What errors of people and of places are as parts of the expected, four times in five, in families left out of all."""
-_BEYOND_RAD = float(np.deg2rad(10.0))
-"""What a pitch at the edge of those that were tried may be off by, beside its deviation."""
+_AT_EDGE = 1.5
+"""Times as large errors are where the pitch is at the edge of those that were tried: 1.3 to 2.1 of six people seen by
+cameras 15 degrees beyond it, and 1.2 to 1.9 by cameras 20 degrees below."""
 
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.09, 0.20
 DOUBTFUL_PLACE_M, BAD_PLACE_M = 0.20, 0.40
@@ -164,8 +165,8 @@ class Place:
         if self.expected_error_m > DOUBTFUL_PLACE_M:
             reasons.insert(
                 0,
-                f"the place of the two is badly known: {self.expected_in_words}; what would help: "
-                "takes of such couples in the database",
+                f"the place of the two is badly known: {self.expected_in_words}; what would help: a stature "
+                "(--stature, in a study statures_m), or takes of such couples in the database",
             )
         is_bad = self.is_unproven or self.expected_error_m > BAD_PLACE_M
         level = Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS
@@ -210,16 +211,15 @@ def judge_tracks(
     longest_s = max(len(one.track.frames) / one.track.rate_hz for one in made)
     if is_short := longest_s < MIN_LENGTH_S:
         doubts = (f"{longest_s:.1f} s are too short to tell camera and places from", *doubts)
-    deviation_rad = found.pitch.deviation_rad
-    if _is_at_edge(pitches_rad, found.pitch):
-        deviation_rad = float(np.hypot(deviation_rad, _BEYOND_RAD))
+    times = _AT_EDGE if _is_at_edge(pitches_rad, found.pitch) else 1.0
     people, places = {}, {}
     for one in made:
         name = one.track.person_id
         own = (*doubts, *((broken[name],) if name in broken else ()))
-        people[name] = judge_person(
-            one, left_out_m, pitch_deviation_rad=deviation_rad, doubts=own, is_unproven=found.pitch.is_guess
+        judged = judge_person(
+            one, left_out_m, pitch_deviation_rad=found.pitch.deviation_rad, doubts=own, is_unproven=found.pitch.is_guess
         )
+        people[name] = replace(judged, expected_error_m=min(times * judged.expected_error_m, _MAX_EXPECTED_M))
     between = {} if found.scene is None else found.scene.place_deviation_m
     for (first, second), deviation_m in between.items():
         couple = made[first].track, made[second].track

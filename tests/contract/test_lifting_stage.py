@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
@@ -20,7 +21,7 @@ from tasks.evaluation.lifting import TOPIC
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs, verdict_of
 from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
-from tests.builders.storage_rows import put, take_rows
+from tests.builders.storage_rows import put, random_columns, take_rows
 
 __all__ = ["inputs"]  # the fixture
 
@@ -208,6 +209,20 @@ def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
     method = np.asarray(table["method"])
     assert (method == "over_time").sum() == (method == "fitted").sum() == made.facts["num_lifted"]
     np.testing.assert_array_equal(np.isfinite(np.asarray(table["expected_error_m"])), method == "over_time")
+    # What is stated of the people is believed, and the camera is one of those that see the database.
+    facts = {"purpose": "video", "rate_hz": 30.0, "statures_m": {"0": 2.3, "1": 2.3}}
+    film, film_views = put_film(store, tables, facts)
+    tall = StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
+    made = lift(store, tall, max_frames=2, between_frames=0)["film31"]
+    sizes = []
+    for one in (table, store.read(made.ref, "lifted_pairs")):
+        pairs = np.asarray(one["pair17_m"], dtype=float)[np.asarray(one["method"]) == "over_time"]
+        sizes.append(np.median(bone_lengths(PAIR17, pairs)))
+    assert sizes[1] > 1.15 * sizes[0]
+    facts = {"kind": "projections", "takes": ["one"], "rate_hz": 24.0, "pitches_deg": (10.0,)}
+    seen = put(store, "projections", "one", {"projections": random_columns("projections", 1)}, facts)
+    (shard,) = lifting.plan(StageInputs({**tall.manifests, "projections": [seen]}, seed=1), LiftingParameters())
+    assert shard.options(lifting.LiftingShard).pitches_deg == (10.0,)
 
 
 def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(inputs: Any) -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.evaluation.lifting import lifted_errors
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedDraws, as_pair17, lift_over_time
 from pasdedeux.reconstruction.tracks import Lens, Track
@@ -34,13 +39,24 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     filmed = FilmedDraws.of(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
     found = lift_over_time(filmed, tracks, frames)
     assert found is not None
-    pairs = np.stack([as_pair17(one, draws[0]) for one in found])
+    pairs = np.stack([as_pair17(one, draws[0]) for one in found.positions_m])
     true = truth[frames] @ camera.camera_from_world_rotmat.T
     errors = lifted_errors(pairs, true)
     # People of other sizes dance the same in the draws: poses are near, and so is the distance that images leave open.
     assert errors["lifted_pair_error"].mean() < 0.12
     assert errors["person_distance_error"].mean() < 0.08
+    assert 0.5 < errors["lifted_pair_error"].mean() / found.expected_m.mean() < 2.0
     assert lift_over_time(filmed, tracks, frames[: MIN_FRAMES - 1]) is None
+    # A stature is that of the person, whatever number the sequence has for them.
+    tracks = [replace(track, person_id=track.person_id + 5) for track in tracks]
+    one_pitch = FilmedDraws.of(draws, [0.2])
+    tall = lift_over_time(one_pitch, tracks, frames[:MIN_FRAMES], statures_m={6: 2.2})
+    usual = lift_over_time(one_pitch, tracks, frames[:MIN_FRAMES], camera_height_m=float(camera.position_m[1]))
+    heights = [
+        np.median(body_height_m(OP14, bone_lengths(OP14, one.positions_m)), axis=0) for one in (tall, usual) if one
+    ]
+    assert heights[0][1] == pytest.approx(2.2, abs=0.02)
+    assert heights[1][1] < 1.95
 
 
 def test_trunks_move_with_shoulders_and_hips_at_the_size_of_the_person() -> None:

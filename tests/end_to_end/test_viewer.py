@@ -180,9 +180,10 @@ def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
 
 
 def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
-    """Drag the handle at a joint along its x axis, as the camera of the browser shows it, which may be on its way."""
+    """Drag the handle at a joint along its x axis, which a camera in front of it sees from the side."""
     (client,) = viewer.server.get_clients().values()
-    before = editor.pose
+    before, hand = editor.pose, np.array(editor._hand.position)
+    client.camera.position, client.camera.look_at = hand + np.array([0.0, 0.3, 2.0]), hand
 
     def seen(point: Array) -> Array:
         turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
@@ -193,7 +194,6 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
 
     def is_dragged() -> bool:
         if viewer.pose is None:
-            hand = np.array(editor._hand.position)
             tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
         return viewer.pose is not None
 

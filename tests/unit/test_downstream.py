@@ -168,7 +168,7 @@ def _study(store: Store, seen: set[str]) -> StageInputs:
             body = {"body22_m": np.tile(motion.reshape(-1, 22, 3), (count, 1, 1))}
             rows = random_columns("variants", 2 * FRAMES * count) | body
             tables = {"variants": rows, "variant_quality": random_columns("variant_quality", count) | own}
-            facts = {"kind": "variants", "take_id": take_id, "num_persons": 2, "origin": origin}
+            facts = {"kind": "variants", "take_id": take_id, "num_persons": 2, "num_frames": FRAMES, "origin": origin}
             facts["told"] = {"contacts": [], "variants": names}
             found.setdefault("variants", []).append(put(store, "augmentation", f"{take_id} {by}", tables, facts))
     return StageInputs(found, seed=3)

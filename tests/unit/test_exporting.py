@@ -131,7 +131,7 @@ def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], sc
             | quality
             | {"bone_scale": np.full((count, 44), scale), "verdict": ["pass"] * count},
         },
-        facts={},
+        facts={"kind": "variants", "take_id": "mix", "num_persons": 2, "num_frames": frames},
     )
 
 

@@ -99,7 +99,8 @@ def test_a_variant_leaves_as_parameters_with_the_misfit_of_its_betas(
         "variants": random_columns("variants", 2 * NUM_FRAMES) | rows,
         "variant_quality": random_columns("variant_quality", 1) | quality,
     }
-    made = put(store, "augmentation", "v", tables, {}, (store.manifest(ref),))
+    facts = {"kind": "variants", "take_id": "hug", "num_persons": 2, "num_frames": NUM_FRAMES}
+    made = put(store, "augmentation", "v", tables, facts, (store.manifest(ref),))
     export_reference(store, f"variants@{made.ref.key}", "smpl", tmp_path, body_model=model)
     small, odd = (tmp_path / f"hug_v_{letter}.npz" for letter in "AB")
     np.testing.assert_allclose(body22_of(moved(small, model)), wanted[:, 0], atol=5e-3)

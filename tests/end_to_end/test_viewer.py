@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -183,7 +184,9 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
     """Drag the handle at a joint along its x axis, which a camera in front of it sees from the side."""
     (client,) = viewer.server.get_clients().values()
     before, hand = editor.pose, np.array(editor._hand.position)
-    client.camera.position, client.camera.look_at = hand + np.array([0.0, 0.3, 2.0]), hand
+
+    def look() -> None:
+        client.camera.position, client.camera.look_at = hand + np.array([0.0, 0.3, 2.0]), hand
 
     def seen(point: Array) -> Array:
         turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
@@ -192,9 +195,14 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
         middle = [client.camera.image_width / 2, client.camera.image_height / 2]
         return np.asarray(middle + focal * own[:2] / own[2])
 
+    def pull() -> None:
+        tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
+
+    tries = cycle([look, pull])  # who misses the handle has turned the camera
+
     def is_dragged() -> bool:
         if viewer.pose is None:
-            tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))
+            next(tries)()
         return viewer.pose is not None
 
     wait_for(viewer, "the drag", is_dragged)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -86,6 +86,14 @@ class Item:
         return concatenate(TABLES[table], parts)
 
 
+class Found(NamedTuple):
+    """Where something is: the part, and the numbers of the item in it and of the row in that."""
+
+    part: Part
+    item: int
+    row: int
+
+
 class Shelf:
     """What can be looked at of some artifacts.
 
@@ -144,8 +152,8 @@ class Shelf:
         manifests = map(self.store.manifest, self.beside)
         return [one.ref for one in manifests if table in one.tables and partition in (None, one.partition)]
 
-    def find(self, text: str) -> tuple[Part, int, int]:
-        """Return part, item and row of the item that a reference with or without a row points to.
+    def find(self, text: str) -> Found:
+        """Return where a reference with or without a row points to.
 
         Raises:
             UnknownReference, InputError: It points to nothing here.
@@ -156,7 +164,7 @@ class Shelf:
             if part.table == reference.table and ref in part.refs:
                 for index, item in enumerate(self.items(part)):
                     if (number := item.number(ref, rows.start)) is not None:
-                        return part, index, number
+                        return Found(part, index, number)
         raise InputError(f"'{text}' is not among what is shown here")
 
 
@@ -231,26 +239,34 @@ def moment_in(text: str) -> str:
         raise InputError(f"'{text[:60]}' is no address of a moment") from None
 
 
+class FigureLabel(NamedTuple):
+    """The words of a figure with the unit that people read, the factor to that unit, and the format."""
+
+    words: str
+    factor: float
+    form: str
+
+
 _SHOWN = {
-    "_m_s3": (1.0, "m/s^3", ".3g"),
-    "_m_s": (1.0, "m/s", ".3g"),
-    "_m": (100.0, "cm", ".2f"),
-    "_rad": (180.0 / np.pi, "degrees", ".3g"),
-    "_s": (1.0, "s", ".2f"),
+    "_m_s3": FigureLabel("m/s^3", 1.0, ".3g"),
+    "_m_s": FigureLabel("m/s", 1.0, ".3g"),
+    "_m": FigureLabel("cm", 100.0, ".2f"),
+    "_rad": FigureLabel("degrees", 180.0 / np.pi, ".3g"),
+    "_s": FigureLabel("s", 1.0, ".2f"),
 }
-"""By the ending of a figure's name the factor to the unit that people read, that unit, and the format."""
+"""By the ending of a figure's name the unit that people read, the factor to it, and the format."""
 
 
-def figure_label(name: str) -> tuple[str, float, str]:
-    """Return the words of a figure with the unit that people read, the factor to that unit, and the format.
+def figure_label(name: str) -> FigureLabel:
+    """Return how a figure is shown.
 
-    >>> [figure_label(name)[0] for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
+    >>> [figure_label(name).words for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
     ['contact drift (cm)', 'R-hat, most', 'number of fail frames']
     """
     ending = next((one for one in _SHOWN if name.endswith(one)), "")
     words = re.sub("^num ", "number of ", in_words(name.removesuffix(ending)))
-    factor, unit, form = _SHOWN.get(ending, (1.0, "", ".4g"))
-    return f"{words} ({unit})" if unit else words, factor, form
+    unit, factor, form = _SHOWN.get(ending, ("", 1.0, ".4g"))
+    return FigureLabel(f"{words} ({unit})" if unit else words, factor, form)
 
 
 def figure_words(name: str, value: Any) -> str:

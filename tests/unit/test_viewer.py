@@ -20,11 +20,13 @@ from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
 from flows.viewing.bodies import Bodies, capsules, marks
+from flows.viewing.curves import plot_curves
 from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
-from flows.viewing.images import encode, encode_clip, plot_curves
-from flows.viewing.kinds import _Seen, qualities
+from flows.viewing.listing import qualities
+from flows.viewing.saving import encode, encode_clip, save_clip
 from flows.viewing.scene import Flat, Grid, People
+from flows.viewing.seen import Seen
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
 from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
 from flows.viewing.viewer import Viewer
@@ -98,19 +100,19 @@ def test_a_reference_to_a_row_leads_to_its_moment_and_back(store: Store, viewer:
     viewer.visit(f"poses:short/waltz#{row}")
     assert viewer.frame == 7
     np.testing.assert_array_equal(viewer.scene.people.positions_m[7, 1], data["body22_m"][row])
-    link = viewer.reference
+    link = viewer.moment.reference
     viewer.seek(0)
     viewer.visit(f"http://127.0.0.1:1/?at={link.replace('#', '%23')}")
-    assert (viewer.frame, viewer.reference) == (7, link)
+    assert (viewer.frame, viewer.moment.reference) == (7, link)
     part, index, number = viewer.shelf.find(link)
     assert moment_reference(part, viewer.shelf.items(part)[index], number) == link
     viewer.visit("poses:short#999999")
-    assert (viewer.frame, viewer._handles["said"].value[:20]) == (7, "'poses:short#999999'")
+    assert (viewer.frame, viewer.panel.put["said"].value[:20]) == (7, "'poses:short#999999'")
 
 
 def test_what_is_no_address_is_said(viewer: Viewer) -> None:
     viewer.visit("http://[")
-    assert viewer._handles["said"].value == "'http://[' is no address of a moment"
+    assert viewer.panel.put["said"].value == "'http://[' is no address of a moment"
 
 
 def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
@@ -118,7 +120,7 @@ def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then
     with viewer.lock, closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=10.0)) as asked:
         asked.request("GET", "/?at=poses:short%23200000")
         assert asked.getresponse().status == 200
-    wait_until(lambda: "200000" in viewer._handles["said"].value, "the visit", limit_s=20.0)
+    wait_until(lambda: "200000" in viewer.panel.put["said"].value, "the visit", limit_s=20.0)
 
 
 def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) -> None:
@@ -138,7 +140,7 @@ def test_the_image_of_2d_poses_has_the_size_of_its_own_sequence(tmp_path: Path) 
     store = Store(tmp_path / "store")
     ref = put(store, "ingest", "images", {"annotations": columns}, {}).ref
     for name, size in {"small": (640, 480), "large": (1920, 1080)}.items():
-        assert [flat.size_px for flat in _Seen(store, ref, name).flats(0, name)] == [size]
+        assert [flat.size_px for flat in Seen(store, ref, name).flats(0, name)] == [size]
 
 
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
@@ -187,20 +189,21 @@ def test_film_that_is_read_too_late_is_not_shown_behind_what_came_meanwhile(
 def test_clips_are_chosen_of_reconstructions_alone(viewer: Viewer) -> None:
     with pytest.raises(InputError, match="clips are chosen of motions, not of poses"):
         viewer.mark_clip("start")
-    assert viewer.clip is None
+    assert viewer.curation.clip is None
 
 
 def test_a_clip_has_the_frames_of_the_video_also_behind_a_gap(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen: list[object] = []
-    monkeypatch.setattr("flows.viewing.viewer.thing_of", lambda *told: chosen.append(told[-1]) or ("video/fit", "0"))
+    monkeypatch.setattr("flows.viewing.curating.thing_of", lambda *told: chosen.append(told[-1]) or ("video/fit", "0"))
     numbers = np.arange(viewer.scene.num_frames) + 3
     numbers[4:] += 20
     with viewer.lock:
         whole, viewer.scene = viewer.scene, replace(viewer.scene, numbers=numbers)
-        viewer.clip, viewer._thing = (2, 5), ("", "")
-        viewer._thing_shown()
+        viewer.curation.begin((2, 5))
+        viewer.curation.thing(viewer.moment)
         assert [viewer.scene.frame_at(number) for number in (3, 6, 7, 27, 28)] == [0, 3, 4, 4, 5]
-        viewer.scene, viewer.clip, viewer._thing = whole, None, ("", "")
+        viewer.scene = whole
+        viewer.curation.begin()
     assert chosen == [(5, 28)]
 
 
@@ -501,7 +504,7 @@ class Browser:
 def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> None:
     viewer.seek(5)
     browser = Browser()
-    viewer._save(browser, is_clip=True)
+    save_clip(viewer, browser)
     (content,) = browser.downloads.values()
     found, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
     step = max(1, round((viewer.scene.rate_hz or 0.0) / 10.0))
@@ -519,6 +522,6 @@ def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer:
         assert not other.is_alive(), "it waits for the clip"
 
     browser = Browser(step_elsewhere)
-    viewer.safely(lambda _: viewer._save(browser, is_clip=True), is_alone=False)(None)
-    assert viewer._handles["said"].value == "the clip was not saved: something else was shown meanwhile"
+    viewer.panel.safely(lambda _: save_clip(viewer, browser), is_alone=False)(None)
+    assert viewer.panel.put["said"].value == "the clip was not saved: something else was shown meanwhile"
     assert (viewer.frame, browser.downloads) == (4, {})

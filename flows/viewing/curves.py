@@ -1,4 +1,4 @@
-"""Pictures of the viewer that are pixels: curves, who is there over time, and clips."""
+"""Figures over time in the panel: a curve, who is there, and how each frame was judged."""
 
 from __future__ import annotations
 
@@ -8,12 +8,54 @@ from typing import Any
 import numpy as np
 
 from flows.viewing.bodies import rgb
-from flows.viewing.side import PAPER
+from flows.viewing.panel import Panel
+from flows.viewing.scene import Scene
+from flows.viewing.shelf import figure_label
+from flows.viewing.side import PAPER, flat_picture
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.evaluation.pictures import PERSON_COLOURS
 
 _WIDTH = 640
 _INK = (60, 60, 60)
+
+
+class Curves:
+    """The folder of the panel with figures over the frames of what is shown.
+
+    Args:
+        panel: The panel.
+    """
+
+    def __init__(self, panel: Panel) -> None:
+        self._folder = panel.gui.add_folder("Curve")
+        with self._folder:
+            self._strip = panel.gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
+            self.chosen = panel.gui.add_dropdown("figure", ("none",))
+            self._plot = panel.gui.add_image(flat_picture([]), visible=False)
+        self._curves: list[Array] = []
+
+    def show(self, scene: Scene) -> None:
+        """Take a figure over the frames, those of other chains beside it, and who is there."""
+        there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
+        self._strip.visible = has_strip = scene.levels is not None or not there.all()
+        self._strip.image = presence_strip(there, scene.levels)
+        known = {}
+        for name, curve in scene.curves.items():
+            label, factor, _ = figure_label(name)
+            values = factor * np.asarray(curve, dtype=np.float64)
+            if np.fmax.reduce(values) > np.fmin.reduce(values):
+                known[label] = values
+        if known and tuple(known) != self.chosen.options:
+            self.chosen.options = tuple(known)
+        self.chosen.visible = self._plot.visible = bool(known)
+        self._folder.visible = bool(known) or has_strip
+        others = scene.others if known and self.chosen.value == next(iter(known)) else ()
+        self._curves = [*others, known[str(self.chosen.value)]] if known else []
+
+    def draw(self, frame: int) -> None:
+        """Draw the figure with a line at a frame."""
+        if self._curves:
+            self._plot.image = plot_curves(self._curves, frame)
 
 
 def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
@@ -49,21 +91,3 @@ def plot_curves(curves: Sequence[Array], frame: int) -> Any:
     for value, y in ((high, edge - 4), (low, height - 4)):
         cv2.putText(image, f"{value:.3g}", (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
     return image
-
-
-def encode(image: Array, suffix: str) -> bytes:
-    """Return an image (height, width, 3 or 4), RGB, as the bytes of a file of this kind."""
-    import cv2
-
-    return cv2.imencode(suffix, cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGR))[1].tobytes()
-
-
-def encode_clip(images: Sequence[Array], rate_hz: float) -> bytes:
-    """Return images (height, width, 3), RGB, as an animated WebP that repeats."""
-    import cv2
-
-    animation = cv2.Animation()
-    animation.frames = [cv2.cvtColor(one[..., :3], cv2.COLOR_RGB2BGRA) for one in images]
-    animation.durations = [round(1000.0 / rate_hz)] * len(images)
-    animation.loop_count = 0
-    return cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()

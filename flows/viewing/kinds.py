@@ -115,14 +115,13 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         film=seen.film_of(grid.frames),
         numbers=grid.frames,
         curves=curves,
-        say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
+        say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}", *seen.film_words],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
         nearest=partial(_nearest_poses, store, manifest.ref, grid.fill(data["op14_m"])),
         facts=(
             *(f"{name}: {verdict_words(verdict)}" for name, verdict in verdicts_of_parts(manifest).items()),
             f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
             f'people_file = "people.csv" in [[ingest.annotations]]',
-            *seen.film_words,
         ),
     )
 
@@ -175,8 +174,16 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     truth = None if is_single else seen.truth(grid.frames, grid.persons, "body22_m", in_world=True)
     image = People(PAIR17, np.insert(placed_in_room(image_px, size), 2, 0.0, axis=-1))
 
+    def seen_at(frame: int) -> Seen:
+        return Seen.of(shelf, str(names[frame])) if is_single else seen
+
     def images(frame: int) -> list[Flat]:
-        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}", seen.image(frames[frame]))]
+        image = seen_at(frame).image(frames[frame])
+        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}", image)]
+
+    def say(frame: int) -> list[str]:
+        seen_joints = np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1)
+        return [f"{int(seen_joints.sum())} joints seen", *seen_at(frame).film_words]
 
     return Scene(
         image if truth is None else People(BODY22, truth),
@@ -185,8 +192,8 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         flat=image,
         camera=None if truth is None else seen.camera,
         images=images,
-        say=lambda frame: [f"{int(np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1).sum())} joints seen"],
-        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone", *seen.film_words),
+        say=say,
+        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone",),
     )
 
 

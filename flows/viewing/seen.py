@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -13,6 +14,7 @@ from flows.viewing.scene import Flat, Grid
 from flows.viewing.shelf import Shelf
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.spread import evenly_spread
@@ -34,7 +36,7 @@ class Seen:
     store: Store
     ref: ArtifactRef | None
     sequence_id: str
-    film: FilmReader | str | None = None
+    film: FilmReader | None = None
 
     @classmethod
     def of(cls, shelf: Shelf, sequence_id: str) -> Seen:
@@ -46,41 +48,44 @@ class Seen:
 
     @property
     def film_words(self) -> tuple[str, ...]:
-        """Why its film cannot be shown, where it has one."""
-        return (self.film,) if isinstance(self.film, str) else ()
+        """Why its film cannot be shown, once somebody has tried."""
+        return (self.film.trouble,) if self.film is not None and self.film.trouble else ()
 
     def image(self, frame: int) -> Callable[[], Array | None] | None:
         """Return what reads the image of a frame; None where there is no film."""
-        return partial(self.film.image, int(frame)) if isinstance(self.film, FilmReader) else None
+        return None if self.film is None else partial(self.film.image, int(frame))
 
     def film_of(self, frames: Integers) -> Callable[[int], Array | None] | None:
         """Return what reads the image of the nth of some frames; None where there is no film."""
         film = self.film
-        return (lambda number: film.image(int(frames[number]))) if isinstance(film, FilmReader) else None
+        return None if film is None else lambda number: film.image(int(frames[number]))
 
     def locate_camera(
         self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
     ) -> PinholeCamera | None:
-        """Return the camera that sees a reconstruction (frame, person, 22, 3) where its people were seen in 2D."""
+        """Return the camera that sees a reconstruction (frame, person, 22, 3) where its people were seen in 2D.
+
+        None where too little of them was seen.
+        """
         if self.ref is None:
             return None
-        flats = [(at, self.flats(int(grid.frames[at]), "")) for at in evenly_spread(len(grid.frames), _NUM_LOCATED)]
-        found = [(upright_m[at], flat[0]) for at, flat in flats if flat and len(flat[0].points_px) == len(grid.persons)]
-        points = np.array([body[:, LIMBS22] for body, _ in found]).reshape(-1, 3)
-        px = np.array([flat.points_px[:, LIMBS17] for _, flat in found]).reshape(-1, 2)
-        if not np.isfinite(px).any():
-            return None
-        size = found[0][1].size_px
-        focal_px = _lenses(self.store, self.ref)[self.sequence_id][2]
+        at, people = evenly_spread(len(grid.frames), _NUM_LOCATED), _people(self.store, self.ref)
+        nobody = np.full((PAIR17.num_joints, 2), np.nan)
+        seen = [people.get((self.sequence_id, int(frame)), {}) for frame in grid.frames[at]]
+        px = np.array([[one.get(int(who), nobody) for who in grid.persons] for one in seen])
+        width, height, focal_px = _lenses(self.store, self.ref)[self.sequence_id]
+        size = size_of(width, height, px)
         lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
-        return PinholeCamera.locate(
-            points,
-            px,
-            focal_px=lens_factor * lens.focal_px,
-            principal_point_px=np.array(lens.principal_point_px),
-            camera_from_world_rotmat=camera_from_upright,
-            image_size_px=size,
-        )
+        with suppress(InputError):
+            return PinholeCamera.locate(
+                upright_m[at][:, :, LIMBS22].reshape(-1, 3),
+                px[:, :, LIMBS17].reshape(-1, 2),
+                focal_px=lens_factor * lens.focal_px,
+                principal_point_px=np.array(lens.principal_point_px),
+                camera_from_world_rotmat=camera_from_upright,
+                image_size_px=size,
+            )
+        return None
 
     @property
     def camera(self) -> PinholeCamera | None:

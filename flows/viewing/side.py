@@ -81,7 +81,8 @@ class SidePicture:
     def __init__(self, gui: Any) -> None:
         self._handle = gui.add_image(flat_picture([]), label=None, visible=False)
         self._on_drag: Callable[[Dragged], None] | None = None
-        self._flats: Sequence[Flat] = ()
+        self.flats: Sequence[Flat] = ()
+        """2D poses whose joints a pointer finds: those of what is shown, also while the picture is not drawn yet."""
         self._held: tuple[int, int] | None = None
         self.chosen: tuple[int, int] | None = None
         """Person and joint that a click far from every joint places."""
@@ -98,9 +99,8 @@ class SidePicture:
         if self._handle.label != label:
             self._handle.label = label
 
-    def show(self, flats: Sequence[Flat]) -> None:
+    def draw(self, flats: Sequence[Flat]) -> None:
         """Draw 2D poses, or nothing where there are none."""
-        self._flats = flats
         if flats:
             self._handle.image = flat_picture(flats)
         if self._handle.visible is not bool(flats):
@@ -108,10 +108,10 @@ class SidePicture:
 
     def point(self, pointer: Pointer) -> None:
         """Take hold of the joint under a pointer, drag it, or let it go."""
-        if self._on_drag is None or not self._flats:
+        if self._on_drag is None or not self.flats:
             self._held = None
             return
-        flat, size = self._flats[0], picture_size(self._flats)
+        flat, size = self.flats[0], picture_size(self.flats)
         panel = Panel.of(flat, size)
         height, width = self._handle.image.shape[:2]
         placed = np.array([pointer.across * width, pointer.down * height])

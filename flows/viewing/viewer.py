@@ -144,6 +144,7 @@ class Viewer:
     def _show_scene(self, scene: Scene, row: int | None) -> None:
         with self.lock:
             self.scene: Scene = scene
+            self.side.flats = ()  # what it shows yet is of something else
             self.curation.begin()
             put = self.panel.put
             self.panel.set("item", self.listing.label(self.index))
@@ -315,7 +316,8 @@ class Viewer:
             scene, frame, moment, put = self.scene, self.frame, self.moment, self.panel.put
             time_s = "" if scene.rate_hz is None else f", {frame / scene.rate_hz:.2f} s"
             level = "" if scene.levels is None else f", {(PASSES, WARNS, FAILS)[scene.levels[frame]]}"
-            lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *scene.say(frame)]
+            said = scene.say(frame)
+            lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *said]
             lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
             if not scene.is_flat and put["marks"].value:
                 lines.append("{} contacts, {} penetrations".format(*self._num_marks))
@@ -325,13 +327,18 @@ class Viewer:
             self.curves.draw(frame)
             is_skipped = self.is_playing and scene.rate_hz is None
         flats = [] if is_skipped else self.flats()  # without the lock: a key need not wait for them
-        if scene is self.scene:
-            self.side.show(flats)
+        with self.lock:
+            if scene is not self.scene:
+                return
+            self.side.flats = flats
+        self.side.draw(flats)
         if scene.film is not None and scene.camera is not None:
             image = scene.film(frame) if put["film"].value else None
             with self.lock:
                 if scene is self.scene:
                     self.room.show_film(image)
+        if scene.say(frame) != said:  # of film it is known now why it cannot be read
+            self.look()
 
     def flats(self) -> list[Flat]:
         """Return the 2D pictures of this moment, with the 2D poses of the first as they were changed."""

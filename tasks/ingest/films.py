@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -25,6 +25,8 @@ _RUN_UP_S = (1.0, 8.0)
 """So long before a frame a film is sought, more where that is not enough: frames rest on others before them."""
 _SAME_S = 1e-6
 """Time stamps that differ less are of one frame."""
+_SAME_FRAME = 1e-3
+"""An image that comes so little after a frame, in frames, is shown by it: time stamps are rounded."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,31 @@ def is_film(path: Path) -> bool:
         return path.suffix.lower() in VIDEO_SUFFIXES
     suffixes = {item.suffix.lower() for item in path.iterdir()}
     return bool(suffixes & IMAGE_SUFFIXES) and not suffixes & VIDEO_SUFFIXES
+
+
+def is_video(files: tuple[SourceFile, ...]) -> bool:
+    """Tell whether a film is a video, and no images."""
+    return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
+
+
+def first_shown(times_s: npt.ArrayLike, rate_hz: float) -> npt.NDArray[np.int64]:
+    """Return the first frame that shows each image of a film of another rate, by the time stamps of the images.
+
+    Frame n is at n / rate_hz seconds and shows the last image that there is by then.
+
+    >>> first_shown([0.0, 0.05, 0.1, 0.35], 10.0).tolist()
+    [0, 1, 1, 4]
+    """
+    return np.ceil(np.asarray(times_s) * rate_hz - _SAME_FRAME).astype(np.int64)
+
+
+def image_at(shown: Sequence[int] | npt.NDArray[np.int64], frame: int) -> int:
+    """Return which image a frame shows, by the first frame that shows each; -1 before all.
+
+    >>> [image_at([0, 1, 1, 4], frame) for frame in range(-1, 5)]
+    [-1, 0, 2, 2, 2, 3]
+    """
+    return int(np.searchsorted(shown, frame, side="right")) - 1
 
 
 def open_film(path: Path) -> Film:
@@ -138,22 +165,18 @@ def read_film(
     Raises:
         InputError: The film cannot be opened, or the size of its images changes.
     """
-    is_video = _is_video(files)
-    frames = _read_video(Path(files[0].path), first, stop, after_s) if is_video else _read_images(files[first:stop])
+    is_one = is_video(files)
+    frames = _read_video(Path(files[0].path), first, stop, after_s) if is_one else _read_images(files[first:stop])
     size: tuple[int, ...] | None = None
     for number, frame in enumerate(frames, start=first):
         size = size or frame.image.shape[1::-1]
         if frame.image.shape[1::-1] != size:
             width, height = frame.image.shape[1::-1]
-            name = Path(files[0 if is_video else number].path).name
+            name = Path(files[0 if is_one else number].path).name
             raise InputError(
                 f"{name}: frame {number} is {width} x {height}, those before are {size[0]} x {size[1]} pixels"
             )
         yield frame
-
-
-def _is_video(files: tuple[SourceFile, ...]) -> bool:
-    return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
 
 
 def _read_video(path: Path, first: int, stop: int | None, after_s: float | None) -> Iterator[FilmFrame]:
@@ -233,7 +256,7 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
     if len(times) < 2:
         raise InputError(f"film {name} has {len(times)} frames that can be read; at least 2 are needed")
     rate_hz, is_constant, num_lost = None, True, 0
-    if _is_video(files):
+    if is_video(files):
         import cv2  # here: a quarter of a second that planning does not need
 
         capture = _opened(Path(files[0].path))

@@ -10,13 +10,12 @@ import numpy as np
 from flows.viewing.bodies import rgb
 from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
-from flows.viewing.shelf import figure_label
-from flows.viewing.side import PAPER, flat_picture
+from flows.viewing.side import INK, PAPER, flat_picture
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.evaluation.pictures import PERSON_COLOURS
+from pasdedeux.evaluation.shown_figures import figure_label
 
 _WIDTH = 640
-_INK = (60, 60, 60)
 
 
 class Curves:
@@ -89,5 +88,5 @@ def plot_curves(curves: Sequence[Array], frame: int) -> Any:
     at = round(across[min(frame, len(across) - 1)])
     cv2.line(image, [at, 0], [at, height], rgb(PERSON_COLOURS[0]), 2)
     for value, y in ((high, edge - 4), (low, height - 4)):
-        cv2.putText(image, f"{value:.3g}", (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
+        cv2.putText(image, f"{value:.3g}", (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, INK, 1, cv2.LINE_AA)
     return image

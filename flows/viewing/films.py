@@ -67,9 +67,14 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
     for one in ingest.get("videos", ()):
         places += [Path(one[name]) for name in ("path", "keys", "detections") if one.get(name)]
         places += [Path(find_network(network).path) for network in one.get("detect", ())]
+    return CorrectedShot(FilmParameters.model_validate(manifest.parameters), _find_files(manifest.files, places))
+
+
+def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tuple[SourceFile, ...]:
+    """Return the files of these names and digests, which are where one of these places is."""
     folders = dict.fromkeys(place if place.is_dir() else place.parent for place in places)
     files = []
-    for name, digest in manifest.files:
+    for name, digest in names:
         found = (folder / name for folder in folders if (folder / name).is_file())
         path = next((path for path in found if _digest(path) == digest), None)
         if path is None:
@@ -77,15 +82,7 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
                 f"{name}, which these 2D poses are from, is not where the study says, or has changed since"
             )
         files.append(SourceFile(path=str(path), sha256=digest))
-    return CorrectedShot(FilmParameters.model_validate(manifest.parameters), tuple(files))
-
-
-def _find_files(names: Sequence[tuple[str, str]], paths: Sequence[Path]) -> tuple[SourceFile, ...]:
-    for path in paths:
-        folder = path if path.is_dir() else path.parent
-        if all((folder / name).is_file() and _digest(folder / name) == digest for name, digest in names):
-            return tuple(SourceFile(path=str(folder / name), sha256=sha) for name, sha in names)
-    raise InputError(f"its film {names[0][0]} is not where the study says, or has changed since")
+    return tuple(files)
 
 
 @cache  # the shots of a film are each an artifact of all of its images

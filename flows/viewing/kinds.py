@@ -12,10 +12,11 @@ import numpy as np
 
 from flows.viewing.scene import Flat, Grid, People, Scene
 from flows.viewing.seen import LIMBS22, Seen, size_of
-from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf, plain
+from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.retrieval import nearest_images
+from pasdedeux.evaluation.shown_figures import plain
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
@@ -90,6 +91,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     shown = grid.fill(data["body22_m"])
     matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
     seen = Seen.of(shelf, sequence_id)
+    film = seen.film
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
     manifest = store.manifest(item.pieces[0][0])
     facts = MotionFacts.of(manifest)
@@ -112,7 +114,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind=None if truth is None else People(BODY22, truth),
         behind_name="as captured",
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
-        film=seen.film_of(grid.frames),
+        film=None if film is None else lambda frame: film.image(int(grid.frames[frame])),
         numbers=grid.frames,
         curves=curves,
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}", *seen.film_words],

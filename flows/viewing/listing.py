@@ -10,7 +10,8 @@ import numpy as np
 from flows.viewing.curating import Curation
 from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel
-from flows.viewing.shelf import GROUPS, Item, Part, Shelf, figure_label, figure_words
+from flows.viewing.shelf import GROUPS, Item, Part, Shelf
+from pasdedeux.evaluation.shown_figures import figure_label, figure_words
 from pasdedeux.verdict import Level
 from tasks.curation import UNDECIDED
 

@@ -55,11 +55,6 @@ class Seen:
         """Return what reads the image of a frame; None where there is no film."""
         return None if self.film is None else partial(self.film.image, int(frame))
 
-    def film_of(self, frames: Integers) -> Callable[[int], Array | None] | None:
-        """Return what reads the image of the nth of some frames; None where there is no film."""
-        film = self.film
-        return None if film is None else lambda number: film.image(int(frames[number]))
-
     def locate_camera(
         self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
     ) -> PinholeCamera | None:

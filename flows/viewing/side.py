@@ -20,7 +20,7 @@ from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
 DRAG_LABEL = "2D: drag a joint"
 """What stands over the picture while joints can be dragged; the script in the page knows the picture by it."""
 PAPER = 250
-_INK = (60, 60, 60)
+INK = (60, 60, 60)
 _SIZE, _IMAGE_SIZE, _SMALL_SIZE = (640, 480), (960, 720), (320, 240)
 """Largest panel of 2D poses alone, of an image, and of one of several."""
 _TITLE_PX = 20
@@ -180,5 +180,5 @@ def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
                 cv2.line(image, start, end, (shade * colour).tolist(), thick, cv2.LINE_AA, 3)
     font = 0.55 if size == _SMALL_SIZE else 0.6
     title = flat.title[: int(0.06 * size[0] / font)]
-    cv2.putText(image, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, _INK, 1, cv2.LINE_AA)
+    cv2.putText(image, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, INK, 1, cv2.LINE_AA)
     return image

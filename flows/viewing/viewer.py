@@ -24,10 +24,11 @@ from flows.viewing.room import COMPARE, Room
 from flows.viewing.scales import Scales
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, figure_words, moment_in
+from flows.viewing.shelf import Item, Part, Shelf, moment_in
 from flows.viewing.side import Pointer, SidePicture
 from pasdedeux.arrays import Array
 from pasdedeux.errors import PasdedeuxError
+from pasdedeux.evaluation.shown_figures import figure_words
 from pasdedeux.skeletons import PAIR17
 from storage_schema import StorageError
 from tasks.curation import CLIPPED, Choosing, Decision

@@ -494,7 +494,9 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
         film = find_film(manifest, sections)  # type: ignore[arg-type]
         assert film is not None
         assert film.image(0) is None
-        assert film.trouble == "its film grey.avi is not where the study says, or has changed since"
+        assert (
+            film.trouble == "grey.avi, which these 2D poses are from, is not where the study says, or has changed since"
+        )
 
 
 def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from tasks.ingest.cameras import find_cameras, read_header, video_beside
 from tasks.ingest.detector_files import find_network
-from tasks.ingest.films import FilmFrame, digest_of, first_shown, image_at, is_video, read_film
+from tasks.ingest.films import FilmFrame, digest_of, first_shown, image_at, read_film
 from tasks.ingest.shard_parameters import FilmParameters
 from tasks.ingest.shots import CorrectedShot
 from tasks.stage import SourceFile
@@ -110,12 +110,12 @@ class FilmReader:
     trouble: str = field(default="", init=False)
     """Why it cannot be read, once somebody has tried."""
     _kept: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
-    _times_s: list[float] = field(default_factory=list, init=False, repr=False)
-    """Time stamps of the images from the first one on, as far as somebody has read."""
+    _times_s: dict[int, float] = field(default_factory=dict, init=False, repr=False)
+    """Time stamps of images that were read, by their number from the first frame on."""
     _shown: list[int] = field(default_factory=list, init=False, repr=False)
     _frames: Iterator[FilmFrame] = field(default_factory=lambda: iter(()), init=False, repr=False)
     _next: int = field(default=_NOWHERE, init=False, repr=False)
-    """The next image of `_frames`, counted as time stamps are."""
+    """Number of the next image of `_frames`."""
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
 
     def image(self, number: int) -> Array | None:
@@ -138,11 +138,11 @@ class FilmReader:
         at, is_sure = self._place(number)
         if is_sure and at in self._kept:
             return at
-        wanted = at if is_sure else len(self._times_s)
+        wanted = at if is_sure else len(self._shown)
         if not self._next <= wanted < self._next + _NUM_KEPT:
             self._seek(max(wanted - _NUM_BEFORE, 0))
         while not (is_sure and at < self._next):
-            if not self._read_next(wanted - _NUM_BEFORE):
+            if not self._read_next():
                 return at if is_sure or self._shown[-1:] == [number] else _NOWHERE
             at, is_sure = self._place(number)
         return at
@@ -155,32 +155,31 @@ class FilmReader:
         return at, at + 1 < len(self._shown)
 
     def _seek(self, begin: int) -> None:
-        """Go on from an image, or from the first one whose time stamp is not known; images need none."""
-        files = self.find()
-        if is_video(files):
-            begin = min(begin, len(self._times_s))
-        before_s = np.array(self._times_s[:begin])
-        after_s = self.after_s if not begin else before_s[-1] if (np.diff(before_s) > 0).all() else None
-        self._frames, self._next = read_film(files, self.first_frame + begin, after_s=after_s), begin
+        """Go on from an image; the last one before it whose time stamp is known is sought."""
+        known = sorted(at for at in self._times_s if at < begin)
+        times_s = [self._times_s[at] for at in known]
+        is_told = bool(known) and (np.diff(times_s) > 0).all()
+        sought, after_s = (known[-1] + 1, times_s[-1]) if is_told else (0, self.after_s)
+        first = self.first_frame
+        self._frames = read_film(self.find(), first + begin, after_s=after_s, sought=first + sought)
+        self._next = begin
 
-    def _read_next(self, first_kept: int) -> bool:
-        """Read one more image, and keep it from one on; tells whether there was one."""
+    def _read_next(self) -> bool:
+        """Read and keep one more image; tells whether there was one."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         frame = next(self._frames, None)
         if frame is None:
             self._next = _NOWHERE
             return False
-        if self._next == len(self._times_s):
-            self._times_s.append(frame.time_s)
-            if self.rate_hz is not None:
-                self._shown.append(int(first_shown(frame.time_s, self.rate_hz)))
-        if self._next >= first_kept:
-            scale = min(1.0, _LARGEST_PX / max(frame.image.shape[:2]))
-            size = [max(1, round(scale * one)) for one in frame.image.shape[1::-1]]
-            small = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
-            self._kept[self._next] = np.asarray(cv2.imencode(".jpg", small)[1])
-            for old in list(self._kept)[:-_NUM_KEPT]:
-                del self._kept[old]
+        self._times_s[self._next] = frame.time_s
+        if self.rate_hz is not None and self._next == len(self._shown):
+            self._shown.append(int(first_shown(frame.time_s, self.rate_hz)))
+        scale = min(1.0, _LARGEST_PX / max(frame.image.shape[:2]))
+        size = [max(1, round(scale * one)) for one in frame.image.shape[1::-1]]
+        small = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
+        self._kept[self._next] = np.asarray(cv2.imencode(".jpg", small)[1])
+        for old in list(self._kept)[:-_NUM_KEPT]:
+            del self._kept[old]
         self._next += 1
         return True

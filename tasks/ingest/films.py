@@ -83,11 +83,6 @@ def is_film(path: Path) -> bool:
     return bool(suffixes & IMAGE_SUFFIXES) and not suffixes & VIDEO_SUFFIXES
 
 
-def is_video(files: tuple[SourceFile, ...]) -> bool:
-    """Tell whether a film is a video, and no images."""
-    return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
-
-
 def first_shown(times_s: npt.ArrayLike, rate_hz: float) -> npt.NDArray[np.int64]:
     """Return the first frame that shows each image of a film of another rate, by the time stamps of the images.
 
@@ -152,7 +147,12 @@ def digest_of(path: Path) -> str:
 
 
 def read_film(
-    files: tuple[SourceFile, ...], first: int = 0, stop: int | None = None, *, after_s: float | None = None
+    files: tuple[SourceFile, ...],
+    first: int = 0,
+    stop: int | None = None,
+    *,
+    after_s: float | None = None,
+    sought: int | None = None,
 ) -> Iterator[FilmFrame]:
     """Yield the frames of a film from one on, up to another.
 
@@ -160,27 +160,36 @@ def read_film(
         files: The film, or its images.
         first: First frame.
         stop: Frame after the last one; None: to the end.
-        after_s: Time stamp of the frame before the first, after which it is sought; None: all before are decoded.
+        after_s: Time stamp of the frame before the one that is sought; None: all before the first are decoded.
+        sought: Frame that is sought, from which those before the first are decoded; None: the first.
 
     Raises:
         InputError: The film cannot be opened, or the size of its images changes.
     """
-    is_one = is_video(files)
-    frames = _read_video(Path(files[0].path), first, stop, after_s) if is_one else _read_images(files[first:stop])
+    is_video = _is_video(files)
+    frames = (
+        _read_video(Path(files[0].path), first, stop, after_s, sought) if is_video else _read_images(files[first:stop])
+    )
     size: tuple[int, ...] | None = None
     for number, frame in enumerate(frames, start=first):
         size = size or frame.image.shape[1::-1]
         if frame.image.shape[1::-1] != size:
             width, height = frame.image.shape[1::-1]
-            name = Path(files[0 if is_one else number].path).name
+            name = Path(files[0 if is_video else number].path).name
             raise InputError(
                 f"{name}: frame {number} is {width} x {height}, those before are {size[0]} x {size[1]} pixels"
             )
         yield frame
 
 
-def _read_video(path: Path, first: int, stop: int | None, after_s: float | None) -> Iterator[FilmFrame]:
-    capture, number = _opened_after(path, first, after_s)
+def _is_video(files: tuple[SourceFile, ...]) -> bool:
+    return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
+
+
+def _read_video(
+    path: Path, first: int, stop: int | None, after_s: float | None, sought: int | None
+) -> Iterator[FilmFrame]:
+    capture, number = _opened_after(path, first if sought is None else sought, after_s)
     try:
         while (stop is None or number < stop) and capture.grab():
             if number >= first:
@@ -256,7 +265,7 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
     if len(times) < 2:
         raise InputError(f"film {name} has {len(times)} frames that can be read; at least 2 are needed")
     rate_hz, is_constant, num_lost = None, True, 0
-    if is_video(files):
+    if _is_video(files):
         import cv2  # here: a quarter of a second that planning does not need
 
         capture = _opened(Path(files[0].path))

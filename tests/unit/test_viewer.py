@@ -444,21 +444,21 @@ def test_a_shot_is_sought_where_it_begins_and_images_that_were_seen_where_they_a
 ) -> None:
     monkeypatch.setattr("flows.viewing.films._NUM_KEPT", 8)
     monkeypatch.setattr("flows.viewing.films._NUM_BEFORE", 4)
-    sought: list[tuple[int, float | None]] = []
+    found: list[tuple[int, int, float | None]] = []
 
-    def read(files: tuple[SourceFile, ...], first: int, after_s: float | None) -> Iterator[FilmFrame]:
-        sought.append((first, after_s))
-        return read_film(files, first, after_s=after_s)
+    def read(files: tuple[SourceFile, ...], first: int, after_s: float | None, sought: int) -> Iterator[FilmFrame]:
+        found.append((first, sought, after_s))
+        return read_film(files, first, after_s=after_s, sought=sought)
 
     monkeypatch.setattr("flows.viewing.films.read_film", read)
     path = grey_film(tmp_path / "grey.mp4", 40)
     times_s = open_film(path).times_s
     film = reader(path, first_frame=10, after_s=times_s[9])
-    for number in (35, 20, 12):
+    for number in (20, 35, 12):
         image = film.image(number)
         assert image is not None
         assert abs(float(image.mean()) - 6 * number) < 3.0, number
-    assert sought == [(10, times_s[9]), (16, times_s[15]), (10, times_s[9])]
+    assert found == [(16, 10, times_s[9]), (31, 21, times_s[20]), (10, 10, times_s[9])]
 
 
 def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_overlay(tmp_path: Path) -> None:

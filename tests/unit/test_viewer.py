@@ -26,7 +26,7 @@ from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
 from flows.viewing.kinds import KINDS
 from flows.viewing.listing import qualities
-from flows.viewing.saving import encode, encode_clip, save_clip
+from flows.viewing.saving import encode, encode_clip, offer_saving, save_clip
 from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.seen import LIMBS17, LIMBS22, Seen
 from flows.viewing.shelf import Part, Shelf, moment_reference, open_shelf
@@ -614,6 +614,17 @@ def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> Non
     step = max(1, round((viewer.scene.rate_hz or 0.0) / 10.0))
     assert found
     assert len(clip.frames) == len(range(5, viewer.scene.num_frames, step))
+
+
+def test_one_button_saves_a_picture_and_the_other_a_clip(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed: dict[str, Callable[[SimpleNamespace], None]] = {}
+    monkeypatch.setattr(viewer.panel, "button", lambda label, action, is_alone: pressed.update({label: action}))
+    offer_saving(viewer)
+    viewer.seek(viewer.scene.num_frames - 2)
+    browser = Browser()
+    for label in ("Save picture", "Save clip"):
+        pressed[label](SimpleNamespace(client=browser))
+    assert [name.rpartition(".")[2] for name in browser.downloads] == ["png", "webp"]
 
 
 def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer: Viewer) -> None:

@@ -92,11 +92,6 @@ class Choice:
         return f"{self.decision}ed{f': {self.reason}' if self.reason else ''}"
 
     @property
-    def frames(self) -> tuple[int, int]:
-        """Return first and last frame of a clip; (0, 0) of what is none."""
-        return clip_of(self.name)[1] or (0, 0)
-
-    @property
     def line(self) -> str:
         """Return it as a line of the file."""
         return " ".join(f"{self.decision} {self.about} {self.content} {self.reason}".split())
@@ -243,6 +238,34 @@ def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
     return np.asarray((names == whole) & (frame >= clip[0]) & (frame <= clip[1]))
 
 
+def thing_at(data: TableData, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
+    """Return name and content of what is accepted or rejected at a row.
+
+    Args:
+        data: Rows with the columns that `content_columns` names: all of the thing, and perhaps more.
+        row: One of them.
+        clip: Only from this frame to that one.
+
+    Raises:
+        InputError: Clips of this table cannot be chosen, or the thing has no such frames.
+    """
+    names = names_of(data)
+    name = str(names[row])
+    if clip is not None:
+        refuse_clips(data.table.name)
+        there = int(data["frame"].min()), int(data["frame"].max())
+        if not there[0] <= clip[0] <= clip[1] <= there[1]:
+            raise InputError(f"{name} has the frames {there[0]} to {there[1]}; there is no clip {clip[0]}-{clip[1]}")
+        name = clip_name(name, *clip)
+    return name, content_of(data[POSITIONS[data.table.name]][rows_of(data, name, names)])
+
+
+def refuse_clips(table: str) -> None:
+    """Raise an InputError where clips of a table cannot be chosen."""
+    if table not in CLIPPED:
+        raise InputError(f"clips are chosen of {', '.join(CLIPPED)}, not of {table}")
+
+
 def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) -> Collection[str]:
     """Return the names of what is rejected and has the content that was looked at.
 
@@ -300,10 +323,11 @@ class Choosing:
         """Return what was chosen, whatever the content was."""
         return read_choices(self.path).get(f"{table} {name}")
 
-    def clips(self, table: str, name: str) -> list[Choice]:
-        """Return what was chosen of clips of a thing, in order."""
-        found = [one for one in read_choices(self.path).values() if (one.table, clip_of(one.name)[0]) == (table, name)]
-        return sorted((one for one in found if one.name != name), key=lambda one: one.frames)
+    def clips(self, table: str, name: str) -> dict[tuple[int, int], Choice]:
+        """Return what was chosen of clips of a thing, by first and last frame, in order; nothing where none can be."""
+        chosen = (one for one in read_choices(self.path).values() if one.table == table and table in CLIPPED)
+        found = {clip_of(one.name): one for one in chosen}
+        return dict(sorted((frames, one) for (whole, frames), one in found.items() if whole == name and frames))
 
     def words(self, table: str, name: str, content: str) -> str:
         """Return what was chosen in words, and whether it was of this content."""

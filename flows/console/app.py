@@ -70,7 +70,7 @@ COMMANDS = {
     ),
     "gc": Command("stores", "Delete what nothing needs from a store; without --yes only list it."),
     "doctor": Command("this_machine", "Check the installation; exit code 1 if something is missing."),
-    "bench": Command("this_machine", "Measure kernels and whole commands here, each relative to a plain form."),
+    "bench": Command("this_machine", "Measure kernels, or whole commands, here, each relative to a plain form."),
     "view": Command("view", "Look at takes, draws, pairs, reconstructions and variants in a browser."),
     "dataset": Command("datasets", "Named, immutable versions of what was built."),
     "fetch": Command("fetch", "Download freely available motion capture."),

@@ -22,12 +22,25 @@ from storage_schema.store import ArtifactFields
 _NUM_ARTIFACTS = 2_000
 
 
+class CommandFailedError(Exception):
+    """A command that is measured failed; the message is one sentence, with what the command said last."""
+
+
 def _run_s(workers: int) -> tuple[float, float]:
-    """Return what `pasdedeux run duets` takes into a new store by the clock, and of processor time, seconds."""
+    """Return what `pasdedeux run duets` takes into a new store by the clock, and of processor time, seconds.
+
+    Raises:
+        CommandFailedError: It ended with another exit code than 0.
+    """
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "flows.console", "run", "duets", "--store", folder, "--workers", str(workers)]
         before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        if done.returncode:
+            said = next(reversed(done.stderr.strip().splitlines()), f"exit code {done.returncode}")
+            raise CommandFailedError(
+                f"`pasdedeux run duets --workers {workers}` failed: {said.removeprefix('error: ')}"
+            )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         return time.perf_counter() - started, spent

@@ -38,7 +38,7 @@ def curate(
     and the reason.  Name it in a study (`[curation] file`): exports, training and published datasets then leave out
     what is rejected, as long as its content is the same.  `export --curation FILE` heeds it without a study.
     """
-    from flows.viewing.kinds import thing_of
+    from flows.viewing.curating import thing_of
     from flows.viewing.shelf import open_shelf
     from pasdedeux.errors import InputError
     from storage_schema import parse_reference

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer import Option
@@ -29,15 +29,23 @@ from tasks.summary import stage_verdict
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Show what is in a store: the studies built in it, their verdicts, its runs and its size."""
     opened = open_store(store)
-    described, lasts, found = describe_store(opened)
-    answer(described, _status_lines(opened, described, lasts, found), as_json=as_json)
+    found = describe_store(opened)
+    answer(found.described, _status_lines(opened, found), as_json=as_json)
 
 
-def describe_store(store: Store) -> tuple[dict[str, Any], list[LatestRun], dict[str, dict[str, list[Manifest]]]]:
-    """Return what `status` says of a store as JSON values, the last run of each study, and what is there of it."""
+class Described(NamedTuple):
+    """What `status` says of a store as JSON values, the last run of each study, and what is there of it by stage."""
+
+    described: dict[str, Any]
+    lasts: list[LatestRun]
+    manifests: dict[str, dict[str, list[Manifest]]]
+
+
+def describe_store(store: Store) -> Described:
+    """Return what `status` says of a store."""
     lasts = [last for name in latest_studies(store) if (last := read_last_run(store, name)) is not None]
     found = {last.study: last_manifests(store, last) for last in lasts}
-    return _describe(store, lasts, found), lasts, found
+    return Described(_describe(store, lasts, found), lasts, found)
 
 
 @app.command()
@@ -60,21 +68,17 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         raise typer.Exit(1)
 
 
-def _status_lines(
-    store: Store,
-    described: Mapping[str, Any],
-    lasts: Sequence[LatestRun],
-    found: Mapping[str, Mapping[str, Sequence[Manifest]]],
-) -> Iterator[str]:
-    if not lasts:
+def _status_lines(store: Store, found: Described) -> Iterator[str]:
+    if not found.lasts:
         yield f"store {store}: no study was built in it yet"
-    for last, study in zip(lasts, described["studies"], strict=True):
+    for last, study in zip(found.lasts, found.described["studies"], strict=True):
         yield f"study {study['study']}, last run {study['run_id']}"
         rows = [(f"  {s['stage']}", s["num_shards"], s["num_there"], _size(s["bytes"])) for s in study["stages"]]
         yield from format_table(("  stage", "shards", "there", "size"), rows)
-        for line in (*_missing_lines(store, last, found[last.study]), *manifest_lines(found[last.study])):
+        manifests = found.manifests[last.study]
+        for line in (*_missing_lines(store, last, manifests), *manifest_lines(manifests)):
             yield f"  {line}"
-    yield from (f"run {record['run_id']}: {record['status']}" for record in described["runs"][-5:])
+    yield from (f"run {record['run_id']}: {record['status']}" for record in found.described["runs"][-5:])
 
 
 def _missing_lines(store: Store, last: LatestRun, found: Mapping[str, Sequence[Manifest]]) -> list[str]:

@@ -27,6 +27,8 @@ from tasks.shards import ClusterError, ClusterSettings, connect, worker_environm
 
 _MIN_MEMORY_BYTES = 2 * GIB
 _MIN_DISK_BYTES = GIB
+_COMMANDS = "commands"
+"""Benchmarks of whole commands: they run for minutes, so only where they are named."""
 
 
 class _BadError(Exception):
@@ -103,20 +105,27 @@ def _check_dask() -> str:
 
 @app.command()
 def bench(
-    stage: Annotated[str | None, Argument(metavar="[STAGE]", help="One stage, or commands; default: all.")] = None,
+    stage: Annotated[
+        str | None, Argument(metavar="[STAGE]", help="One stage, or commands; default: all stages.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure kernels and whole commands here, each relative to a plain form."""
+    """Measure kernels, or whole commands, here, each relative to a plain form.
+
+    \b
+      pasdedeux bench              kernels of all stages
+      pasdedeux bench chains       of one stage
+      pasdedeux bench commands     `status`, and the demo, which is built three times: only when named
+    """
     os.environ.update(worker_environment())
     found = find_benchmarks()
     if stage is not None and stage not in found:
         raise PlanError(f"there are no benchmarks for '{stage}'; there are for: {', '.join(found)}")
     results: list[tuple[str, BenchmarkResult]] = []
-    for name, functions in found.items():
-        if stage in (None, name):
-            for label, function in functions.items():
-                typer.echo(f"measuring {name}: {label}", err=True)
-                results.append((name, function()))
+    for name in [one for one in found if one != _COMMANDS] if stage is None else [stage]:
+        for label, function in found[name].items():
+            typer.echo(f"measuring {name}: {label}", err=True)
+            results.append((name, function()))
     described = [{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results]
     rows = [(r.name, _rate(r.fast_per_s), _rate(r.plain_per_s), f"{r.unit}/s", f"x {r.ratio:.1f}") for _, r in results]
     lines = format_table(("benchmark", "fast", "plain", "", "ratio"), rows)
@@ -130,7 +139,7 @@ def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
     """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands."""
     names = [module.name for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__)]
     modules = {name: importlib.import_module(f"pasdedeux.benchmarks.{name}") for name in names}
-    modules["commands"] = importlib.import_module("flows.console.command_benchmarks")
+    modules[_COMMANDS] = importlib.import_module("flows.console.command_benchmarks")
     return {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}
 
 

@@ -291,7 +291,10 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
 
 def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[Any, ...]]:
-    """Yield video and method, rows that are kept, and where it is cut, as frames between are left out, the part's."""
+    """Yield video and method, rows that are kept, and where it is cut, as frames between are left out, the part's.
+
+    A single frame is no motion and is left out.
+    """
     is_kept = np.isin(np.arange(rows.num_rows), rows_without(rows, left_out))
     for key, own in groups(rows, "sequence_id", "method"):
         frames = np.unique(rows["frame"][own[is_kept[own]]])

@@ -15,7 +15,7 @@ from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, named
 from storage_schema import Store
 from tasks.facts import PeopleFacts
-from tasks.ingest.films import open_film
+from tasks.ingest.films import first_shown, image_at, open_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))
@@ -142,13 +142,13 @@ class Footage:
         self._name, count = path.name, self._film.num_frames
         # The first frame that each image shows.
         own = self._film.first_number + np.arange(count)
-        self._shown = own if rate_hz is None else np.ceil(np.array(self._film.times_s) * rate_hz - 1e-3).astype(int)
+        self._shown = own if rate_hz is None else first_shown(self._film.times_s, rate_hz)
         self._at = count
         self._image: Any = None
 
     def __call__(self, frame: int) -> Any:
         """Return the image of a frame; an InputError says that there is none."""
-        wanted = int(np.searchsorted(self._shown, frame, side="right")) - 1
+        wanted = image_at(self._shown, frame)
         if wanted < 0 or frame > self._shown[-1]:
             raise InputError(f"footage {self._name} has no frame {frame}: it is not the video of these annotations")
         if not self._at <= wanted < self._at + _FAR:

@@ -65,15 +65,15 @@ class Editor:
             "/hand", scale=0.3, disable_rotations=True, depth_test=False, visible=False
         )
         self._hand.on_update(
-            viewer.safely(lambda event: self.drag(np.array(self._hand.position), is_last=event.phase == "end"))
+            viewer.panel.safely(lambda event: self.drag(np.array(self._hand.position), is_last=event.phase == "end"))
         )
-        self._next.on_click(viewer.safely(lambda _: self.next_to_correct()))
-        self._is_on.on_update(viewer.safely(lambda _: self._begin()))
+        self._next.on_click(viewer.panel.safely(lambda _: self.next_to_correct()))
+        self._is_on.on_update(viewer.panel.safely(lambda _: self._begin()))
         for handle in (self._person, self._joint):
-            handle.on_update(viewer.safely(lambda _: self.show_hand()))
-        self._save.on_click(viewer.safely(lambda _: viewer.tell(f"saved: {self.save()}")))
-        self._lift.on_click(viewer.safely(lambda _: self.lift()))
-        self._restart.on_click(viewer.safely(lambda _: self.restart()))
+            handle.on_update(viewer.panel.safely(lambda _: self.show_hand()))
+        self._save.on_click(viewer.panel.safely(lambda _: viewer.panel.tell(f"saved: {self.save()}")))
+        self._lift.on_click(viewer.panel.safely(lambda _: self.lift()))
+        self._restart.on_click(viewer.panel.safely(lambda _: self.restart()))
         viewer.on_moment.append(self.show_hand)
         self.show_hand()
 
@@ -87,7 +87,7 @@ class Editor:
         viewer = self.viewer
         viewer.wants_flat = bool(self._is_on.value)
         if viewer.scene.flat is not None:
-            viewer.show_item(viewer.index, viewer.scene.row_of(viewer.frame))
+            viewer.show_item(viewer.index, viewer.moment.row)
         self.show_hand()
 
     def show_hand(self) -> None:
@@ -162,14 +162,14 @@ class Editor:
         if ref is None or viewer.pose is None:
             return
         shot, (person, joint) = self._tracked(ref), self._place
-        row = viewer.scene.row_of(viewer.frame)
+        row = viewer.moment.row
         data = viewer.item.read(viewer.shelf.store, "annotations", ["frame", "person_id"])
         frame = shot.film_frame(int(data["frame"][row]))
         name, person_id = PAIR17.joint_names[joint], int(np.unique(data["person_id"])[person])
         shot.correct(frame, person_id, name, self.image_px()[person, joint])
         viewer.shelf.corrected[ref] = shot.changes_px()
         viewer.show_item(viewer.index, row)
-        viewer.tell(f"{name} of {_PERSONS[person]} is annotated in frame {frame} of the film; its track follows")
+        viewer.panel.tell(f"{name} of {_PERSONS[person]} is annotated in frame {frame} of the film; its track follows")
 
     def next_to_correct(self) -> None:
         """Go to the next of the frames of film whose correction helps most."""
@@ -180,13 +180,13 @@ class Editor:
         numbers = np.unique(viewer.item.read(viewer.shelf.store, "annotations", ["frame"])["frame"])
         at = sorted(int(one) for one in np.searchsorted(numbers, wanted) if one < len(numbers))
         if not at:
-            viewer.tell("tracks from both sides agree everywhere: there is nothing to correct")
+            viewer.panel.tell("tracks from both sides agree everywhere: there is nothing to correct")
             return
         viewer.seek(next((one for one in at if one > viewer.frame), at[0]))
-        viewer.tell(f"frames to correct, those first that help most: {' '.join(map(str, wanted))}")
+        viewer.panel.tell(f"frames to correct, those first that help most: {' '.join(map(str, wanted))}")
 
     def _tracked(self, ref: ArtifactRef) -> CorrectedShot:
-        self.viewer.tell("tracking the joints of this shot, once")
+        self.viewer.panel.tell("tracking the joints of this shot, once")
         return self.viewer.shelf.shot(ref)
 
     def show_limits(self) -> None:
@@ -209,7 +209,7 @@ class Editor:
             path = self._save_image()
         else:
             viewer = self.viewer
-            ref, row = viewer.item.row(viewer.scene.row_of(viewer.frame))
+            ref, row = viewer.item.row(viewer.moment.row)
             found = pair_in_store(viewer.shelf.store, viewer.part.table, ref, row)
             is_changed = viewer.pose is not None
             said = f"{found.made_from}{', joints moved by hand' if is_changed else ''}"
@@ -231,7 +231,7 @@ class Editor:
         viewer = self.viewer
         if self.process is not None and self.process.poll() is None:
             raise InputError("a restart is running; wait for its end")
-        ref, row = viewer.item.row(viewer.scene.row_of(viewer.frame))
+        ref, row = viewer.item.row(viewer.moment.row)
         seed = self.save()
         words = ["restart", f"draws@{ref.content_digest[:16]}#{row}", "--edited", str(seed)]
         words += ["--store", str(viewer.shelf.store)]
@@ -269,7 +269,7 @@ class Editor:
             new = [Part("draws", name, tuple(refs)) for name, refs in found.items()]
             if set(new) - set(viewer.shelf.parts):
                 viewer.shelf.parts = [one for one in viewer.shelf.parts if one.name not in found] + new
-                viewer.parts_changed()
+                viewer.offer_parts()
 
     # 2D poses.
 
@@ -277,12 +277,12 @@ class Editor:
         """Lift the 2D poses of this frame again, as they are now, and show them with the pair of before."""
         viewer, shelf = self.viewer, self.viewer.shelf
         if viewer.scene.flat is None:
-            viewer.show_item(viewer.index, viewer.scene.row_of(viewer.frame))
+            viewer.show_item(viewer.index, viewer.moment.row)
             return
         viewer.wants_flat = True
         if viewer.scene.people is not viewer.scene.flat:
-            viewer.show_item(viewer.index, viewer.scene.row_of(viewer.frame))
-        row = viewer.scene.row_of(viewer.frame)
+            viewer.show_item(viewer.index, viewer.moment.row)
+        row = viewer.moment.row
         ref, _ = viewer.item.row(row)
         views = [one for one in shelf.having("views") if ref in shelf.store.manifest(one).inputs]
         if not views:
@@ -293,7 +293,7 @@ class Editor:
         before, after = lift_again(shelf.store, ref, views[0], at_hand, moment, self.image_px())
         viewer.show_beside(after, before)
         moved = 100.0 * float(np.linalg.norm(after - before, axis=-1).mean())
-        viewer.tell(f"lifted again: joints moved {moved:.1f} cm on average; grey is the pair of before")
+        viewer.panel.tell(f"lifted again: joints moved {moved:.1f} cm on average; grey is the pair of before")
 
     def image_px(self) -> Array:
         """Return the 2D poses as they are now (person, joint, 2), pixels."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from tasks.ingest.cameras import find_cameras, read_header, video_beside
 from tasks.ingest.detector_files import find_network
-from tasks.ingest.films import FilmFrame, digest_of, read_film
+from tasks.ingest.films import FilmFrame, digest_of, first_shown, image_at, read_film
 from tasks.ingest.shard_parameters import FilmParameters
 from tasks.ingest.shots import CorrectedShot
 from tasks.stage import SourceFile
@@ -29,8 +29,8 @@ _NUM_BEFORE = 30
 """Images read before the one that is looked for, so that steps back find theirs."""
 
 
-def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | str | None:
-    """Return the film of an artifact of 2D poses, why it cannot be shown, or None where there is none.
+def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | None:
+    """Return the film of an artifact of 2D poses, which is looked for when it is read; None where there is none.
 
     Args:
         manifest: The artifact.
@@ -39,7 +39,9 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | str
     told = manifest.parameters
     if "num_given" in told:
         names = manifest.files[told["num_given"] + told["num_networks"] :]
-        return _film_of_study(manifest, names, [Path(one["path"]) for one in ingest.get("videos", ())])
+        find = partial(_find_files, names, [Path(one["path"]) for one in ingest.get("videos", ())])
+        rate_hz = None if told["is_constant_rate"] else told["video_rate_hz"]
+        return FilmReader(cache(find), told["first_number"], told["first_frame"], told.get("after_s"), rate_hz)
     for source in ingest.get("annotations", ()):
         path = Path(source["path"])
         try:
@@ -51,7 +53,7 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | str
             if name == told.get("id") and (video := video_beside(path, camera)) is not None:
                 header, size = read_header(video), told.get("video_size_px")
                 if [*(header.image_size_px or ())] == [*(size or ())]:
-                    return FilmReader((SourceFile(path=str(video), sha256=""),), 0, 0, None)
+                    return FilmReader(partial(tuple, [SourceFile(path=str(video), sha256="")]))
     return None
 
 
@@ -65,9 +67,14 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
     for one in ingest.get("videos", ()):
         places += [Path(one[name]) for name in ("path", "keys", "detections") if one.get(name)]
         places += [Path(find_network(network).path) for network in one.get("detect", ())]
+    return CorrectedShot(FilmParameters.model_validate(manifest.parameters), _find_files(manifest.files, places))
+
+
+def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tuple[SourceFile, ...]:
+    """Return the files of these names and digests, which are where one of these places is."""
     folders = dict.fromkeys(place if place.is_dir() else place.parent for place in places)
     files = []
-    for name, digest in manifest.files:
+    for name, digest in names:
         found = (folder / name for folder in folders if (folder / name).is_file())
         path = next((path for path in found if _digest(path) == digest), None)
         if path is None:
@@ -75,18 +82,7 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
                 f"{name}, which these 2D poses are from, is not where the study says, or has changed since"
             )
         files.append(SourceFile(path=str(path), sha256=digest))
-    return CorrectedShot(FilmParameters.model_validate(manifest.parameters), tuple(files))
-
-
-def _film_of_study(manifest: Manifest, names: Sequence[tuple[str, str]], paths: Sequence[Path]) -> FilmReader | str:
-    told, first = manifest.parameters, names[0][0]
-    for path in paths:
-        folder = path if path.is_dir() else path.parent
-        if all((folder / name).is_file() and _digest(folder / name) == digest for name, digest in names):
-            files = tuple(SourceFile(path=str(folder / name), sha256=sha) for name, sha in names)
-            rate_hz = None if told["is_constant_rate"] else told["video_rate_hz"]
-            return FilmReader(files, told["first_number"], told["first_frame"], rate_hz)
-    return f"its film {first} is not where the study says, or has changed since"
+    return tuple(files)
 
 
 @cache  # the shots of a film are each an artifact of all of its images
@@ -99,17 +95,24 @@ class FilmReader:
     """Images of a film by the number of their frame; the last ones that were read are kept, small and packed.
 
     Args:
-        files: The film, or its images in order.
+        find: Finds the film, or its images in order, which may take as long as reading it all.
         first_number: Number of its first image.
         first_frame: First frame that may be asked for, from the beginning of the film.
-        rate_hz: Where its rate varies, frame n is what is seen n / rate_hz seconds after its beginning.
+        after_s: Time stamp of the frame before that, by which it is sought; None where it is decoded up to there.
+        rate_hz: Where its own rate varies, that of the frames.
     """
 
-    files: tuple[SourceFile, ...]
-    first_number: int
-    first_frame: int
-    rate_hz: float | None
+    find: Callable[[], tuple[SourceFile, ...]]
+    first_number: int = 0
+    first_frame: int = 0
+    after_s: float | None = None
+    rate_hz: float | None = None
+    trouble: str = field(default="", init=False)
+    """Why it cannot be read, once somebody has tried."""
     _kept: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
+    _times_s: dict[int, float] = field(default_factory=dict, init=False, repr=False)
+    """Time stamps of images that were read, by their number from the first frame on."""
+    _shown: list[int] = field(default_factory=list, init=False, repr=False)
     _frames: Iterator[FilmFrame] = field(default_factory=lambda: iter(()), init=False, repr=False)
     _next: int = field(default=_NOWHERE, init=False, repr=False)
     """Number of the next image of `_frames`."""
@@ -120,33 +123,63 @@ class FilmReader:
         import cv2  # here: a quarter of a second that others need not wait for
 
         with self._lock:
-            if number not in self._kept and not 0 <= number - self._next < _NUM_KEPT:
-                begin = 0 if self.rate_hz else max(number - self.first_number - _NUM_BEFORE, self.first_frame)
-                self._frames, self._next = read_film(self.files, begin), begin + self.first_number
-            while number not in self._kept and (read := self._read_next()) is not None:
-                if read > number:  # a film of a varying rate has no image of just then
-                    self._kept.setdefault(number, self._kept[read])
-            packed = self._kept.get(number)
+            try:
+                packed = self._kept.get(self._read(number))
+            except InputError as error:
+                self.trouble, packed = str(error), None
         image: Any = None if packed is None else cv2.imdecode(packed, cv2.IMREAD_COLOR_RGB)
         return image
 
-    def _read_next(self) -> int | None:
-        """Read and keep one more image; return its number, None at the end."""
+    def _read(self, number: int) -> int:
+        """Read what a frame shows, unless it is kept, from the nearest image before that can be sought; return which.
+
+        Of a film of a varying rate that is known once the image after it was read.
+        """
+        at, is_sure = self._place(number)
+        if is_sure and at in self._kept:
+            return at
+        wanted = at if is_sure else len(self._shown)
+        if not self._next <= wanted < self._next + _NUM_KEPT:
+            self._seek(max(wanted - _NUM_BEFORE, 0))
+        while not (is_sure and at < self._next):
+            if not self._read_next():
+                return at if is_sure or self._shown[-1:] == [number] else _NOWHERE
+            at, is_sure = self._place(number)
+        return at
+
+    def _place(self, number: int) -> tuple[int, bool]:
+        """Return which image a frame shows, as far as time stamps are known, and whether that is sure."""
+        if self.rate_hz is None:
+            return number - self.first_number - self.first_frame, True
+        at = image_at(self._shown, number)
+        return at, at + 1 < len(self._shown)
+
+    def _seek(self, begin: int) -> None:
+        """Go on from an image; the last one before it whose time stamp is known is sought."""
+        known = sorted(at for at in self._times_s if at < begin)
+        times_s = [self._times_s[at] for at in known]
+        is_told = bool(known) and (np.diff(times_s) > 0).all()
+        sought, after_s = (known[-1] + 1, times_s[-1]) if is_told else (0, self.after_s)
+        first = self.first_frame
+        self._frames = read_film(self.find(), first + begin, after_s=after_s, sought=first + sought)
+        self._next = begin
+
+    def _read_next(self) -> bool:
+        """Read and keep one more image; tells whether there was one."""
         import cv2  # here: a quarter of a second that others need not wait for
 
-        try:
-            frame = next(self._frames, None)
-        except InputError:
-            frame = None
+        frame = next(self._frames, None)
         if frame is None:
             self._next = _NOWHERE
-            return None
-        number = self._next if self.rate_hz is None else round(frame.time_s * self.rate_hz)
+            return False
+        self._times_s[self._next] = frame.time_s
+        if self.rate_hz is not None and self._next == len(self._shown):
+            self._shown.append(int(first_shown(frame.time_s, self.rate_hz)))
         scale = min(1.0, _LARGEST_PX / max(frame.image.shape[:2]))
         size = [max(1, round(scale * one)) for one in frame.image.shape[1::-1]]
         small = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
-        self._kept[number] = np.asarray(cv2.imencode(".jpg", small)[1])
-        self._next = number + 1
+        self._kept[self._next] = np.asarray(cv2.imencode(".jpg", small)[1])
         for old in list(self._kept)[:-_NUM_KEPT]:
             del self._kept[old]
-        return number
+        self._next += 1
+        return True

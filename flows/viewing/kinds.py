@@ -10,28 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from flows.viewing.films import FilmReader
 from flows.viewing.scene import Flat, Grid, People, Scene
-from flows.viewing.shelf import GROUPS, SINGLE_IMAGES, Item, Part, Shelf, plain
+from flows.viewing.seen import LIMBS22, Seen, size_of
+from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import project_pair
-from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.retrieval import nearest_images
-from pasdedeux.errors import InputError
+from pasdedeux.evaluation.shown_figures import plain
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
-from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
-from pasdedeux.spread import evenly_spread
-from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, SeenPair, place_of, read_people, read_seen_pairs
-from tasks.curation import CLIPPED, POSITIONS, clip_name, content_columns, content_of, names_of, rows_of
-from tasks.evaluation.ground_truth import GroundTruth, rate_of
-from tasks.facts import MotionFacts, SequenceFacts
+from tasks.annotated_pairs import Place, SeenPair, place_of, read_seen_pairs
+from tasks.evaluation.ground_truth import rate_of
+from tasks.facts import MotionFacts
 from tasks.projections import read_database
 from tasks.stage import verdicts_of_parts
 from tasks.takes import read_motion, read_objects, take_of
@@ -41,10 +36,6 @@ IMAGE_HEIGHT_M = 2.0
 _NUM_NEAREST = 3
 _MAX_PROJECTIONS = 300_000
 """Of the database so many projections are looked through, evenly spread."""
-_NUM_LOCATED = 60
-"""Frames by which the camera of a reconstruction is located."""
-_LIMBS = [name for name in PAIR17.joint_names if name.endswith(("shoulder", "elbow", "wrist", "knee", "ankle"))]
-_LIMBS17, _LIMBS22 = ([one.index(name) for name in _LIMBS] for one in (PAIR17, BODY22))
 _LEVELS = {"pass": 0, "warn": 1, "fail": 2}
 
 
@@ -99,7 +90,8 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     grid = Grid.of(data["frame"], data["person_id"])
     shown = grid.fill(data["body22_m"])
     matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
-    seen = _Seen.of(shelf, sequence_id)
+    seen = Seen.of(shelf, sequence_id)
+    film = seen.film
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
     manifest = store.manifest(item.pieces[0][0])
     facts = MotionFacts.of(manifest)
@@ -108,7 +100,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     shown = shown @ camera_from_upright.astype(np.float32)
     curves = {"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)}
     if truth is not None:
-        both = ((one - one[:, :, [BODY22.root]])[..., _LIMBS22, :] for one in (shown, truth @ camera_from_upright))
+        both = ((one - one[:, :, [BODY22.root]])[..., LIMBS22, :] for one in (shown, truth @ camera_from_upright))
         off = np.subtract(*both)
         curves = {"error_m": np.nanmean(np.linalg.norm(off, axis=-1), axis=(1, 2))} | curves
     if truth is not None:  # on the floor, and the mid-hips of the first frame together
@@ -122,17 +114,16 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind=None if truth is None else People(BODY22, truth),
         behind_name="as captured",
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
-        film=seen.film_of(grid.frames),
+        film=None if film is None else lambda frame: film.image(int(grid.frames[frame])),
         numbers=grid.frames,
         curves=curves,
-        say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}"],
+        say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}", *seen.film_words],
         images=lambda frame: seen.flats(int(grid.frames[frame]), sequence_id),
         nearest=partial(_nearest_poses, store, manifest.ref, grid.fill(data["op14_m"])),
         facts=(
             *(f"{name}: {verdict_words(verdict)}" for name, verdict in verdicts_of_parts(manifest).items()),
             f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
             f'people_file = "people.csv" in [[ingest.annotations]]',
-            *seen.film_words,
         ),
     )
 
@@ -172,7 +163,6 @@ def _database(store: Store, ref: ArtifactRef) -> tuple[Database, ProjectionIndex
 
 def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     columns = ["sequence_id", "frame", "person_id", "time_s", "pair17_px", "image_width_px", "image_height_px"]
-    columns += ["take_id", "take_frame"]
     data = item.read(shelf.store, "annotations", columns)
     moments = np.unique(np.stack([data["sequence_id"].astype(str), data["frame"].astype(str)]), axis=1)
     numbers = {moment: at for at, moment in enumerate(zip(*moments.tolist(), strict=True))}
@@ -180,14 +170,22 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     where = [numbers[name, str(frame)] for name, frame in zip(data["sequence_id"], data["frame"], strict=True)]
     grid = Grid.of(np.array(where) if is_single else data["frame"], data["person_id"])
     image_px = grid.fill(_corrected_px(shelf, item, data))
-    size = _size(data["image_width_px"][0], data["image_height_px"][0], image_px)
+    size = size_of(data["image_width_px"][0], data["image_height_px"][0], image_px)
     names, frames = grid.first(data["sequence_id"]), np.asarray(grid.first(data["frame"]))
-    seen = _Seen.of(shelf, str(data["sequence_id"][0]))
+    seen = Seen.of(shelf, str(data["sequence_id"][0]))
     truth = None if is_single else seen.truth(grid.frames, grid.persons, "body22_m", in_world=True)
     image = People(PAIR17, np.insert(placed_in_room(image_px, size), 2, 0.0, axis=-1))
 
+    def seen_at(frame: int) -> Seen:
+        return Seen.of(shelf, str(names[frame])) if is_single else seen
+
     def images(frame: int) -> list[Flat]:
-        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}", seen.image(frames[frame]))]
+        image = seen_at(frame).image(frames[frame])
+        return [Flat(PAIR17, image_px[frame], size, f"{names[frame]} frame {frames[frame]}", image)]
+
+    def say(frame: int) -> list[str]:
+        seen_joints = np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1)
+        return [f"{int(seen_joints.sum())} joints seen", *seen_at(frame).film_words]
 
     return Scene(
         image if truth is None else People(BODY22, truth),
@@ -196,8 +194,8 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         flat=image,
         camera=None if truth is None else seen.camera,
         images=images,
-        say=lambda frame: [f"{int(np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1).sum())} joints seen"],
-        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone", *seen.film_words),
+        say=say,
+        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone",),
     )
 
 
@@ -283,7 +281,7 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
     places = [place_of(data, row) for row in range(data.num_rows)]
     truths = np.full(people.positions_m.shape, np.nan)
     for row, place in enumerate(places):
-        seen = _Seen.of(shelf, place.sequence_id)
+        seen = Seen.of(shelf, place.sequence_id)
         found = seen.truth(np.array([place.frame]), np.array([place.person_id, place.partner_id]), "pair17_m")
         if found is not None:
             truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
@@ -298,7 +296,7 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind_name="as captured",
         curves={name: data[name] for name in ("expected_error_m", "residual_m")},
         say=say,
-        images=lambda frame: _Seen.of(shelf, places[frame].sequence_id).flats(
+        images=lambda frame: Seen.of(shelf, places[frame].sequence_id).flats(
             places[frame].frame, places[frame].sequence_id
         ),
         has_floor=False,
@@ -322,162 +320,6 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
-def is_each_frame(part: Part, item: Item) -> bool:
-    """Tell whether frames of an item are accepted or rejected one by one."""
-    return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
-
-
-def thing_of(shelf: Shelf, part: Part, item: Item, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
-    """Return name and content of what is accepted or rejected at a row of an item, which may hold more than that.
-
-    Args:
-        shelf: What can be looked at.
-        part: A part of it.
-        item: An item of the part.
-        row: A row of the item.
-        clip: Only from this frame of a reconstruction to that one.
-
-    Raises:
-        InputError: Clips of this table cannot be chosen, or the item has no such frames.
-    """
-    if KINDS[part.table].is_each:
-        ref, at = item.row(row)
-        item, row = Item(item.names, ((ref, np.array([at])),), item.label), 0
-    data = item.read(shelf.store, part.table, content_columns(part.table) or [])
-    names = names_of(data)
-    name = str(names[row])
-    if clip is not None:
-        if part.table not in CLIPPED:
-            raise InputError(f"clips are chosen of {', '.join(CLIPPED)}, not of {part.table}")
-        there = int(data["frame"].min()), int(data["frame"].max())
-        if not there[0] <= clip[0] <= clip[1] <= there[1]:
-            raise InputError(f"{name} has the frames {there[0]} to {there[1]}; there is no clip {clip[0]}-{clip[1]}")
-        name = clip_name(name, *clip)
-    return name, content_of(data[POSITIONS[part.table]][rows_of(data, name, names)])
-
-
-def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
-    """Return the figures of each item of a part by the item's names; of several people those of the worst stand."""
-    table = KINDS[part.table].quality
-    if not table:
-        return {}
-    found: dict[tuple[str, ...], dict[str, Any]] = {}
-    for ref in shelf.having(table, part.name):
-        data = shelf.store.read(ref, table)
-        for number in range(data.num_rows):
-            row = data.row(number)
-            names = tuple(str(row[name]) for name in GROUPS[part.table])
-            if names not in found or Level(row["verdict"]).rank > Level(found[names]["verdict"]).rank:
-                found[names] = row
-    return found
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What was seen of a sequence: annotated people by place, the camera of virtual video, the take behind it."""
-
-    store: Store
-    ref: ArtifactRef | None
-    sequence_id: str
-    film: FilmReader | str | None = None
-
-    @classmethod
-    def of(cls, shelf: Shelf, sequence_id: str) -> _Seen:
-        for ref in shelf.having("annotations"):
-            if sequence_id in SequenceFacts.of(shelf.store.manifest(ref)).sequence_ids:
-                return cls(shelf.store, ref, sequence_id, shelf.film(ref))
-        return cls(shelf.store, None, sequence_id)
-
-    @property
-    def film_words(self) -> tuple[str, ...]:
-        """Why its film cannot be shown, where it has one."""
-        return (self.film,) if isinstance(self.film, str) else ()
-
-    def image(self, frame: int) -> Callable[[], Array | None] | None:
-        """Return what reads the image of a frame; None where there is no film."""
-        return partial(self.film.image, int(frame)) if isinstance(self.film, FilmReader) else None
-
-    def film_of(self, frames: Integers) -> Callable[[int], Array | None] | None:
-        """Return what reads the image of the nth of some frames; None where there is no film."""
-        film = self.film
-        return (lambda number: film.image(int(frames[number]))) if isinstance(film, FilmReader) else None
-
-    def locate_camera(
-        self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
-    ) -> PinholeCamera | None:
-        """Return the camera that sees a reconstruction (frame, person, 22, 3) where its people were seen in 2D."""
-        if self.ref is None:
-            return None
-        flats = [(at, self.flats(int(grid.frames[at]), "")) for at in evenly_spread(len(grid.frames), _NUM_LOCATED)]
-        found = [(upright_m[at], flat[0]) for at, flat in flats if flat and len(flat[0].points_px) == len(grid.persons)]
-        points = np.array([body[:, _LIMBS22] for body, _ in found]).reshape(-1, 3)
-        px = np.array([flat.points_px[:, _LIMBS17] for _, flat in found]).reshape(-1, 2)
-        if not np.isfinite(px).any():
-            return None
-        size = found[0][1].size_px
-        focal_px = _lenses(self.store, self.ref)[self.sequence_id][2]
-        lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
-        return PinholeCamera.locate(
-            points,
-            px,
-            focal_px=lens_factor * lens.focal_px,
-            principal_point_px=np.array(lens.principal_point_px),
-            camera_from_world_rotmat=camera_from_upright,
-            image_size_px=size,
-        )
-
-    @property
-    def camera(self) -> PinholeCamera | None:
-        return None if self.ref is None else _truth(self.store, self.ref, "body22_m").cameras.get(self.sequence_id)
-
-    def truth(self, frames: Integers, persons: Integers, column: str, *, in_world: bool = False) -> Array | None:
-        """Return who was captured (frame, person, joint, 3), in camera axes or the world's; None where unknown."""
-        if self.ref is None or not SequenceFacts.of(self.store.manifest(self.ref)).is_virtual:
-            return None
-        truth = _truth(self.store, self.ref, column)
-        takes = [truth.frames.get((self.sequence_id, int(frame)), ("", 0)) for frame in frames]
-        camera = truth.cameras.get(self.sequence_id)
-        known = [truth.takes.get(take) for take, _ in takes]
-        if camera is None or any(one is None or max(persons) >= one.shape[1] for one in known):
-            return None
-        world = np.stack([one[at][persons] for one, (_, at) in zip(known, takes, strict=True) if one is not None])
-        return world if in_world else world @ camera.camera_from_world_rotmat.T
-
-    def flats(self, frame: int, title: str) -> list[Flat]:
-        """Return the 2D poses of a frame; none where it was not annotated."""
-        people = {} if self.ref is None else _people(self.store, self.ref).get((self.sequence_id, frame))
-        if self.ref is None or not people:
-            return []
-        points = np.stack([people[who] for who in sorted(people)])
-        width, height, _ = _lenses(self.store, self.ref)[self.sequence_id]
-        return [Flat(PAIR17, points, _size(width, height, points), f"{title} frame {frame}", self.image(frame))]
-
-
-@lru_cache(maxsize=4)
-def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
-    takes = [one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables]
-    return GroundTruth.read(store, takes, [ref], column=column)
-
-
-@lru_cache(maxsize=4)
-def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[int, Array]]:
-    """Return the people of each frame of each sequence, by their numbers."""
-    found: dict[tuple[str, int], dict[int, Array]] = {}
-    for place, people in read_people(store, [ref], is_between=True, with_held_out=True).items():
-        found.setdefault((place.sequence_id, place.frame), {}).update(people)
-    return found
-
-
-@lru_cache(maxsize=16)
-def _lenses(store: Store, ref: ArtifactRef) -> Mapping[str, Array]:
-    """Return width, height and focal length of the camera of each sequence of 2D poses, pixels, NaN where unknown."""
-    columns = ["image_width_px", "image_height_px", "focal_px"]
-    data = store.read(ref, "annotations", columns=["sequence_id", *columns])
-    names, rows = np.unique(data["sequence_id"].astype(str), return_index=True)
-    lenses = np.stack([np.where(data.is_null(name), np.nan, data[name])[rows] for name in columns], axis=-1)
-    return dict(zip(names.tolist(), lenses, strict=True))
-
-
 @lru_cache(maxsize=4)
 def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
     """Return the annotated pairs that a chain was sampled with."""
@@ -492,14 +334,4 @@ def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
 def _image_of(image_m: Array, title: str, skeleton: Skeleton = PAIR17) -> Flat:
     """Return an image in metres (person, joint, 2), y up, as pixels."""
     points = image_m * [400.0, -400.0]
-    return Flat(skeleton, points - np.nanmin(points, axis=(0, 1)) + 40.0, _size(np.nan, np.nan, points), title)
-
-
-def _size(width: float, height: float, points_px: Array) -> tuple[int, int]:
-    """Return the size of an image; one that is unknown holds everything that was seen."""
-    if np.isfinite([width, height]).all():
-        return int(width), int(height)
-    if not np.isfinite(points_px).any():
-        return 640, 480
-    low, high = (take(points_px, axis=tuple(range(points_px.ndim - 1))) for take in (np.nanmin, np.nanmax))
-    return int(high[0] - min(low[0], 0.0)) + 80, int(high[1] - min(low[1], 0.0)) + 80
+    return Flat(skeleton, points - np.nanmin(points, axis=(0, 1)) + 40.0, size_of(np.nan, np.nan, points), title)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -19,7 +19,6 @@ from flows.records import last_sections
 from flows.viewing.films import find_film, find_shot
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.names import in_words
 from storage_schema import (
     TABLES,
     ArtifactRef,
@@ -86,6 +85,14 @@ class Item:
         return concatenate(TABLES[table], parts)
 
 
+class Found(NamedTuple):
+    """Where something is: the part, and the numbers of the item in it and of the row in that."""
+
+    part: Part
+    item: int
+    row: int
+
+
 class Shelf:
     """What can be looked at of some artifacts.
 
@@ -144,8 +151,8 @@ class Shelf:
         manifests = map(self.store.manifest, self.beside)
         return [one.ref for one in manifests if table in one.tables and partition in (None, one.partition)]
 
-    def find(self, text: str) -> tuple[Part, int, int]:
-        """Return part, item and row of the item that a reference with or without a row points to.
+    def find(self, text: str) -> Found:
+        """Return where a reference with or without a row points to.
 
         Raises:
             UnknownReference, InputError: It points to nothing here.
@@ -156,7 +163,7 @@ class Shelf:
             if part.table == reference.table and ref in part.refs:
                 for index, item in enumerate(self.items(part)):
                     if (number := item.number(ref, rows.start)) is not None:
-                        return part, index, number
+                        return Found(part, index, number)
         raise InputError(f"'{text}' is not among what is shown here")
 
 
@@ -229,47 +236,3 @@ def moment_in(text: str) -> str:
         return parse_qs(urlsplit(text).query).get("at", [text])[0]
     except ValueError:
         raise InputError(f"'{text[:60]}' is no address of a moment") from None
-
-
-_SHOWN = {
-    "_m_s3": (1.0, "m/s^3", ".3g"),
-    "_m_s": (1.0, "m/s", ".3g"),
-    "_m": (100.0, "cm", ".2f"),
-    "_rad": (180.0 / np.pi, "degrees", ".3g"),
-    "_s": (1.0, "s", ".2f"),
-}
-"""By the ending of a figure's name the factor to the unit that people read, that unit, and the format."""
-
-
-def figure_label(name: str) -> tuple[str, float, str]:
-    """Return the words of a figure with the unit that people read, the factor to that unit, and the format.
-
-    >>> [figure_label(name)[0] for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
-    ['contact drift (cm)', 'R-hat, most', 'number of fail frames']
-    """
-    ending = next((one for one in _SHOWN if name.endswith(one)), "")
-    words = re.sub("^num ", "number of ", in_words(name.removesuffix(ending)))
-    factor, unit, form = _SHOWN.get(ending, (1.0, "", ".4g"))
-    return f"{words} ({unit})" if unit else words, factor, form
-
-
-def figure_words(name: str, value: Any) -> str:
-    """Return a figure in words, in a unit that people read.
-
-    >>> figure_words("contact_drift_m", 0.00152), figure_words("rhat_max", 1.25), figure_words("bend_rad", np.pi)
-    ('contact drift 0.15 cm', 'R-hat, most 1.25', 'bend 180 degrees')
-    """
-    label, factor, form = figure_label(name)
-    words, _, unit = label.removesuffix(")").partition(" (")
-    return f"{words} {value * factor:{form}} {unit}".rstrip() if _is_finite(value) else f"{words} {plain(value)}"
-
-
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, float | np.floating) and bool(np.isfinite(value))
-
-
-def plain(value: Any) -> str:
-    """Return a value as a person reads it."""
-    if isinstance(value, float | np.floating):
-        return "-" if np.isnan(value) else f"{value:.4g}"
-    return "-" if value is None else str(value)

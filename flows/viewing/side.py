@@ -20,7 +20,7 @@ from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
 DRAG_LABEL = "2D: drag a joint"
 """What stands over the picture while joints can be dragged; the script in the page knows the picture by it."""
 PAPER = 250
-_INK = (60, 60, 60)
+INK = (60, 60, 60)
 _SIZE, _IMAGE_SIZE, _SMALL_SIZE = (640, 480), (960, 720), (320, 240)
 """Largest panel of 2D poses alone, of an image, and of one of several."""
 _TITLE_PX = 20
@@ -81,7 +81,8 @@ class SidePicture:
     def __init__(self, gui: Any) -> None:
         self._handle = gui.add_image(flat_picture([]), label=None, visible=False)
         self._on_drag: Callable[[Dragged], None] | None = None
-        self._flats: Sequence[Flat] = ()
+        self.flats: Sequence[Flat] = ()
+        """2D poses whose joints a pointer finds: those of what is shown, also while the picture is not drawn yet."""
         self._held: tuple[int, int] | None = None
         self.chosen: tuple[int, int] | None = None
         """Person and joint that a click far from every joint places."""
@@ -98,9 +99,8 @@ class SidePicture:
         if self._handle.label != label:
             self._handle.label = label
 
-    def show(self, flats: Sequence[Flat]) -> None:
+    def draw(self, flats: Sequence[Flat]) -> None:
         """Draw 2D poses, or nothing where there are none."""
-        self._flats = flats
         if flats:
             self._handle.image = flat_picture(flats)
         if self._handle.visible is not bool(flats):
@@ -108,10 +108,10 @@ class SidePicture:
 
     def point(self, pointer: Pointer) -> None:
         """Take hold of the joint under a pointer, drag it, or let it go."""
-        if self._on_drag is None or not self._flats:
+        if self._on_drag is None or not self.flats:
             self._held = None
             return
-        flat, size = self._flats[0], picture_size(self._flats)
+        flat, size = self.flats[0], picture_size(self.flats)
         panel = Panel.of(flat, size)
         height, width = self._handle.image.shape[:2]
         placed = np.array([pointer.across * width, pointer.down * height])
@@ -180,5 +180,5 @@ def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
                 cv2.line(image, start, end, (shade * colour).tolist(), thick, cv2.LINE_AA, 3)
     font = 0.55 if size == _SMALL_SIZE else 0.6
     title = flat.title[: int(0.06 * size[0] / font)]
-    cv2.putText(image, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, _INK, 1, cv2.LINE_AA)
+    cv2.putText(image, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, font, INK, 1, cv2.LINE_AA)
     return image

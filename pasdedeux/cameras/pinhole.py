@@ -93,6 +93,9 @@ class PinholeCamera:
 
         Its place is by least squares: in camera axes every point, displaced by t, lies on its ray (u, v, -1), so that
         x + t_x + u (z + t_z) = 0, and so with y, which is linear in t.  Two points determine it; NaN do not count.
+
+        Raises:
+            InputError: The points do not determine it.
         """
         is_known = np.isfinite(points_m).all(axis=-1) & np.isfinite(px).all(axis=-1)
         own = np.asarray(points_m, dtype=np.float64)[is_known] @ camera_from_world_rotmat.T
@@ -100,7 +103,9 @@ class PinholeCamera:
         zero, one = np.zeros(len(own)), np.ones(len(own))
         rows = [np.stack([one, zero, ray[:, 0]], axis=-1), np.stack([zero, one, ray[:, 1]], axis=-1)]
         known = -(own[:, :2] + ray * own[:, 2:])
-        displacement = np.linalg.lstsq(np.concatenate(rows), known.T.reshape(-1), rcond=None)[0]
+        displacement, _, rank, _ = np.linalg.lstsq(np.concatenate(rows), known.T.reshape(-1), rcond=None)
+        if rank < 3:
+            raise InputError(f"a camera is located by two points or more that it sees apart; {len(own)} are known")
         position = -displacement @ camera_from_world_rotmat
         return cls(focal_px, principal_point_px, camera_from_world_rotmat, position, image_size_px)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -25,6 +25,8 @@ _RUN_UP_S = (1.0, 8.0)
 """So long before a frame a film is sought, more where that is not enough: frames rest on others before them."""
 _SAME_S = 1e-6
 """Time stamps that differ less are of one frame."""
+_SAME_FRAME = 1e-3
+"""An image that comes so little after a frame, in frames, is shown by it: time stamps are rounded."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,26 @@ def is_film(path: Path) -> bool:
     return bool(suffixes & IMAGE_SUFFIXES) and not suffixes & VIDEO_SUFFIXES
 
 
+def first_shown(times_s: npt.ArrayLike, rate_hz: float) -> npt.NDArray[np.int64]:
+    """Return the first frame that shows each image of a film of another rate, by the time stamps of the images.
+
+    Frame n is at n / rate_hz seconds and shows the last image that there is by then.
+
+    >>> first_shown([0.0, 0.05, 0.1, 0.35], 10.0).tolist()
+    [0, 1, 1, 4]
+    """
+    return np.ceil(np.asarray(times_s) * rate_hz - _SAME_FRAME).astype(np.int64)
+
+
+def image_at(shown: Sequence[int] | npt.NDArray[np.int64], frame: int) -> int:
+    """Return which image a frame shows, by the first frame that shows each; -1 before all.
+
+    >>> [image_at([0, 1, 1, 4], frame) for frame in range(-1, 5)]
+    [-1, 0, 2, 2, 2, 3]
+    """
+    return int(np.searchsorted(shown, frame, side="right")) - 1
+
+
 def open_film(path: Path) -> Film:
     """Read a film once, from beginning to end.
 
@@ -125,7 +147,12 @@ def digest_of(path: Path) -> str:
 
 
 def read_film(
-    files: tuple[SourceFile, ...], first: int = 0, stop: int | None = None, *, after_s: float | None = None
+    files: tuple[SourceFile, ...],
+    first: int = 0,
+    stop: int | None = None,
+    *,
+    after_s: float | None = None,
+    sought: int | None = None,
 ) -> Iterator[FilmFrame]:
     """Yield the frames of a film from one on, up to another.
 
@@ -133,13 +160,16 @@ def read_film(
         files: The film, or its images.
         first: First frame.
         stop: Frame after the last one; None: to the end.
-        after_s: Time stamp of the frame before the first, after which it is sought; None: all before are decoded.
+        after_s: Time stamp of the frame before the one that is sought; None: all before the first are decoded.
+        sought: Frame that is sought, from which those before the first are decoded; None: the first.
 
     Raises:
         InputError: The film cannot be opened, or the size of its images changes.
     """
     is_video = _is_video(files)
-    frames = _read_video(Path(files[0].path), first, stop, after_s) if is_video else _read_images(files[first:stop])
+    frames = (
+        _read_video(Path(files[0].path), first, stop, after_s, sought) if is_video else _read_images(files[first:stop])
+    )
     size: tuple[int, ...] | None = None
     for number, frame in enumerate(frames, start=first):
         size = size or frame.image.shape[1::-1]
@@ -156,8 +186,10 @@ def _is_video(files: tuple[SourceFile, ...]) -> bool:
     return Path(files[0].path).suffix.lower() not in IMAGE_SUFFIXES
 
 
-def _read_video(path: Path, first: int, stop: int | None, after_s: float | None) -> Iterator[FilmFrame]:
-    capture, number = _opened_after(path, first, after_s)
+def _read_video(
+    path: Path, first: int, stop: int | None, after_s: float | None, sought: int | None
+) -> Iterator[FilmFrame]:
+    capture, number = _opened_after(path, first if sought is None else sought, after_s)
     try:
         while (stop is None or number < stop) and capture.grab():
             if number >= first:

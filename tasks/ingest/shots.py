@@ -23,7 +23,7 @@ from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, re
 from pasdedeux.skeletons import PAIR17
 from tasks.ingest.cameras import VIDEO_SUFFIXES, find_cameras, is_named_after
 from tasks.ingest.detector_files import find_network
-from tasks.ingest.films import Film, is_film, open_film, read_film
+from tasks.ingest.films import Film, first_shown, image_at, is_film, open_film, read_film
 from tasks.ingest.parameters import FilmOptions
 from tasks.ingest.shard_parameters import FilmParameters
 from tasks.ingest.sources import load_file, own_layout_of, read_again
@@ -127,7 +127,7 @@ class CorrectedShot:
         if self._parameters.is_constant_rate:
             return frame
         assert self.shot.frames.rate_hz is not None
-        return self._first + int(np.abs(self._times_s - frame / self.shot.frames.rate_hz).argmin())
+        return self._first + max(image_at(first_shown(self._times_s, self.shot.frames.rate_hz), frame), 0)
 
     def next_frames(self, count: int) -> list[int]:
         """Return the frames of `placed` whose correction helps most, most first."""
@@ -135,7 +135,7 @@ class CorrectedShot:
         if self._parameters.is_constant_rate:
             return frames
         assert rate_hz is not None
-        return [round(float(self._times_s[frame - self._first]) * rate_hz) for frame in frames]
+        return [int(first_shown(self._times_s[frame - self._first], rate_hz)) for frame in frames]
 
     def correct(self, frame: int, person_id: int, joint: str, point_px: Array) -> None:
         """Place a joint of pair17 in a frame of the film, and track it anew from there to where it is known.

@@ -55,19 +55,19 @@ def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
         for frame in {0, viewer.scene.num_frames - 1}:
             viewer.seek(frame)
             viewer.describe_frame()
-            assert viewer._handles["facts"].value.startswith(f"frame {frame} of "), table
-            viewer.visit(viewer.reference)
+            assert viewer.panel.put["facts"].value.startswith(f"frame {frame} of "), table
+            viewer.visit(viewer.moment.reference)
             assert (viewer.part.table, viewer.frame) == (table, frame), "a link leads back"
 
 
 def test_a_slider_moves_through_the_variants_that_were_built(editor: Editor) -> None:
     viewer = editor.viewer
     part_of(viewer, "variants")
-    assert [one.label for one in viewer._scales if one.visible] == ["person A"]
+    assert [one.label for one in viewer.scales.sliders if one.visible] == ["person A"]
     for value, scale in ((1.25, "1.25"), (0.9, "0.95"), (0.0, "0.75")):
-        viewer._scaled(0, value)
+        viewer.scales.move(0, value)
         assert viewer.item.names[1] == f"A-uniform-{scale}"
-        assert viewer._scales[0].value == float(scale)
+        assert viewer.scales.sliders[0].value == float(scale)
 
 
 def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(editor: Editor) -> None:
@@ -81,7 +81,7 @@ def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(edito
         away.append(scene.camera.project(limbs).px - scene.images(frame)[0].points_px[:, PAIR17.indices(names)])
     height = float(np.ptp(scene.images(0)[0].points_px[..., 1]))
     assert np.nanmedian(np.linalg.norm(away, axis=-1)) < 0.05 * height
-    assert "error (cm)" in viewer._handles["curve"].options, "the truth is known"
+    assert "error (cm)" in viewer.curves.chosen.options, "the truth is known"
     assert scene.nearest is not None
     found = scene.nearest(1)
     assert len(found) == 3 * scene.people.positions_m.shape[1]
@@ -96,15 +96,15 @@ def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Edi
         viewer.seek(frame)
         viewer.mark_clip(edge)  # type: ignore[arg-type]
     viewer.decide("reject")
-    (choice,) = viewer.choosing.clips("motions", name)
-    assert (choice.decision, choice.frames) == ("reject", (first + 3, first + 6))
+    ((frames, choice),) = viewer.curation.choosing.clips("motions", name).items()
+    assert (choice.decision, frames) == ("reject", (first + 3, first + 6))
     viewer.show_item(viewer.index)
     viewer.seek(5)
     viewer.describe_frame()
-    assert "frames 3 to 6 rejected" in viewer._handles["facts"].value
-    assert viewer.choosing.about("motions", name) is None
+    assert "frames 3 to 6 rejected" in viewer.panel.put["facts"].value
+    assert viewer.curation.choosing.about("motions", name) is None
     viewer.decide("undo")
-    assert not viewer.choosing.clips("motions", name)
+    assert not viewer.curation.choosing.clips("motions", name)
 
 
 def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -> None:
@@ -229,17 +229,19 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
         screenshot(tab, "variants-wide", tmp_path)
         first = viewer.item.names
         tab.press("x")
-        wait_for(viewer, "a rejection", lambda: read_choices(viewer.choosing.path))
-        assert read_choices(viewer.choosing.path)["variants " + "/".join(first)].decision == "reject"
+        wait_for(viewer, "a rejection", lambda: read_choices(viewer.curation.choosing.path))
+        assert read_choices(viewer.curation.choosing.path)["variants " + "/".join(first)].decision == "reject"
         tab.press("ArrowDown")
         wait_for(viewer, "the next item", lambda: viewer.item.names != first)
         tab.press("k")
-        wait_for(viewer, "an acceptance", lambda: len(read_choices(viewer.choosing.path)) == 2)
-        viewer.gui_filter.value = "rejected"
-        viewer._sorted_again()
-        assert [viewer.shelf.items(viewer.part)[at].names for at in viewer.order] == [first]
-        viewer.gui_filter.value = "all"
-        with open_page(f"{viewer.url}/?at={viewer.reference.replace('#', '%23')}", tmp_path, width=400) as narrow:
+        wait_for(viewer, "an acceptance", lambda: len(read_choices(viewer.curation.choosing.path)) == 2)
+        viewer.listing.only.value = "rejected"
+        viewer.list_anew()
+        assert [viewer.shelf.items(viewer.part)[at].names for at in viewer.listing.order] == [first]
+        viewer.listing.only.value = "all"
+        with open_page(
+            f"{viewer.url}/?at={viewer.moment.reference.replace('#', '%23')}", tmp_path, width=400
+        ) as narrow:
             wait_for(viewer, "a second browser", lambda: len(viewer.server.get_clients()) == 2)
             wait_for(viewer, "its people", lambda: narrow.run("!!document.querySelector('canvas')"))
             screenshot(narrow, "variants-narrow", tmp_path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
@@ -111,13 +113,16 @@ def test_a_camera_is_located_by_the_points_that_it_sees() -> None:
     points = rng.normal([0.2, 1.0, -0.3], 0.6, (60, 3))
     px = camera.project(points).px
     px[:7] = np.nan
-    found = PinholeCamera.locate(
-        points,
-        px,
+    locate = partial(
+        PinholeCamera.locate,
         focal_px=700.0,
         principal_point_px=camera.principal_point_px,
         camera_from_world_rotmat=camera.camera_from_world_rotmat,
         image_size_px=(640, 480),
     )
+    found = locate(points, px)
     np.testing.assert_allclose(found.position_m, camera.position_m, atol=1e-9)
     assert found.image_size_px == (640, 480)
+    for count in (0, 1):
+        with pytest.raises(InputError, match=f"two points or more that it sees apart; {count} are known"):
+            locate(points[: 7 + count], px[: 7 + count])

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import partial
 
 import pytest
 
-from flows.console import command_benchmarks
+from flows.console import command_benchmarks, this_machine
+from flows.console.app import run_command_line
 from flows.console.this_machine import find_benchmarks
+from pasdedeux.benchmarks.benchmark import BenchmarkResult
 from pasdedeux.benchmarks.scale import grown
 
 
@@ -22,6 +26,34 @@ def test_status_is_measured_on_a_store_of_that_many_artifacts(monkeypatch: pytes
     monkeypatch.setattr(command_benchmarks, "measure", lambda name, work, count: (name, count / len(list(work()))))
     found = command_benchmarks.BENCHMARKS["status"]()
     assert found.plain_per_s == 1.0, "the plain form reads one manifest for each artifact"
+
+
+def test_whole_commands_are_measured_only_where_they_are_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured: list[str] = []
+
+    def counted(name: str) -> BenchmarkResult:
+        measured.append(name)
+        return BenchmarkResult(name, "runs", "fast", 2.0, "plain", 1.0)
+
+    names = ("chains", "commands")
+    monkeypatch.setattr(this_machine, "find_benchmarks", lambda: {n: {n: partial(counted, n)} for n in names})
+    assert run_command_line(["bench"]) == run_command_line(["bench", "commands"]) == 0
+    assert measured == ["chains", "commands"]
+    capsys.readouterr()
+
+
+def test_a_demo_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    failing = [sys.executable, "-c", "import sys; sys.exit('error: no space is left')"]
+    plain = subprocess.run
+    monkeypatch.setattr(command_benchmarks.subprocess, "run", lambda _, **how: plain(failing, **how))
+    demo = {"commands": {"demo": command_benchmarks.BENCHMARKS["demo"]}}
+    monkeypatch.setattr(this_machine, "find_benchmarks", lambda: demo)
+    assert run_command_line(["bench", "commands"]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("error: `pasdedeux run duets --workers ")
+    assert last.endswith(" failed: no space is left")
 
 
 def test_growth_is_measured_as_an_exponent() -> None:

@@ -14,7 +14,7 @@ from flows.exports.casts import _kept_parts
 from flows.reasons import changed_leaves
 from flows.study import load_study, study_from_record
 from flows.study_files import StudyError
-from flows.viewing.kinds import thing_of
+from flows.viewing.curating import thing_of
 from flows.viewing.shelf import Shelf
 from pasdedeux.errors import InputError
 from storage_schema import ShardRecord, Store, open_table, parse_reference, record_latest, resolve
@@ -212,7 +212,7 @@ def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(video: tuple[Store
     whole = open_table(reference, store)
     inside = np.isin(whole["frame"], [5, 6])
     assert choice == Choice("reject", "motions", "video/fit@5-6", content_of(whole["body22_m"][inside]), "foot lost")
-    assert (choice.frames, Choosing(file).clips("motions", "video/fit")) == ((5, 6), [choice])
+    assert Choosing(file).clips("motions", "video/fit") == {(5, 6): choice}
     assert Choosing(file).about("motions", "video/fit") is None, "the rest is undecided"
     chosen = Data(store, file).table(reference, ["frame", "person_id"])
     assert chosen["frame"].tolist() == [3, 3, 4, 4, 7, 7, 8, 8]

@@ -19,27 +19,34 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
+from flows.exports.overlay_video import Footage
 from flows.viewing.bodies import Bodies, capsules, marks
+from flows.viewing.curves import plot_curves
 from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
-from flows.viewing.images import encode, encode_clip, plot_curves
-from flows.viewing.kinds import _Seen, qualities
+from flows.viewing.kinds import KINDS
+from flows.viewing.listing import qualities
+from flows.viewing.saving import encode, encode_clip, offer_saving, save_clip
 from flows.viewing.scene import Flat, Grid, People
-from flows.viewing.shelf import Shelf, moment_reference, open_shelf
+from flows.viewing.seen import LIMBS17, LIMBS22, Seen
+from flows.viewing.shelf import Part, Shelf, moment_reference, open_shelf
 from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
 from flows.viewing.viewer import Viewer
+from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import KeypointStatus
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from storage_schema import Store, new_run
+from storage_schema import Manifest, Store, new_run
 from tasks.curation import Choosing
+from tasks.facts import SequenceFacts
 from tasks.ingest.annotations import find_videos
-from tasks.ingest.films import FilmFrame, digest_of
+from tasks.ingest.films import FilmFrame, digest_of, open_film, read_film
 from tasks.ingest.parameters import FilmOptions
 from tasks.stage import SourceFile
 from tests.builders.ingest_runs import duet_store, planned, run
+from tests.builders.mp4_boxes import with_durations
 from tests.builders.painted_film import painted, write_keys
 from tests.builders.rendered_film import write_film
 from tests.builders.storage_rows import put, random_columns
@@ -98,19 +105,19 @@ def test_a_reference_to_a_row_leads_to_its_moment_and_back(store: Store, viewer:
     viewer.visit(f"poses:short/waltz#{row}")
     assert viewer.frame == 7
     np.testing.assert_array_equal(viewer.scene.people.positions_m[7, 1], data["body22_m"][row])
-    link = viewer.reference
+    link = viewer.moment.reference
     viewer.seek(0)
     viewer.visit(f"http://127.0.0.1:1/?at={link.replace('#', '%23')}")
-    assert (viewer.frame, viewer.reference) == (7, link)
+    assert (viewer.frame, viewer.moment.reference) == (7, link)
     part, index, number = viewer.shelf.find(link)
     assert moment_reference(part, viewer.shelf.items(part)[index], number) == link
     viewer.visit("poses:short#999999")
-    assert (viewer.frame, viewer._handles["said"].value[:20]) == (7, "'poses:short#999999'")
+    assert (viewer.frame, viewer.panel.put["said"].value[:20]) == (7, "'poses:short#999999'")
 
 
 def test_what_is_no_address_is_said(viewer: Viewer) -> None:
     viewer.visit("http://[")
-    assert viewer._handles["said"].value == "'http://[' is no address of a moment"
+    assert viewer.panel.put["said"].value == "'http://[' is no address of a moment"
 
 
 def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
@@ -118,7 +125,7 @@ def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then
     with viewer.lock, closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=10.0)) as asked:
         asked.request("GET", "/?at=poses:short%23200000")
         assert asked.getresponse().status == 200
-    wait_until(lambda: "200000" in viewer._handles["said"].value, "the visit", limit_s=20.0)
+    wait_until(lambda: "200000" in viewer.panel.put["said"].value, "the visit", limit_s=20.0)
 
 
 def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) -> None:
@@ -138,7 +145,58 @@ def test_the_image_of_2d_poses_has_the_size_of_its_own_sequence(tmp_path: Path) 
     store = Store(tmp_path / "store")
     ref = put(store, "ingest", "images", {"annotations": columns}, {}).ref
     for name, size in {"small": (640, 480), "large": (1920, 1080)}.items():
-        assert [flat.size_px for flat in _Seen(store, ref, name).flats(0, name)] == [size]
+        assert [flat.size_px for flat in Seen(store, ref, name).flats(0, name)] == [size]
+
+
+def annotated(store: Store, name: str, places: dict[str, list[object]], points_px: np.ndarray) -> Manifest:
+    """Return an artifact of 2D poses in images of 640 by 480 pixels, of one partition."""
+    columns = random_columns("annotations", len(points_px)) | {"is_key": [True] * len(points_px)} | places
+    columns |= {"image_width_px": [640] * len(points_px), "image_height_px": [480] * len(points_px)}
+    facts = SequenceFacts(rate_hz=30.0, sequence_ids=tuple(dict.fromkeys(map(str, places["sequence_id"]))))
+    return put(
+        store, "ingest", name, {"annotations": columns | {"pair17_px": points_px}}, facts.model_dump(mode="json")
+    )
+
+
+def test_a_reconstruction_is_located_by_who_was_seen_whoever_else_was_there(tmp_path: Path) -> None:
+    camera = look_at_camera(
+        np.array([0.2, 1.0, -0.3]), distance_m=5.0, yaw_rad=0.8, pitch_rad=0.3, focal_px=700.0, image_size_px=(640, 480)
+    )
+    rng = np.random.default_rng(6)
+    body = rng.normal([0.2, 1.0, -0.3], 0.6, (4, 2, BODY22.num_joints, 3))
+    px = np.full((4, 2, 17, 2), np.nan)
+    px[:, :, LIMBS17] = camera.project(body[:, :, LIMBS22]).px
+    store = Store(tmp_path / "store")
+    # A is in no 2D pose, B is, and a third person, whom the reconstruction lacks.
+    places = {"sequence_id": ["walk"] * 8, "frame": [0, 0, 1, 1, 2, 2, 3, 3], "person_id": [1, 7] * 4}
+    points = np.stack([px[:, 1], rng.uniform(0.0, 400.0, (4, 17, 2))], axis=1).reshape(8, 17, 2)
+    focal = {"partner_id": [7, 1] * 4, "focal_px": [700.0] * 8}
+    seen = Seen(store, annotated(store, "walk", places | focal, points).ref, "walk")
+    grid = Grid.of(np.repeat(np.arange(4), 2), np.array([0, 1] * 4))
+    found = seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0)
+    assert found is not None
+    np.testing.assert_allclose(found.position_m, camera.position_m, atol=1e-4)
+    one = np.full((1, 17, 2), np.nan)
+    one[0, LIMBS17[0]] = 100.0
+    alone = {"sequence_id": ["one"], "frame": [0], "person_id": [1], "partner_id": [0], "focal_px": [700.0]}
+    seen = Seen(store, annotated(store, "one", alone, one).ref, "one")
+    assert seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0) is None, "a point alone places nothing"
+
+
+def test_a_single_image_has_the_film_of_its_own_artifact(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    refs = []
+    for name in ("one", "other"):
+        places = {"sequence_id": [name] * 2, "frame": [0, 0], "person_id": [0, 1], "partner_id": [1, 0]}
+        refs.append(annotated(store, name, places, np.full((2, 17, 2), 50.0)).ref)
+    shelf = Shelf(store, refs)
+    films = {ref: SimpleNamespace(image=lambda number, ref=ref: ref, trouble="") for ref in refs}
+    shelf.film = films.__getitem__  # type: ignore[assignment]
+    part = Part("annotations", "images", tuple(refs))
+    (item,) = shelf.items(part)
+    scene = KINDS["annotations"].scene(shelf, part, item)
+    shown = [flat.image() for frame in (0, 1) for flat in scene.images(frame) if flat.image is not None]
+    assert shown == refs
 
 
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
@@ -187,20 +245,21 @@ def test_film_that_is_read_too_late_is_not_shown_behind_what_came_meanwhile(
 def test_clips_are_chosen_of_reconstructions_alone(viewer: Viewer) -> None:
     with pytest.raises(InputError, match="clips are chosen of motions, not of poses"):
         viewer.mark_clip("start")
-    assert viewer.clip is None
+    assert viewer.curation.clip is None
 
 
 def test_a_clip_has_the_frames_of_the_video_also_behind_a_gap(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen: list[object] = []
-    monkeypatch.setattr("flows.viewing.viewer.thing_of", lambda *told: chosen.append(told[-1]) or ("video/fit", "0"))
+    monkeypatch.setattr("flows.viewing.curating.thing_of", lambda *told: chosen.append(told[-1]) or ("video/fit", "0"))
     numbers = np.arange(viewer.scene.num_frames) + 3
     numbers[4:] += 20
     with viewer.lock:
         whole, viewer.scene = viewer.scene, replace(viewer.scene, numbers=numbers)
-        viewer.clip, viewer._thing = (2, 5), ("", "")
-        viewer._thing_shown()
+        viewer.curation.begin((2, 5))
+        viewer.curation.thing(viewer.moment)
         assert [viewer.scene.frame_at(number) for number in (3, 6, 7, 27, 28)] == [0, 3, 4, 4, 5]
-        viewer.scene, viewer.clip, viewer._thing = whole, None, ("", "")
+        viewer.scene = whole
+        viewer.curation.begin()
     assert chosen == [(5, 28)]
 
 
@@ -301,7 +360,8 @@ def dragged(viewer: Viewer, points_px: np.ndarray, *pointers: Pointer) -> list[D
     with viewer.server.gui.add_folder("picture"):
         picture = SidePicture(viewer.server.gui)
     picture.chosen = 1, 3
-    picture.show([Flat(PAIR17, points_px, (640, 460), "a")])
+    picture.flats = [Flat(PAIR17, points_px, (640, 460), "a")]
+    picture.draw(picture.flats)
     picture.point(pointers[0])
     assert not heard, "nothing can be dragged yet"
     picture.on_drag = heard.append
@@ -318,6 +378,18 @@ def test_the_nearest_joint_follows_the_pointer_until_it_is_let_go(viewer: Viewer
     heard = dragged(viewer, points, *moves)
     assert [(one.person, one.joint, one.is_last) for one in heard] == [(1, 9, False), (1, 9, False), (1, 9, True)]
     np.testing.assert_allclose(heard[-1].point_px, [320.0, 200.0])
+
+
+def test_a_press_on_a_picture_of_what_was_shown_before_moves_nothing(viewer: Viewer) -> None:
+    heard: list[Dragged] = []
+    three = Flat(PAIR17, np.full((3, 17, 2), 100.0), (640, 460), "of before")
+    with viewer.lock:
+        viewer.side.on_drag, viewer.side.flats = heard.append, [three]
+        viewer.side.draw([three])
+        viewer.show_item(viewer.index)
+        viewer.side.point(Pointer("down", 100 / 640, 120 / 480))
+        viewer.side.on_drag = None
+    assert not heard
 
 
 def test_a_click_far_from_every_joint_places_the_one_that_is_chosen(viewer: Viewer) -> None:
@@ -351,11 +423,14 @@ def grey_film(path: Path, count: int) -> Path:
     return write_film(path, [np.full((48, 64, 3), 6 * number, dtype=np.uint8) for number in range(count)])
 
 
+def reader(path: Path, **told: object) -> FilmReader:
+    return FilmReader(lambda: (SourceFile(path=str(path), sha256=""),), **told)  # type: ignore[arg-type]
+
+
 def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.viewing.films._NUM_KEPT", 8)
     monkeypatch.setattr("flows.viewing.films._NUM_BEFORE", 4)
-    path = grey_film(tmp_path / "grey.avi", 40)
-    film = FilmReader((SourceFile(path=str(path), sha256=""),), 0, 0, None)
+    film = reader(grey_film(tmp_path / "grey.avi", 40))
     for number in (0, 1, 38, 36, 3, 39, 20, 21):
         image = film.image(number)
         assert image is not None
@@ -364,32 +439,63 @@ def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, mo
     assert film.image(4) is not None, "after its end it is read again"
 
 
-def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_time(
+def test_a_shot_is_sought_where_it_begins_and_images_that_were_seen_where_they_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    times_s = [0.0, 0.05, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.4, 0.5]  # faster for a while, then a gap
-    images = [FilmFrame(np.full((8, 8, 3), round(100 * at), dtype=np.uint8), at) for at in times_s]
-    monkeypatch.setattr("flows.viewing.films.read_film", lambda files, begin: iter(images[begin:]))
-    film = FilmReader((SourceFile(path="vary.mp4", sha256=""),), 0, 0, 10.0)
-    for number, wanted_s in ((1, 0.1), (2, 0.2), (4, 0.4), (3, 0.4), (5, 0.5)):
+    monkeypatch.setattr("flows.viewing.films._NUM_KEPT", 8)
+    monkeypatch.setattr("flows.viewing.films._NUM_BEFORE", 4)
+    found: list[tuple[int, int, float | None]] = []
+
+    def read(files: tuple[SourceFile, ...], first: int, after_s: float | None, sought: int) -> Iterator[FilmFrame]:
+        found.append((first, sought, after_s))
+        return read_film(files, first, after_s=after_s, sought=sought)
+
+    monkeypatch.setattr("flows.viewing.films.read_film", read)
+    path = grey_film(tmp_path / "grey.mp4", 40)
+    times_s = open_film(path).times_s
+    film = reader(path, first_frame=10, after_s=times_s[9])
+    for number in (20, 35, 12):
         image = film.image(number)
         assert image is not None
-        assert abs(float(image.mean()) / 100 - wanted_s) <= 0.051, number
+        assert abs(float(image.mean()) - 6 * number) < 3.0, number
+    assert found == [(16, 10, times_s[9]), (31, 21, times_s[20]), (10, 10, times_s[9])]
 
 
-def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(tmp_path: Path) -> None:
+def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_overlay(tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(8), grey_film(tmp_path / "grey.mp4", 40)
+    durations = rng.choice([0.25, 0.5, 1.0, 3.0], 40) / 30.0
+    path.write_bytes(with_durations(path.read_bytes(), durations.tolist()))
+    footage, film = Footage(path, 30.0), reader(path, rate_hz=30.0)
+    num_frames = int(30.0 * durations[:-1].sum())
+    for number in [num_frames - 3, *range(num_frames), *rng.permutation(num_frames)]:
+        image = film.image(int(number))
+        assert image is not None
+        assert abs(float(image.mean()) - float(footage(int(number)).mean())) < 2.5, number
+    assert film.image(num_frames + 10) is None
+
+
+def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = grey_film(tmp_path / "grey.avi", 5)
     told = {"num_given": 1, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
     files = (("keys.csv", "0" * 64), (path.name, digest_of(path)))
     manifest = SimpleNamespace(parameters=told, files=files)
     ingest = {"videos": [{"id": "grey", "path": str(path)}]}
+    asked: list[Path] = []
+    monkeypatch.setattr("flows.viewing.films.digest_of", lambda one: asked.append(one) or digest_of(one))
     found = find_film(manifest, ingest)  # type: ignore[arg-type]
-    assert isinstance(found, FilmReader)
+    assert found is not None
+    assert not asked, "whoever opens an item does not wait for all of its film"
     assert found.image(4) is not None
+    assert (asked, found.trouble) == ([path], "")
     manifest.files = (files[0], (path.name, "1" * 64))
     for sections in (ingest, {}):
-        assert str(find_film(manifest, sections)) == (  # type: ignore[arg-type]
-            "its film grey.avi is not where the study says, or has changed since"
+        film = find_film(manifest, sections)  # type: ignore[arg-type]
+        assert film is not None
+        assert film.image(0) is None
+        assert (
+            film.trouble == "grey.avi, which these 2D poses are from, is not where the study says, or has changed since"
         )
 
 
@@ -455,9 +561,10 @@ def test_a_film_of_images_of_which_one_has_changed_is_not_shown(tmp_path: Path) 
     told = {"num_given": 0, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
     files = tuple((path.name, digest_of(path)) for path in paths)
     ingest = {"videos": [{"id": "images", "path": str(tmp_path)}]}
-    assert isinstance(find_film(SimpleNamespace(parameters=told, files=files), ingest), FilmReader)  # type: ignore[arg-type]
-    changed = (*files[:2], (paths[2].name, "1" * 64))
-    assert isinstance(find_film(SimpleNamespace(parameters=told, files=changed), ingest), str)  # type: ignore[arg-type]
+    for last, is_shown in ((files[2], True), ((paths[2].name, "1" * 64), False)):
+        film = find_film(SimpleNamespace(parameters=told, files=(*files[:2], last)), ingest)  # type: ignore[arg-type]
+        assert film is not None
+        assert (film.image(2) is not None) is is_shown
 
 
 def tree(store: Store) -> dict[str, int]:
@@ -501,12 +608,23 @@ class Browser:
 def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> None:
     viewer.seek(5)
     browser = Browser()
-    viewer._save(browser, is_clip=True)
+    save_clip(viewer, browser)
     (content,) = browser.downloads.values()
     found, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
     step = max(1, round((viewer.scene.rate_hz or 0.0) / 10.0))
     assert found
     assert len(clip.frames) == len(range(5, viewer.scene.num_frames, step))
+
+
+def test_one_button_saves_a_picture_and_the_other_a_clip(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed: dict[str, Callable[[SimpleNamespace], None]] = {}
+    monkeypatch.setattr(viewer.panel, "button", lambda label, action, is_alone: pressed.update({label: action}))
+    offer_saving(viewer)
+    viewer.seek(viewer.scene.num_frames - 2)
+    browser = Browser()
+    for label in ("Save picture", "Save clip"):
+        pressed[label](SimpleNamespace(client=browser))
+    assert [name.rpartition(".")[2] for name in browser.downloads] == ["png", "webp"]
 
 
 def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer: Viewer) -> None:
@@ -519,6 +637,6 @@ def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer:
         assert not other.is_alive(), "it waits for the clip"
 
     browser = Browser(step_elsewhere)
-    viewer.safely(lambda _: viewer._save(browser, is_clip=True), is_alone=False)(None)
-    assert viewer._handles["said"].value == "the clip was not saved: something else was shown meanwhile"
+    viewer.panel.safely(lambda _: save_clip(viewer, browser), is_alone=False)(None)
+    assert viewer.panel.put["said"].value == "the clip was not saved: something else was shown meanwhile"
     assert (viewer.frame, browser.downloads) == (4, {})

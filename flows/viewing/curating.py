@@ -1,0 +1,125 @@
+"""Accepting and rejecting what is shown: whole items, single frames, clips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from flows.viewing.kinds import KINDS
+from flows.viewing.scene import Scene
+from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf, moment_reference
+from tasks.curation import UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A frame of an item of a part."""
+
+    part: Part
+    item: Item
+    scene: Scene
+    frame: int
+
+    @property
+    def row(self) -> int:
+        """The first row of the item that is of the frame."""
+        return self.scene.row_of(self.frame)
+
+    @property
+    def reference(self) -> str:
+        """What names it."""
+        return moment_reference(self.part, self.item, self.row)
+
+    @property
+    def is_thing(self) -> bool:
+        """The frame is accepted or rejected by itself."""
+        return is_each_frame(self.part, self.item)
+
+
+class Curation:
+    """What is chosen of what is shown.
+
+    Args:
+        shelf: What can be looked at.
+        choosing: The file of choices.
+    """
+
+    def __init__(self, shelf: Shelf, choosing: Choosing) -> None:
+        self._shelf, self.choosing = shelf, choosing
+        self.begin()
+
+    def begin(self, clip: tuple[int, int] | None = None) -> None:
+        """Let choices be about a clip from now on, by its first and last frame; without one about the whole item."""
+        self.clip, self._thing = clip, ("", "")
+
+    def mark(self, edge: Literal["start", "end"], moment: Moment) -> None:
+        """Let the clip start or end at a frame; the other edge gives way.
+
+        Raises:
+            InputError: Clips of this table cannot be chosen.
+        """
+        refuse_clips(moment.part.table)
+        frame, (first, last) = moment.frame, self.clip or (0, moment.scene.num_frames - 1)
+        self.begin((frame, max(frame, last)) if edge == "start" else (min(first, frame), frame))
+
+    def decide(self, decision: Decision | Literal["undo"], moment: Moment, reason: str) -> str:
+        """Write a choice, or forget it, of the clip that the frame is in where none is marked; says so."""
+        name, content = self.thing(moment)
+        if decision == "undo" and self.clip is None:
+            at = moment.scene.number_of(moment.frame)
+            here = (one.name for (first, last), one in self._clips(moment).items() if first <= at <= last)
+            name = next(here, name)
+        return self.choosing.decide(decision, moment.part.table, name, content, reason)
+
+    def lines(self, moment: Moment) -> list[str]:
+        """Return what was chosen of a moment, and of clips of its item, a line each."""
+        marked = "" if self.clip is None else f"clip of frames {self.clip[0]} to {self.clip[1]}: "
+        lines = [marked + self.choosing.words(moment.part.table, *self.thing(moment))]
+        for (first, last), one in self._clips(moment).items():
+            start, end = moment.scene.frame_at(first), moment.scene.frame_at(last + 1) - 1
+            lines.append(f"frames {start} to {end} {one.words}")
+        return lines
+
+    def of_item(self, part: Part, item: Item) -> str:
+        """Return what was chosen of an item, in one word; of items whose frames are chosen one by one nothing."""
+        if is_each_frame(part, item):
+            return ""
+        choice = self.choosing.about(part.table, "/".join(item.names))
+        return UNDECIDED if choice is None else f"{choice.decision}ed"
+
+    def thing(self, moment: Moment) -> tuple[str, str]:
+        """Return name and content of what would be accepted or rejected now; an item's is read once."""
+        if moment.is_thing or not self._thing[0]:
+            number = moment.scene.number_of
+            clip = None if self.clip is None else (number(self.clip[0]), number(self.clip[1]))
+            self._thing = thing_of(self._shelf, moment.part, moment.item, moment.row, clip)
+        return self._thing
+
+    def _clips(self, moment: Moment) -> dict[tuple[int, int], Choice]:
+        return self.choosing.clips(moment.part.table, "/".join(moment.item.names))
+
+
+def is_each_frame(part: Part, item: Item) -> bool:
+    """Tell whether frames of an item are accepted or rejected one by one."""
+    return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
+
+
+def thing_of(shelf: Shelf, part: Part, item: Item, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
+    """Return name and content of what is accepted or rejected at a row of an item, which may hold more than that.
+
+    Args:
+        shelf: What can be looked at.
+        part: A part of it.
+        item: An item of the part.
+        row: A row of the item.
+        clip: Only from this frame of a reconstruction to that one.
+
+    Raises:
+        InputError: Clips of this table cannot be chosen, or the item has no such frames.
+    """
+    if KINDS[part.table].is_each:
+        ref, at = item.row(row)
+        item, row = Item(item.names, ((ref, np.array([at])),), item.label), 0
+    return thing_at(item.read(shelf.store, part.table, content_columns(part.table) or []), row, clip)

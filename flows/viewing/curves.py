@@ -1,0 +1,92 @@
+"""Figures over time in the panel: a curve, who is there, and how each frame was judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from flows.viewing.bodies import rgb
+from flows.viewing.panel import Panel
+from flows.viewing.scene import Scene
+from flows.viewing.side import INK, PAPER, flat_picture
+from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.evaluation.pictures import PERSON_COLOURS
+from pasdedeux.evaluation.shown_figures import figure_label
+
+_WIDTH = 640
+
+
+class Curves:
+    """The folder of the panel with figures over the frames of what is shown.
+
+    Args:
+        panel: The panel.
+    """
+
+    def __init__(self, panel: Panel) -> None:
+        self._folder = panel.gui.add_folder("Curve")
+        with self._folder:
+            self._strip = panel.gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
+            self.chosen = panel.gui.add_dropdown("figure", ("none",))
+            self._plot = panel.gui.add_image(flat_picture([]), visible=False)
+        self._curves: list[Array] = []
+
+    def show(self, scene: Scene) -> None:
+        """Take a figure over the frames, those of other chains beside it, and who is there."""
+        there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
+        self._strip.visible = has_strip = scene.levels is not None or not there.all()
+        self._strip.image = presence_strip(there, scene.levels)
+        known = {}
+        for name, curve in scene.curves.items():
+            label, factor, _ = figure_label(name)
+            values = factor * np.asarray(curve, dtype=np.float64)
+            if np.fmax.reduce(values) > np.fmin.reduce(values):
+                known[label] = values
+        if known and tuple(known) != self.chosen.options:
+            self.chosen.options = tuple(known)
+        self.chosen.visible = self._plot.visible = bool(known)
+        self._folder.visible = bool(known) or has_strip
+        others = scene.others if known and self.chosen.value == next(iter(known)) else ()
+        self._curves = [*others, known[str(self.chosen.value)]] if known else []
+
+    def draw(self, frame: int) -> None:
+        """Draw the figure with a line at a frame."""
+        if self._curves:
+            self._plot.image = plot_curves(self._curves, frame)
+
+
+def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
+    """Return who is there (frame, person) and how each frame was judged (frame,) as a strip, time to the right."""
+    rows = [
+        np.where(is_there[:, p, None], rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)]), PAPER)
+        for p in range(is_there.shape[1])
+    ]
+    if levels is not None:
+        rows.append(np.array([(120, 170, 120), (230, 170, 40), (200, 30, 50)])[levels])
+    columns = np.linspace(0, len(is_there) - 1, _WIDTH).round().astype(int)
+    return np.repeat(np.stack(rows)[:, columns], 12, axis=0).astype(np.uint8)
+
+
+def plot_curves(curves: Sequence[Array], frame: int) -> Any:
+    """Return figures over the frames as an image: the last of them over the others, and a line at a frame."""
+    import cv2
+
+    height, width, edge = 170, _WIDTH, 22
+    image = np.full((height, width, 3), PAPER, dtype=np.uint8)
+    low, high = (take([take(one) for one in curves if np.isfinite(one).any()]) for take in (np.nanmin, np.nanmax))
+    across = np.linspace(0, width - 1, len(curves[-1]))
+    for number, curve in enumerate(curves, 1 - len(curves)):
+        points = np.stack(
+            [across, height - edge - (curve - low) / max(high - low, 1e-12) * (height - 2 * edge)], axis=-1
+        )
+        is_there = np.isfinite(points[:, 1])
+        runs = np.split(points[is_there], np.flatnonzero(np.diff(np.flatnonzero(is_there)) > 1) + 1)
+        colour = rgb(PERSON_COLOURS[(number + 2) % 3 + 2]) if number else rgb(PERSON_COLOURS[1])
+        cv2.polylines(image, [np.round(8 * run).astype(np.int32) for run in runs], False, colour, 1, cv2.LINE_AA, 3)
+    at = round(across[min(frame, len(across) - 1)])
+    cv2.line(image, [at, 0], [at, height], rgb(PERSON_COLOURS[0]), 2)
+    for value, y in ((high, edge - 4), (low, height - 4)):
+        cv2.putText(image, f"{value:.3g}", (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, INK, 1, cv2.LINE_AA)
+    return image

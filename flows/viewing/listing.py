@@ -1,0 +1,109 @@
+"""The items of a part in the order, and of the kind, that was asked for, and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from flows.viewing.curating import Curation
+from flows.viewing.kinds import KINDS
+from flows.viewing.panel import Panel
+from flows.viewing.shelf import GROUPS, Item, Part, Shelf
+from pasdedeux.evaluation.shown_figures import figure_label, figure_words
+from pasdedeux.verdict import Level
+from tasks.curation import UNDECIDED
+
+ALL, FAILS, WARNS, PASSES = "all", "fail", "warn", "pass"
+STORED_ORDER = "as stored"
+ONLY = (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
+
+
+class Listing:
+    """The folder of the panel that says which items of a part are listed, and how.
+
+    Args:
+        panel: The panel.
+        shelf: What can be looked at.
+        curation: What was chosen.
+    """
+
+    def __init__(self, panel: Panel, shelf: Shelf, curation: Curation) -> None:
+        self._panel, self._shelf, self._curation = panel, shelf, curation
+        with panel.gui.add_folder("Filter and sort", expand_by_default=False):
+            self.only = panel.gui.add_dropdown("only", ONLY)
+            self.by = panel.gui.add_dropdown("largest first", (STORED_ORDER,))
+        self.order: list[int] = []
+        """Numbers of the items that are listed."""
+
+    def show(self, part: Part, kept: int) -> None:
+        """List the items of another part, `kept` in any case."""
+        self._part, self._figures = part, qualities(self._shelf, part)
+        first = next(iter(self._figures.values()), {})
+        self._names = {figure_label(name).words: name for name, value in first.items() if _is_figure(part, name, value)}
+        self.by.options = (STORED_ORDER, *self._names)
+        self.sort(kept)
+
+    @property
+    def items(self) -> Sequence[Item]:
+        """All items of the part."""
+        return self._shelf.items(self._part)
+
+    def sort(self, kept: int | None = None) -> None:
+        """Put the items into the order, and leave out those, that were asked for; `kept` stays in any case."""
+        rows, by, only = [self.figures(item) for item in self.items], str(self.by.value), str(self.only.value)
+        shown = [{ALL, str(row.get("verdict", "")), self._chosen(at)} for at, row in enumerate(rows)]
+        self.order = [at for at, words in enumerate(shown) if at == kept or only in words]
+        if by != STORED_ORDER:
+            self.order.sort(key=lambda at: -_number(rows[at].get(self._names[by])))
+        self._panel.put["item"].options = tuple(map(self.label, self.order)) or ("none",)
+
+    def after(self, index: int, by: int) -> int | None:
+        """Return the item some places after one; None where none is listed."""
+        at = self.order.index(index) if index in self.order else 0
+        return self.order[(at + by) % len(self.order)] if self.order else None
+
+    def label(self, index: int) -> str:
+        """Return what an item is called: verdict and choice stand behind, where there is something to say."""
+        item = self.items[index]
+        words = self.figures(item).get("verdict", PASSES), self._chosen(index)
+        return " ".join([item.label, *(f"({word})" for word in words if word not in (PASSES, UNDECIDED, ""))])
+
+    def figures(self, item: Item) -> dict[str, Any]:
+        """Return the figures of an item as the store has them."""
+        return self._figures.get(item.names, {})
+
+    def lines(self, item: Item, facts: Sequence[str]) -> list[str]:
+        """Return what is known of an item, a line each: why it is judged so, facts, figures."""
+        row = self.figures(item)
+        figures = [figure_words(name, value) for name, value in row.items() if _is_figure(self._part, name, value)]
+        heading = ["all frames together:"] if figures else []
+        return [*filter(None, [str(row.get("reason") or "")]), *facts, *heading, *figures]
+
+    def _chosen(self, index: int) -> str:
+        return self._curation.of_item(self._part, self.items[index])
+
+
+def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
+    """Return the figures of each item of a part by the item's names; of several people those of the worst stand."""
+    table = KINDS[part.table].quality
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    for ref in shelf.having(table, part.name) if table else ():
+        data = shelf.store.read(ref, table)
+        for number in range(data.num_rows):
+            row = data.row(number)
+            names = tuple(str(row[name]) for name in GROUPS[part.table])
+            if names not in found or Level(row["verdict"]).rank > Level(found[names]["verdict"]).rank:
+                found[names] = row
+    return found
+
+
+def _is_figure(part: Part, name: str, value: Any) -> bool:
+    """Tell whether a column of the figures of a part's items is a number that names nothing."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
+    return is_number and name not in {*GROUPS[part.table], "person"}
+
+
+def _number(value: Any) -> float:
+    return float(value) if value is not None and np.isfinite(value) else -np.inf

@@ -1,0 +1,76 @@
+"""Pictures and clips of what a browser shows, saved there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from flows.viewing.viewer import STILLS_HZ, Viewer
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+
+_CLIP_S = 4.0
+_CLIP_HZ = 10.0
+_LIMIT_S = 60.0
+
+
+def offer_saving(viewer: Viewer) -> None:
+    """Put the buttons that save into the panel of a viewer; nobody waits for what they do."""
+    with viewer.link_folder:
+        for label, save in (("Save picture", save_picture), ("Save clip", save_clip)):
+            viewer.panel.button(label, lambda event, save=save: save(viewer, event.client), is_alone=False)
+
+
+def save_picture(viewer: Viewer, client: Any) -> None:
+    """Send a browser what it shows, as a PNG."""
+    image = client.get_render(client.camera.image_height, client.camera.image_width, timeout=_LIMIT_S)
+    client.send_file_download(f"{_name(viewer)}.png", encode(image, ".png"), save_immediately=True)
+
+
+def save_clip(viewer: Viewer, client: Any) -> None:
+    """Send a browser what it shows in the next seconds, as an animated WebP.
+
+    Raises:
+        InputError: Somebody went on to something else meanwhile.
+    """
+    with viewer.lock:
+        viewer.play(False)
+        name, scene, last = f"{_name(viewer)}.webp", viewer.scene, viewer.frame
+        rate_hz = scene.rate_hz or STILLS_HZ
+        step = max(1, round(rate_hz / _CLIP_HZ))
+        frames = range(last, min(last + int(_CLIP_S * rate_hz), scene.num_frames), step)
+    images = []
+    for frame in frames:
+        with viewer.lock:
+            if viewer.scene is not scene or viewer.frame != last:
+                raise InputError("the clip was not saved: something else was shown meanwhile")
+            viewer.seek(frame)
+            last = frame
+        images.append(
+            client.get_render(client.camera.image_height // 2, client.camera.image_width // 2, timeout=_LIMIT_S)
+        )
+        viewer.panel.tell(f"saving a clip: {frame - frames.start} of {len(frames) * step} frames")
+    client.send_file_download(name, encode_clip(images, rate_hz / step), save_immediately=True)
+    viewer.panel.tell(f"saved {name}")
+
+
+def _name(viewer: Viewer) -> str:
+    return f"{viewer.part.table}-{'-'.join(viewer.item.names)}-{viewer.frame}".replace("/", "-")
+
+
+def encode(image: Array, suffix: str) -> bytes:
+    """Return an image (height, width, 3 or 4), RGB, as the bytes of a file of this kind."""
+    import cv2
+
+    return cv2.imencode(suffix, cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGR))[1].tobytes()
+
+
+def encode_clip(images: Sequence[Array], rate_hz: float) -> bytes:
+    """Return images (height, width, 3), RGB, as an animated WebP that repeats."""
+    import cv2
+
+    animation = cv2.Animation()
+    animation.frames = [cv2.cvtColor(one[..., :3], cv2.COLOR_RGB2BGRA) for one in images]
+    animation.durations = [round(1000.0 / rate_hz)] * len(images)
+    animation.loop_count = 0
+    return cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()

@@ -1,0 +1,145 @@
+"""What was seen of a sequence: 2D poses, their film, the camera, and who was captured behind virtual video."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import numpy as np
+
+from flows.viewing.films import FilmReader
+from flows.viewing.scene import Flat, Grid
+from flows.viewing.shelf import Shelf
+from pasdedeux.arrays import Array, Integers
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.errors import InputError
+from pasdedeux.reconstruction.tracks import Lens
+from pasdedeux.skeletons import BODY22, PAIR17
+from pasdedeux.spread import evenly_spread
+from storage_schema import ArtifactRef, Store
+from tasks.annotated_pairs import read_people
+from tasks.evaluation.ground_truth import GroundTruth
+from tasks.facts import SequenceFacts
+
+_NUM_LOCATED = 60
+"""Frames by which the camera of a reconstruction is located."""
+_LIMBS = [name for name in PAIR17.joint_names if name.endswith(("shoulder", "elbow", "wrist", "knee", "ankle"))]
+LIMBS17, LIMBS22 = ([one.index(name) for name in _LIMBS] for one in (PAIR17, BODY22))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was seen of a sequence: annotated people by place, the camera of virtual video, the take behind it."""
+
+    store: Store
+    ref: ArtifactRef | None
+    sequence_id: str
+    film: FilmReader | None = None
+
+    @classmethod
+    def of(cls, shelf: Shelf, sequence_id: str) -> Seen:
+        """Find it among the annotations at hand."""
+        for ref in shelf.having("annotations"):
+            if sequence_id in SequenceFacts.of(shelf.store.manifest(ref)).sequence_ids:
+                return cls(shelf.store, ref, sequence_id, shelf.film(ref))
+        return cls(shelf.store, None, sequence_id)
+
+    @property
+    def film_words(self) -> tuple[str, ...]:
+        """Why its film cannot be shown, once somebody has tried."""
+        return (self.film.trouble,) if self.film is not None and self.film.trouble else ()
+
+    def image(self, frame: int) -> Callable[[], Array | None] | None:
+        """Return what reads the image of a frame; None where there is no film."""
+        return None if self.film is None else partial(self.film.image, int(frame))
+
+    def locate_camera(
+        self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
+    ) -> PinholeCamera | None:
+        """Return the camera that sees a reconstruction (frame, person, 22, 3) where its people were seen in 2D.
+
+        None where too little of them was seen.
+        """
+        if self.ref is None:
+            return None
+        at, people = evenly_spread(len(grid.frames), _NUM_LOCATED), _people(self.store, self.ref)
+        nobody = np.full((PAIR17.num_joints, 2), np.nan)
+        seen = [people.get((self.sequence_id, int(frame)), {}) for frame in grid.frames[at]]
+        px = np.array([[one.get(int(who), nobody) for who in grid.persons] for one in seen])
+        width, height, focal_px = _lenses(self.store, self.ref)[self.sequence_id]
+        size = size_of(width, height, px)
+        lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
+        with suppress(InputError):
+            return PinholeCamera.locate(
+                upright_m[at][:, :, LIMBS22].reshape(-1, 3),
+                px[:, :, LIMBS17].reshape(-1, 2),
+                focal_px=lens_factor * lens.focal_px,
+                principal_point_px=np.array(lens.principal_point_px),
+                camera_from_world_rotmat=camera_from_upright,
+                image_size_px=size,
+            )
+        return None
+
+    @property
+    def camera(self) -> PinholeCamera | None:
+        """The camera of virtual video."""
+        return None if self.ref is None else _truth(self.store, self.ref, "body22_m").cameras.get(self.sequence_id)
+
+    def truth(self, frames: Integers, persons: Integers, column: str, *, in_world: bool = False) -> Array | None:
+        """Return who was captured (frame, person, joint, 3), in camera axes or the world's; None where unknown."""
+        if self.ref is None or not SequenceFacts.of(self.store.manifest(self.ref)).is_virtual:
+            return None
+        truth = _truth(self.store, self.ref, column)
+        takes = [truth.frames.get((self.sequence_id, int(frame)), ("", 0)) for frame in frames]
+        camera = truth.cameras.get(self.sequence_id)
+        known = [truth.takes.get(take) for take, _ in takes]
+        if camera is None or any(one is None or max(persons) >= one.shape[1] for one in known):
+            return None
+        world = np.stack([one[at][persons] for one, (_, at) in zip(known, takes, strict=True) if one is not None])
+        return world if in_world else world @ camera.camera_from_world_rotmat.T
+
+    def flats(self, frame: int, title: str) -> list[Flat]:
+        """Return the 2D poses of a frame; none where it was not annotated."""
+        people = {} if self.ref is None else _people(self.store, self.ref).get((self.sequence_id, frame))
+        if self.ref is None or not people:
+            return []
+        points = np.stack([people[who] for who in sorted(people)])
+        width, height, _ = _lenses(self.store, self.ref)[self.sequence_id]
+        return [Flat(PAIR17, points, size_of(width, height, points), f"{title} frame {frame}", self.image(frame))]
+
+
+@lru_cache(maxsize=4)
+def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
+    takes = [one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables]
+    return GroundTruth.read(store, takes, [ref], column=column)
+
+
+@lru_cache(maxsize=4)
+def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[int, Array]]:
+    """Return the people of each frame of each sequence, by their numbers."""
+    found: dict[tuple[str, int], dict[int, Array]] = {}
+    for place, people in read_people(store, [ref], is_between=True, with_held_out=True).items():
+        found.setdefault((place.sequence_id, place.frame), {}).update(people)
+    return found
+
+
+@lru_cache(maxsize=16)
+def _lenses(store: Store, ref: ArtifactRef) -> Mapping[str, Array]:
+    """Return width, height and focal length of the camera of each sequence of 2D poses, pixels, NaN where unknown."""
+    columns = ["image_width_px", "image_height_px", "focal_px"]
+    data = store.read(ref, "annotations", columns=["sequence_id", *columns])
+    names, rows = np.unique(data["sequence_id"].astype(str), return_index=True)
+    lenses = np.stack([np.where(data.is_null(name), np.nan, data[name])[rows] for name in columns], axis=-1)
+    return dict(zip(names.tolist(), lenses, strict=True))
+
+
+def size_of(width: float, height: float, points_px: Array) -> tuple[int, int]:
+    """Return the size of an image; one that is unknown holds everything that was seen."""
+    if np.isfinite([width, height]).all():
+        return int(width), int(height)
+    if not np.isfinite(points_px).any():
+        return 640, 480
+    low, high = (take(points_px, axis=tuple(range(points_px.ndim - 1))) for take in (np.nanmin, np.nanmax))
+    return int(high[0] - min(low[0], 0.0)) + 80, int(high[1] - min(low[1], 0.0)) + 80

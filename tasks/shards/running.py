@@ -16,7 +16,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from threadpoolctl import ThreadpoolController
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 RunShard = Callable[[Shard, Store], ArtifactRef]
-Result: TypeAlias = "tuple[ArtifactRef, float, Place | None]"
 
 _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone
 _COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
@@ -55,6 +54,14 @@ class Place:
     began_s: float
     processor_s: float
     memory_bytes: int
+
+
+class Result(NamedTuple):
+    """What a worker says of a shard: its artifact, the seconds it took, and where, unless it was there already."""
+
+    ref: ArtifactRef
+    seconds: float
+    place: Place | None
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
     try:
         store = Store(store_root)
         if not shard.replaces and (found := store.find(shard.stage, shard.key)) is not None:
-            return found.ref, found.timings.get(SHARD_S, 0.0), None
+            return Result(found.ref, found.timings.get(SHARD_S, 0.0), None)
         store.measure()
         with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
             ref = run_shard(shard, store)
@@ -115,7 +122,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
     else:
         spent_s = time.thread_time() - spent_s
         place = Place(f"{platform.node()} {os.getpid()}", began_s, spent_s, peak_memory_bytes(None))
-        return ref, time.perf_counter() - started, place
+        return Result(ref, time.perf_counter() - started, place)
     raise failure  # out here it drags no original error along, which may not be picklable
 
 

@@ -58,6 +58,9 @@ def _words(bars: Sequence[_Bar]) -> str:
 
 def _time_line(bars: Sequence[_Bar]) -> Picture:
     """Show when each process computed what."""
+    from matplotlib import colormaps  # here: what is not drawn need not wait for it
+
+    colours = colormaps["tab20"]  # the ten of a plain axis are fewer than the stages
     processes = list(dict.fromkeys(bar.place.process for bar in bars))
     stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))
     figure, ((axis,),) = new_figure(9.5, 1.3 + 0.35 * len(processes))
@@ -65,11 +68,12 @@ def _time_line(bars: Sequence[_Bar]) -> Picture:
         own = [bar for bar in bars if bar.manifest.ref.stage == stage]
         rows, starts = [processes.index(bar.place.process) for bar in own], [bar.start_s for bar in own]
         lengths = [bar.seconds for bar in own]
-        axis.barh(rows, lengths, left=starts, color=f"C{number}", edgecolor="white", linewidth=0.3, label=stage)
+        axis.barh(rows, lengths, left=starts, color=colours(number), edgecolor="white", linewidth=0.3, label=stage)
     axis.set_yticks(range(len(processes)), [f"process {number}" for number in range(1, len(processes) + 1)])
     axis.invert_yaxis()
     label_axis(axis, "seconds since the first shard began")
-    legend_beside(axis)
+    if stages:
+        legend_beside(axis)
     caption = "Shards on processes over time, coloured by stage; white is waiting."
     return Picture("time-line.svg", caption, figure_svg(figure))
 

@@ -24,7 +24,8 @@ _LOCKED: set[str] = set()
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return the decorator of kernels: `numba.njit` with these options, cached on disk and without the GIL.
 
-    Division by zero gives infinity or NaN, as numpy's does.
+    Division by zero gives infinity or NaN, as numpy's does.  A kernel may call itself, but with arguments of the same
+    types: numba crashes when it loads another from the cache.
     """
     return lambda function: _Kernel(function, options)
 
@@ -32,7 +33,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def inner_kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return the decorator of functions that only kernels call: small ones compile in a third of the time.
 
-    Python cannot call them.
+    Python must not call them: its process would crash.
     """
     return compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
 
@@ -94,10 +95,12 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     Numba would compile it for each constant that a kernel passes, and in every process that asks at the same time: here
     one compiles, the others wait and load.  Where nothing can be kept, each process compiles for itself.
     """
-    from numba import njit
+    from numba import config, njit
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.types import unliteral
 
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
+        return function
     options = {"nogil": True, "error_model": "numpy", **options}
     try:
         made = njit(cache=True, **options)(function)

@@ -20,9 +20,13 @@ THREAD_VARIABLES = (
     "POLARS_MAX_THREADS",
 )
 """What libraries read when they are first imported."""
+_ELSE_OPENMP = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
+"""Without these, their libraries take OMP_NUM_THREADS."""
 
 
 def use_one_thread() -> None:
     """Let libraries that are not imported yet have one thread, where the environment does not say how many."""
+    said = _ELSE_OPENMP if "OMP_NUM_THREADS" in os.environ else ()
     for name in THREAD_VARIABLES:
-        os.environ.setdefault(name, "1")
+        if name not in said:
+            os.environ.setdefault(name, "1")

@@ -41,7 +41,7 @@ from tasks.stage import (
 from tasks.sweep import SweptParameters
 from tasks.takes import TakeMotion, read_take
 
-AUGMENTATION = StageName("augmentation", 23)
+AUGMENTATION = StageName("augmentation", 24)
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

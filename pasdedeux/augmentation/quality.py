@@ -58,7 +58,7 @@ class Quality:
     )
     stance_excursion_m: float = figure(
         "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement and "
-        "what that is more or less of for the change of bone lengths",
+        "that times the greatest change of a bone of this person",
         (0.01, 0.03),  # a third of a foot's width
     )
     floor_penetration_m: float = figure("Greatest depth of a joint under the floor beyond the source's", (0.02, 0.06))
@@ -177,7 +177,7 @@ class QualityMeter:
         drift_fk = np.abs(self._contact_distances(reference) - self._distance)
         people = self._people(points)
         bone_error = np.abs(bone_lengths(BODY22, people) - lengths_m.reshape(bone_scale.shape)).max(axis=(1, 2))
-        excursion, by_stance = self._excursions(points, float(np.abs(bone_scale - 1.0).max()))
+        excursion, by_stance = self._excursions(points, np.abs(bone_scale - 1.0).max(axis=1))
         below = np.maximum(self._floor - points[..., 1], 0.0)
         depths = self._penetrate(points)
         extra = np.maximum(depths[:, -1] - self._penetration[:, -1], 0.0)
@@ -227,21 +227,22 @@ class QualityMeter:
     def _contact_distances(self, points: Array) -> Array:
         return np.asarray(np.linalg.norm(self._contacts.vectors(points)[self._held], axis=-1))
 
-    def _excursions(self, points: Array, rescaled: float) -> tuple[Array, list[float]]:
+    def _excursions(self, points: Array, rescaled: Array) -> tuple[Array, list[float]]:
         """Return how far joints that stand are from their median place in that stance: by frame, by stance.
 
-        Movement of the source while it stands is not counted, nor what bodies of other sizes make more or less of it: a
+        Movement of the source while it stands is not counted, nor that times what bones of the person gain or lose: a
         foot that turns is judged where it turns about, for its other joints go round on a smaller or larger circle.
+        Everything counts of somebody whose bones keep their lengths, and where the source does not move.
 
         Args:
             points: Positions (T, n, 3), metres.
-            rescaled: How much of their length bones gain or lose at most.
+            rescaled: The part of their length that bones of each person gain or lose at most (P,).
         """
         frames, worst = np.zeros(self._num_frames), []
         for joint, when in self._stances:
             source, own = self._points[when, joint][:, [0, 2]], points[when, joint][:, [0, 2]]
             moved, travel = (_from_median(places) for places in (own - source, source))
-            away = np.maximum(moved - rescaled * travel.max(), 0.0)
+            away = np.maximum(moved - rescaled[joint // BODY22.num_joints] * travel.max(), 0.0)
             frames[when] = np.maximum(frames[when], away)
             worst.append(float(away.max()))
         return frames, worst

@@ -118,7 +118,7 @@ class Searcher:
         if camera == self.database.camera:
             return self
         clusters = None if self.published is None else self.published.clusters
-        return Searcher.of(replace(self.database, camera=camera), clusters)
+        return replace(Searcher.of(replace(self.database, camera=camera), clusters), source_row=self.source_row)
 
 
 @dataclass(frozen=True)

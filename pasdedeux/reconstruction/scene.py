@@ -68,13 +68,13 @@ _LOOK_DEVIATION = 0.05
 _LOOK_S = 1.0
 """Frames nearer in time than this count as one: they err alike."""
 _FLOOR_DEVIATION_M = 0.045
-"""Deviation of the lower ankle from where it stands."""
+"""Deviation of the lowest part from the floor."""
 _ANKLE_DEVIATION_M = 0.02
 """The same of a person all the time: shoes and heels."""
 _TILT_DEVIATION = 0.04
 """Deviation of the slope that errors of the poses in depth give the floor."""
 _FLOOR_S = 0.7
-"""As `_LOOK_S`, for errors of the ankle's height."""
+"""As `_LOOK_S`, for errors of the lowest part's height."""
 _STANCE_M_S = 0.3
 """Deviation of the depth speed of a foot that stands."""
 _STILL_M_S = 0.3
@@ -386,11 +386,13 @@ def estimate_scene(
         check_positive(camera_height_m, "the height of the camera")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
     solution = solve(problem, robust=_ROBUST)
+    tried = []
     for carried in problem.may_carry():
         problem.carried = carried
-        other = solve(problem, robust=_ROBUST)
-        if other.cost + _CARRIED_COST < solution.cost:
-            solution = other
+        tried.append(solve(problem, robust=_ROBUST))
+    best = min(tried, key=lambda one: one.cost, default=solution)
+    if best.cost + _CARRIED_COST < solution.cost:
+        solution = best
     x, variance_of = solution.x, solution.variance_of
     return SceneEstimate(
         float(x[_PITCH]),

@@ -109,7 +109,8 @@ from threadpoolctl import threadpool_info
 print(sorted({one["num_threads"] for one in threadpool_info()}))
 """
     names = {name: value for name, value in os.environ.items() if name not in THREAD_VARIABLES}
-    for stated, threads in ({}, "[1]"), (dict.fromkeys(THREAD_VARIABLES, "2"), "[2]"):
+    two = dict.fromkeys(THREAD_VARIABLES, "2")
+    for stated, threads in ({}, "[1]"), (two, "[2]"), ({"OMP_NUM_THREADS": "2"}, "[2]"):
         said = subprocess.run(
             [sys.executable, "-c", script], cwd=ROOT, env=names | stated, capture_output=True, text=True, check=True
         )

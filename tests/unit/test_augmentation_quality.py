@@ -16,11 +16,11 @@ from tests.builders.moving_pairs import swaying_pair
 FRAMES = 20
 
 
-def _measure(source: Source, pair: np.ndarray, scale: float = 1.0) -> tuple[Quality, FrameQuality]:
+def _measure(source: Source, pair: np.ndarray, scale: tuple[float, float] = (1.0, 1.0)) -> tuple[Quality, FrameQuality]:
     return QualityMeter(source).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
-        bone_scale=np.full((2, 22), scale),
+        bone_scale=np.repeat(np.array(scale)[:, None], 22, axis=1),
         lengths_m=source.lengths_m.reshape(-1),
         squared_residual=np.zeros(len(pair)),
     )
@@ -104,9 +104,10 @@ def test_a_foot_that_turns_on_its_toe_is_no_fault_of_a_longer_foot_and_one_that_
     longer = np.array(source.positions_m)
     longer[:, 0, ankle] += 0.04 * behind
     assert _measure(source, longer)[0].stance_excursion_m > 0.01
-    assert _measure(source, longer, 1.4)[0].stance_excursion_m < 1e-6
+    assert _measure(source, longer, (1.4, 1.0))[0].stance_excursion_m < 1e-6
+    assert _measure(source, longer, (1.0, 1.4))[0].stance_excursion_m > 0.01, "A's feet have not grown"
     longer[2 * FRAMES // 3 :, 0, toe, 0] += 0.04
-    assert _measure(source, longer, 1.4)[0].stance_excursion_m > 0.03
+    assert _measure(source, longer, (1.4, 1.0))[0].stance_excursion_m > 0.03
 
 
 def test_a_take_of_one_frame_has_figures() -> None:

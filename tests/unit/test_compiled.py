@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Barrier
 from typing import Any
 
 import numpy as np
 import pytest
+from numba import config
 
 from pasdedeux.compiled import compiled
 
@@ -81,7 +83,10 @@ def test_a_kernel_calls_kernels_inlines_them_and_calls_itself() -> None:
     assert twice(3) == 6.0  # also once it is known to have been called by another
 
 
-def test_a_kernel_that_calls_itself_with_another_type_does_not_wait_for_itself() -> None:
+def test_a_kernel_that_calls_itself_with_another_type_does_not_wait_for_itself(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))  # loaded from a cache, it crashes
     assert halvings(8) == 3
 
 
@@ -89,6 +94,11 @@ def test_a_kernel_is_compiled_once_whatever_constants_others_pass() -> None:
     assert powers(2) == 2 + 4 + 27 + 4
     powers._made.recompile()  # what was loaded from the cache asked for nothing
     assert len(power.overloads) == 1  # its place was taken by what numba made
+
+
+def test_kernels_run_as_python_where_numba_is_told_not_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config, "DISABLE_JIT", 1)
+    assert compiled()(lambda value: value / 3.0)(9.0) == 3.0
 
 
 def test_a_kernel_keeps_its_name_and_docstring() -> None:

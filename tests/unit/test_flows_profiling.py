@@ -8,7 +8,7 @@ from pathlib import Path
 from flows.execution import begin, execute
 from flows.outcomes import Run
 from flows.planning import make_plan
-from flows.profiling import PROFILE_FILE
+from flows.profiling import PROFILE_FILE, write_profile
 from flows.study import load_study
 from storage_schema import Store
 from tasks.shards import HerePool
@@ -34,3 +34,8 @@ def test_a_profile_has_the_shards_that_were_computed_by_stage(tmp_path: Path) ->
         assert ("grow" in computed) == is_grown
         assert abs(sum(float(share) for *_, share in rows) - 100.0) < 0.1 * len(rows)
         assert "data:image/svg+xml" in page
+
+
+def test_the_profile_of_a_run_that_computed_nothing_says_so(tmp_path: Path) -> None:
+    page = write_profile(tmp_path, Store(tmp_path / "store"), []).read_text()
+    assert "0 shards, without those that were there already" in page

@@ -183,6 +183,7 @@ def test_nobody_is_laid_on_a_back_that_does_not_bear() -> None:
     laid = with_laid(Searcher.of(database))
     assert laid.source_row is not None
     assert laid.source_row.tolist() == [0, 1, 0, 1, 0]
+    assert laid.pitched(0.2).source_row is laid.source_row
     on_belly, on_back = laid.database.poses_m[3], laid.database.poses_m[4]
     np.testing.assert_allclose(on_belly[:, 1], -kneeling[0, :, 2], atol=1e-6)
     np.testing.assert_allclose(on_back[:, 1], stretched[0, :, 2], atol=1e-6)

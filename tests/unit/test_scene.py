@@ -85,9 +85,7 @@ def test_who_is_held_up_is_not_put_on_the_floor() -> None:
     assert np.abs(height[:, 0] - 0.07).max() < 0.12
 
 
-def test_who_is_carried_all_the_time_is_held_to_who_carries(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_who_is_carried_all_the_time_is_held_to_who_carries(monkeypatch: pytest.MonkeyPatch) -> None:
     people, truth, _ = seen_and_true("lift")
     carried = [reconstruction(one.positions_m[105:195], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
     found, placed = solved(carried)
@@ -97,6 +95,18 @@ def test_who_is_carried_all_the_time_is_held_to_who_carries(
     assert place_error(placed, truth[105:195]) < 0.04
     monkeypatch.setattr(estimate, "_CARRIED_COST", np.inf)
     assert place_error(solved(carried)[1], truth[105:195]) > 0.05
+
+
+def test_of_two_who_may_be_carried_it_is_who_explains_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    people, _, _ = seen_and_true("lift")
+    carried = [reconstruction(one.positions_m[105:195], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
+    right, _ = solved(carried)
+    costs, solve = {None: 40.0, (0, 1): 20.0, (1, 0): 10.0}, estimate.solve
+    monkeypatch.setattr(
+        estimate, "solve", lambda problem, **how: replace(solve(problem, **how), cost=costs[problem.carried])
+    )
+    found, _ = solved(carried)
+    assert found.camera_height_m == right.camera_height_m
 
 
 def test_any_part_that_is_lowest_bears_who_has_no_foot_on_the_floor() -> None:

@@ -11,8 +11,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Track
@@ -71,18 +73,22 @@ def searchers_for(searcher: Searcher, tracks: Sequence[Track]) -> list[Searcher]
 def with_laid(searcher: Searcher) -> Searcher:
     """Return a searcher that finds poses laid down as well; its rows are those of the poses that were laid down."""
     database = searcher.database
-    poses, rows = database.poses_m, np.arange(database.num_rows)
-    step = max(1, -(-2 * database.num_projections // _MAX_PROJECTIONS))
-    chosen = rows[::step]
-    belly, back = (poses[chosen] @ turn for turn in (ON_BELLY.T, ON_BELLY))
+    laid, source = laid_down(database, _MAX_PROJECTIONS)
+    rows = np.concatenate([np.arange(database.num_rows), source])
+    ready = searcher_over(database, np.concatenate([database.poses_m, laid]), rows)
+    return replace(ready, published=searcher.published, source_row=rows)
+
+
+def laid_down(database: Database, max_projections: int) -> tuple[npt.NDArray[np.floating], Integers]:
+    """Return poses laid down (n, 14, 3), and their rows (n,): of so many projections at most, an even choice."""
+    rows = np.arange(0, database.num_rows, max(1, -(-2 * database.num_projections // max_projections)))
+    belly, back = (database.poses_m[rows] @ turn for turn in (ON_BELLY.T, ON_BELLY))
     below = back[:, _TRUNK, 1].min(axis=1) - back[..., 1].min(axis=1)
     is_borne = below < _MAX_BELOW_M
-    source = np.concatenate([rows, chosen, chosen[is_borne]])
-    starts = np.concatenate([[True], np.diff(source) != 1]) | database.is_sequence_start[source]
-    laid = replace(
-        database,
-        poses_m=np.concatenate([poses, belly, back[is_borne]]),
-        is_sequence_start=starts,
-        body22_unitquat=None,
-    )
-    return replace(Searcher.of(laid), published=searcher.published, source_row=source)
+    return np.concatenate([belly, back[is_borne]]), np.concatenate([rows, rows[is_borne]])
+
+
+def searcher_over(database: Database, poses_m: npt.NDArray[np.floating], rows: Integers) -> Searcher:
+    """Return the searcher of poses made of these rows of a database."""
+    starts = np.concatenate([[True], np.diff(rows) != 1]) | database.is_sequence_start[rows]
+    return Searcher.of(replace(database, poses_m=poses_m, is_sequence_start=starts, body22_unitquat=None))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -20,6 +20,7 @@ from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
 from pasdedeux.reconstruction.lying import searchers_for
+from pasdedeux.reconstruction.otherwise import doubt_of_camera, seen_otherwise
 from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, size_by_height, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     SMOOTHING_S,
@@ -70,6 +71,7 @@ class ReconstructedTracks:
         pitch: The pitch of the camera, which says where up is.
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
         doubts: What was stated that contradicts itself, or is about nobody who is there.
+        otherwise: What the image of somebody may show as well, by person id, see `otherwise`.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -78,6 +80,7 @@ class ReconstructedTracks:
     pitch: PitchEstimate
     scene: SceneEstimate | None
     doubts: tuple[str, ...] = ()
+    otherwise: Mapping[int, str] = field(default_factory=dict)
 
 
 def reconstruct_people(
@@ -122,6 +125,7 @@ def reconstruct_people(
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
+    otherwise = seen_otherwise(searcher, matched, is_pitch_given=pitch.is_given)
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
         for track, matches in matched:
@@ -147,6 +151,9 @@ def reconstruct_people(
             statures_m=known,
             camera_height_m=camera_height_m,
         )
+        is_lens_known = all(one.track.lens.is_known for one in people)
+        if odd := doubt_of_camera(scene, is_lens_known=is_lens_known, is_height_given=camera_height_m is not None):
+            otherwise = {one.track.person_id: odd for one in people} | otherwise
         if not pitch.is_given:
             # What poses and floor say of it is not independent: half of what they differ by is doubt.
             doubt = float(np.hypot(scene.pitch_deviation_rad, 0.5 * scene.pitch_off_rad))
@@ -165,7 +172,13 @@ def reconstruct_people(
             cleaned = tuple(clean_reconstructions(found, origin, camera))
             made.append(_embodied(f"{method.value}_clean", cleaned, origin, searcher.database, camera))
     return ReconstructedTracks(
-        tuple(made), _motions(made[-1]) if made else {}, skipped, pitch, scene, (*absent, *doubts)
+        tuple(made),
+        _motions(made[-1]) if made else {},
+        skipped,
+        pitch,
+        scene,
+        (*absent, *doubts),
+        otherwise,
     )
 
 

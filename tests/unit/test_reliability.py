@@ -13,6 +13,8 @@ from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
+from pasdedeux.reconstruction.otherwise import doubt_of_camera
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, reconstruct_track
@@ -24,6 +26,7 @@ from pasdedeux.reconstruction.reliability import (
     judge_tracks,
     left_out_misfit_m,
 )
+from pasdedeux.reconstruction.scene import SceneEstimate
 from pasdedeux.reconstruction.tracks import Lens, Track, broken_doubts
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
@@ -222,6 +225,44 @@ def test_where_nothing_says_where_the_camera_is_the_place_fails_and_nobody_passe
     for one in judged.values():
         assert one.level is not Level.PASS
         assert says in one.reason
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [("stands", ""), ("lies", "person 0 may lie, feet to the steep camera"), ("below", "a camera that looks up")],
+)
+def test_what_may_be_seen_otherwise_fails_and_says_how(
+    walkers: tuple[Searcher, np.ndarray], kind: str, says: str
+) -> None:
+    world = walk(48, seed=2, turn_rad=0.0)
+    if kind == "lies":
+        world = world @ ON_BELLY.T
+    # Who lies on the belly has the head towards +Z: the camera is at the feet.
+    camera = look_at_camera(
+        mid_hip(world).mean(axis=0),
+        distance_m=5.0,
+        yaw_rad=np.pi if kind == "lies" else 0.3,
+        pitch_rad=np.deg2rad(-30.0 if kind == "below" else 40.0),
+        focal_px=1400.0,
+    )
+    track = Track(camera.project(world).px, np.ones((48, 14)), 24.0, LENS)
+    assert not is_on_floor(track)
+    pitch = PitchEstimate(0, np.deg2rad(40.0), 0.03)
+    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], [Method.FIT], pitch=pitch)
+    (judged,) = judge_tracks(found).verdicts.values()
+    assert bool(says) == (judged.level is Level.FAIL)
+    assert says in judged.reason
+
+
+def test_a_camera_as_hardly_any_is_is_a_doubt_where_it_was_not_stated() -> None:
+    good = SceneEstimate(0.1, 0.02, 0.0, 1.5, 1.2, np.ones(1), (), {})
+    low, wide = replace(good, camera_height_m=0.3), replace(good, lens_factor=0.3)
+    known = {"is_lens_known": False, "is_height_given": False}
+    assert doubt_of_camera(good, **known) == ""
+    assert "the camera would be 0.30 m above the floor" in doubt_of_camera(low, **known)
+    assert doubt_of_camera(low, is_lens_known=False, is_height_given=True) == ""
+    assert "its focal length 0.30 of the assumed" in doubt_of_camera(wide, **known)
+    assert doubt_of_camera(wide, is_lens_known=True, is_height_given=False) == ""
 
 
 def test_a_pitch_at_the_edge_lets_expect_a_larger_error(walkers: tuple[Searcher, np.ndarray]) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from functools import lru_cache, partial
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -13,9 +14,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
+from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion
 from pasdedeux.reconstruction.people import reconstruct_people
-from pasdedeux.reconstruction.pitch import choose_camera
+from pasdedeux.reconstruction.pitch import choose_camera, searchers_tried
 from pasdedeux.reconstruction.reconstruct import (
     HOW_TO_CLUSTER,
     Method,
@@ -47,6 +49,8 @@ LEVEL = "level"
 """Name of what is made as if the camera were level."""
 MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
+_MAX_KEPT = 1_250_000
+"""Projections before all cameras that a worker keeps from shard to shard, at most: 160 MB."""
 
 
 class SequenceSettings(Parameters):
@@ -197,6 +201,35 @@ def read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts
     )
 
 
+class _SeenByAll(NamedTuple):
+    """The poses of a database before each camera, and the searchers that try the cameras where these are kept."""
+
+    databases: list[Database]
+    take_ids: np.ndarray
+    frames: np.ndarray
+    searchers: tuple[Searcher, ...]
+
+
+def _seen_by_all(store: Store, refs: tuple[ArtifactRef, ...]) -> _SeenByAll:
+    """Return what all shards over a database have in common; a worker makes a small one ready once."""
+    cameras = read_cameras([store.manifest(ref) for ref in refs])
+    num_rows = sum(store.manifest(ref).tables["projections"].rows for ref in refs)
+    is_kept = len(cameras) * num_rows * Database.num_yaws <= _MAX_KEPT
+    return (_kept if is_kept else _make_ready)(store, refs, is_kept=is_kept)
+
+
+def _make_ready(store: Store, refs: tuple[ArtifactRef, ...], *, is_kept: bool) -> _SeenByAll:
+    level, take_ids, frames = read_database(store, refs)
+    cameras = read_cameras([store.manifest(ref) for ref in refs])
+    databases = [replace(level, camera=camera) for camera in cameras]
+    searchers = tuple(searchers_tried(databases)) if is_kept and len(databases) > 1 else ()
+    return _SeenByAll(databases, take_ids, frames, searchers)
+
+
+_kept = lru_cache(maxsize=1)(_make_ready)
+_read_pairs = lru_cache(maxsize=1)(partial(read_pairs, max_pairs=MAX_PAIRS))
+
+
 def _reconstruct(
     store: Store,
     database_refs: Sequence[ArtifactRef],
@@ -212,13 +245,13 @@ def _reconstruct(
     if all(store.manifest(ref).tables["projections"].rows == 0 for ref in database_refs):
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}, {}
-    cameras = read_cameras([store.manifest(ref) for ref in database_refs])
-    level, take_ids, frames = read_database(store, database_refs)
-    databases = [replace(level, camera=camera) for camera in cameras]
-    pitch = choose_camera(databases, people, options)
+    seen = _seen_by_all(store, tuple(database_refs))
+    take_ids, frames, cameras = seen.take_ids, seen.frames, [one.camera for one in seen.databases]
+    pitch = choose_camera(seen.databases, people, options, ready=seen.searchers)
+    level = seen.databases[0]
     suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
     chosen = Searcher.of(suited, *(read_clusters(store, ref) for ref in clusters))
-    pairs_m = read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if len(people) > 1 else None
+    pairs_m = _read_pairs(store, tuple(database_refs)) if len(people) > 1 else None
     stated: dict[str, Any] = {
         "pairs_m": pairs_m,
         "camera_height_m": parameters.camera_height_m,

@@ -18,7 +18,7 @@ from pasdedeux.benchmarks.synthetic import (
 )
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
-from pasdedeux.interaction.nearest import Coverage
+from pasdedeux.interaction.nearest import Coverage, pair_table
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
@@ -133,7 +133,9 @@ def _coverage() -> BenchmarkResult:
     return BenchmarkResult(
         "coverage",
         "comparisons",
-        *measure("numba, both measures at once", lambda: Coverage(real).add(draws), count=len(real) * len(draws)),
+        *measure(
+            "numba, both measures at once", lambda: Coverage(real).add(pair_table(draws)), count=len(real) * len(draws)
+        ),
         *measure("numpy", lambda: plain_coverage(real[:4], draws[:4]), count=16),
         "200 real pairs, 100 draws, tetrahedra of the draws and of the real pairs included",
     )

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.completion.kernels import fill_rigid_residuals
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
+from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.kinematics import align_rigid
 
 Indices = npt.NDArray[np.int64]
@@ -80,7 +80,7 @@ def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ran
     ranked = nearest_rigid(draws_m, pair_m, count=max(num_ranked, count))
     is_known = np.isfinite(pair_m).all(axis=-1).ravel()
     known = np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)[is_known]
-    moved = ranked.pairs_m.reshape(len(ranked.draw), -1, 3)[:, is_known]
-    distance = np.array([interaction_dissimilarity(one, known) for one in moved])
+    moved = ranked.pairs_m.reshape(len(ranked.draw), 1, -1, 3)[:, :, is_known]
+    distance = interaction_distances(moved, known[None, None])[:, 0]
     order = np.argsort(distance, kind="stable")[:count]
     return Neighbours(pairs_m=ranked.pairs_m[order], draw=ranked.draw[order], distance_m=distance[order])

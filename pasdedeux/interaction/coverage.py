@@ -7,17 +7,21 @@ contexts).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.nearest import Coverage
-from pasdedeux.interaction.shape_context import ShapeCoverage
+from pasdedeux.interaction.nearest import Coverage, PairTable, pair_table
+from pasdedeux.interaction.shape_context import Bins, ShapeCoverage, shape_bins
+
+_CHUNK = 512
+"""Draws made ready at a time: bounds the memory for their edges."""
 
 
 @dataclass(frozen=True)
@@ -50,26 +54,48 @@ def coverage_curve(real_m: Array, draws_m: Array, num_draws: Sequence[int]) -> C
     Raises:
         InputError: There is no real pair, no point is between 1 and the number of draws, or a coordinate is not finite.
     """
+    return curve_of_parts(real_m, draw_parts(draws_m, num_draws))
+
+
+class DrawPart(NamedTuple):
+    """Some of the draws made ready: 12 kB each.
+
+    Args:
+        table: For D_I and D_C.
+        bins: For D_S.
+        point: Draws taken so far, where the curve has a point; else 0.
+    """
+
+    table: PairTable
+    bins: Bins
+    point: int
+
+
+def draw_parts(draws_m: Array, num_draws: Sequence[int]) -> Iterator[DrawPart]:
+    """Yield what `curve_of_parts` takes, a few hundred draws at a time; for the rest see `coverage_curve`."""
     points = sorted({int(point) for point in num_draws if 1 <= point <= len(draws_m)})
     if not points:
         raise InputError(f"no point of the curve lies between 1 and the {len(draws_m)} draws")
     is_new = _is_first(draws_m)
-    coverage, by_shape = Coverage(real_m), ShapeCoverage(real_m)
-    interaction, cartesian, shape = [], [], []
     for start, point in pairwise([0, *points]):
-        part = draws_m[start:point][is_new[start:point]]
-        by_shape.add(part)
-        coverage.add(part)
-        shape.append(float(by_shape.shape.mean()))
-        interaction.append(float(coverage.interaction_m.mean()))
-        cartesian.append(float(coverage.cartesian_m.mean()))
-    return CoverageCurve(
-        num_draws=np.array(points, dtype=np.int64),
-        interaction_m=np.array(interaction),
-        cartesian_m=np.array(cartesian),
-        shape=np.array(shape),
-        min_cartesian_m=coverage.cartesian_m,
-    )
+        new = draws_m[start:point][is_new[start:point]]
+        for at in range(0, max(len(new), 1), _CHUNK):
+            part = new[at : at + _CHUNK]
+            yield DrawPart(pair_table(part), shape_bins(part), point if at + _CHUNK >= len(new) else 0)
+
+
+def curve_of_parts(real_m: Array, parts: Iterable[DrawPart]) -> CoverageCurve:
+    """Return what `coverage_curve` does of draws that `draw_parts` made ready."""
+    coverage, by_shape = Coverage(real_m), ShapeCoverage(real_m)
+    points, curves = list[int](), list[list[float]]()
+    for part in parts:
+        by_shape.add(part.bins)
+        coverage.add(part.table)
+        if part.point:
+            points.append(part.point)
+            curves.append([float(one.mean()) for one in (coverage.interaction_m, coverage.cartesian_m, by_shape.shape)])
+    interaction_m, cartesian_m, shape = np.transpose(curves)
+    return CoverageCurve(np.array(points, dtype=np.int64), interaction_m, cartesian_m, shape, coverage.cartesian_m)
 
 
 def _is_first(draws_m: Array) -> npt.NDArray[np.bool_]:

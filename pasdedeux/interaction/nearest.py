@@ -20,8 +20,6 @@ from pasdedeux.interaction.kernels import best_turn, edge_table_3d, turned_gap
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 
 _LANES = 8
-_CHUNK = 512
-"""Draws taken at a time: bounds the memory for their edges."""
 _REORDERED = {"reassoc", "contract", "nsz"}
 _ESTIMATE_SLACK = 1e-4
 """Relative error allowed for the estimate; over 600 terms single precision makes 1e-5 at worst."""
@@ -84,16 +82,10 @@ class Coverage:
         self._best = np.full((2, len(real_m)), np.inf)
         self.num_draws = 0
 
-    def add(self, draws_m: Array) -> None:
-        """Take more draws (draw, person=2, joint, 3), metres, into account.
-
-        Raises:
-            InputError: A coordinate is not finite.
-        """
-        for start in range(0, len(draws_m), _CHUNK):
-            part = pair_table(draws_m[start : start + _CHUNK])
-            _lower_minima(self._real, part, self._best)
-            self.num_draws += len(part.points)
+    def add(self, draws: PairTable) -> None:
+        """Take more draws into account."""
+        _lower_minima(self._real, draws, self._best)
+        self.num_draws += len(draws.points)
 
     @property
     def interaction_m(self) -> Array:
@@ -107,7 +99,7 @@ class Coverage:
 
 
 def interaction_distances(first_m: Array, second_m: Array) -> Array:
-    """Return D_I (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
+    """Return D_I (n, m), metres, between pairs (n, person, joint, 3) and (m, person, joint, 3), metres.
 
     Raises:
         InputError: A coordinate is not finite.

@@ -28,7 +28,6 @@ INNER_RADIUS_M = 0.1
 """Radius of the innermost shell, metres; an eighth of the mean distance between joints of a pair, about 0.8 m."""
 NUM_PLANE_BINS = NUM_SHELLS * NUM_SECTORS
 _NUM_PAIR_BINS = NUM_PLANE_BINS * NUM_BANDS
-_CHUNK = 512
 _ESTIMATE_SLACK = 1e-9
 """By which sums in another order may differ; a thousand terms differ by 1e-13."""
 
@@ -109,14 +108,12 @@ class ShapeCoverage:
         self._best = np.full(len(bins), np.inf)
         self.num_draws = 0
 
-    def add(self, draws_m: Array) -> None:
-        """Take more pairs (draw, person=2, joint=17, 3), metres, into account."""
+    def add(self, bins: Bins) -> None:
+        """Take more pairs into account, of which `shape_bins` gave these."""
         gains = shared_gains(self._counts.shape[1] - 1)
         sums = np.insert(gains.cumsum(axis=0), 0, 0.0, axis=0)
-        for start in range(0, len(draws_m), _CHUNK):
-            bins = shape_bins(draws_m[start : start + _CHUNK])
-            lower_shape_minima(self._counts, bins.astype(np.uint16), gains, sums, self._best)
-            self.num_draws += len(bins)
+        lower_shape_minima(self._counts, bins.astype(np.uint16), gains, sums, self._best)
+        self.num_draws += len(bins)
 
     @property
     def shape(self) -> Array:

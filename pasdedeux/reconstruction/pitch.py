@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,15 +96,28 @@ class PitchEstimate:
 
 
 def choose_camera(
-    databases: Sequence[Database], tracks: Sequence[Track], options: ReconstructionOptions | None = None
+    databases: Sequence[Database],
+    tracks: Sequence[Track],
+    options: ReconstructionOptions | None = None,
+    *,
+    ready: Iterable[Searcher] = (),
 ) -> PitchEstimate:
     """Return the pitch at which databases (one per camera) suit the tracks of a sequence best; see `choose_pitch`.
 
-    Every camera sees the same poses, so an even choice of the poses of a large database answers, one camera at a time.
+    Args:
+        databases: The same poses before each camera.
+        tracks: The tracks.
+        options: How.
+        ready: What `searchers_tried` gives for these databases, where it is at hand.
     """
     if len(databases) == 1:
         return PitchEstimate(0, databases[0].camera.pitch_rad)
-    return choose_pitch((Searcher.of(database.thinned(_MAX_PROJECTIONS)) for database in databases), tracks, options)
+    return choose_pitch(ready or searchers_tried(databases), tracks, options)
+
+
+def searchers_tried(databases: Iterable[Database]) -> Iterator[Searcher]:
+    """Yield one camera after the other: as all see the same poses, an even choice of those of a large database does."""
+    return (Searcher.of(database.thinned(_MAX_PROJECTIONS)) for database in databases)
 
 
 def choose_pitch(

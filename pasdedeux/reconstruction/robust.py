@@ -1,4 +1,4 @@
-"""Robust least squares: a few common unknowns, and many of which each residual depends on three at most."""
+"""Robust least squares over many unknowns, of which each residual depends on a few."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
 
-_STEP = 1e-6
 _NUM_STEPS, _NUM_DAMPINGS = 25, 8
 _WIDE, _NUM_WIDE = 4.0, 8
 """How much wider the robust terms are in the first step than in the last, and the steps until they are as stated."""
@@ -25,27 +24,23 @@ class Term:
 
     Args:
         value: In deviations (n,).
-        stencil: The unknowns each depends on (n, k at most 3), beside the common ones.
+        stencil: The unknowns each depends on (n, k).
+        slopes: Its derivatives by these (n, k).
         is_robust: Whether outliers count less (n,), or of all.
         weight: How much each counts.
     """
 
     value: Array
     stencil: Integers
+    slopes: Array
     is_robust: Flags | bool = False
     weight: float = 1.0
 
 
 class Problem(Protocol):
-    """Residuals of unknowns of which the first `num_globals` are common to all.
-
-    Unknowns of one `colour` (unknown,) share no residual, so that their derivatives are taken at once; every common one
-    has a colour of its own.  `start` is where the search begins.
-    """
+    """Residuals as a function of unknowns; `start` is where the search begins."""
 
     start: Array
-    num_globals: int
-    colour: Integers
 
     def terms(self, x: Array) -> list[Term]:
         """Return the residuals at these unknowns."""
@@ -78,7 +73,7 @@ def solve(problem: Problem, *, robust: float) -> Solution:
     for number in range(_NUM_STEPS):
         # First nearly everything counts: whose size is wrong seems to fly, all the time.
         scale = robust * max(1.0, _WIDE * (1.0 - number / _NUM_WIDE))
-        jacobian = _jacobian(problem, x, made)
+        jacobian = made.jacobian(len(x))
         weight = made.weights(scale)
         normal = jacobian.T @ jacobian.multiply(weight[:, None]).tocsr()
         gradient = jacobian.T @ (weight * made.value)
@@ -103,12 +98,12 @@ def solve(problem: Problem, *, robust: float) -> Solution:
 
 @dataclass(frozen=True)
 class _Joined:
-    """All terms in a row: values, robustness and weights (n,), the stencils (n, at most 3), -1 where there is none."""
+    """All terms in a row: values, robustness and weights (n,)."""
 
+    terms: Sequence[Term]
     value: Array
     is_robust: Flags
     weight: Array
-    stencil: Integers
 
     def weights(self, scale: float) -> Array:
         return self.weight * np.where(self.is_robust, 1.0 / (1.0 + (self.value / scale) ** 2) ** 2, 1.0)
@@ -117,33 +112,22 @@ class _Joined:
         bounded = self.value**2 / (1.0 + (self.value / scale) ** 2)
         return float((self.weight * np.where(self.is_robust, bounded, self.value**2)).sum())
 
+    def jacobian(self, num_unknowns: int) -> Any:
+        """Return the derivatives (residual, unknown), sparse."""
+        from scipy.sparse import csr_array
+
+        counts = np.concatenate([np.full(len(one.value), one.stencil.shape[1]) for one in self.terms])
+        columns, slopes = (
+            np.concatenate([getattr(one, name).ravel() for one in self.terms]) for name in ("stencil", "slopes")
+        )
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        return csr_array((slopes, columns, ends), shape=(len(counts), num_unknowns))
+
 
 def _joined(terms: Sequence[Term]) -> _Joined:
-    stencils = [np.pad(one.stencil, ((0, 0), (0, 3 - one.stencil.shape[1])), constant_values=-1) for one in terms]
     return _Joined(
+        terms,
         np.concatenate([one.value for one in terms]),
         np.concatenate([np.broadcast_to(one.is_robust, one.value.shape) for one in terms]),
         np.concatenate([np.full(len(one.value), one.weight) for one in terms]),
-        np.concatenate(stencils),
     )
-
-
-def _jacobian(problem: Problem, x: Array, made: _Joined) -> Any:
-    """Return the derivatives (residual, unknown), sparse: unknowns of a colour are moved together."""
-    from scipy.sparse import coo_array
-
-    moved = np.stack(
-        [
-            (_joined(problem.terms(x + _STEP * (problem.colour == colour))).value - made.value) / _STEP
-            for colour in range(problem.colour.max() + 1)
-        ]
-    )
-    everywhere = np.arange(len(made.value))
-    columns = [np.full(len(everywhere), index) for index in range(problem.num_globals)]
-    entries = [moved[problem.colour[index]] for index in range(problem.num_globals)]
-    for column in made.stencil.T:
-        entries.append(np.where(column >= 0, moved[problem.colour[column], everywhere], 0.0))
-        columns.append(np.maximum(column, 0))
-    rows = np.tile(everywhere, len(columns))
-    shape = (len(everywhere), len(x))
-    return coo_array((np.concatenate(entries), (rows, np.concatenate(columns))), shape=shape).tocsr()

@@ -24,8 +24,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import check_positive
@@ -44,6 +46,10 @@ _ANKLES = np.array([leg[2] for leg in OP14.legs])
 _ANKLE_HEIGHT = 0.04
 """Height of the ankle over the floor, standing, as a part of the stature (Winter 2009, fig. 4.1: 0.039)."""
 _PITCH, _HEIGHT, _LENS, _TILT, _SIZES = 0, 1, 2, 3, 4
+_OWN, _SIZE, _FOCAL = 1, 2, 3
+"""Where `places` has the derivatives by what."""
+_ACROSS = np.array([1.0, 1.0, 0.0])
+_PARENTS = np.array(OP14.parents)
 _HANDS = [
     place for place, (_, child) in enumerate(OP14.bones) if OP14.joint_names[child] in ("left_wrist", "right_wrist")
 ]
@@ -142,6 +148,11 @@ def _up(pitch_rad: float) -> Array:
     return np.array([0.0, np.cos(pitch_rad), np.sin(pitch_rad)])
 
 
+def _up_further(pitch_rad: float) -> Array:
+    """Return the derivative of that by the pitch."""
+    return _up(pitch_rad + 0.5 * np.pi)
+
+
 def _rays(plane: Array, lens_factor: float) -> Array:
     """Return unit directions (n, 3) from the camera through points (n, 2) of an image one focal length away."""
     rays = np.concatenate([plane / lens_factor, -np.ones((len(plane), 1))], axis=1)
@@ -201,9 +212,6 @@ class _Problem:
             size = np.log(self.wanted_stature[number] / self.stature[number])
             start[_SIZES + number] = start[self.starts[number] : self.starts[number + 1]] = size
         self.start = start
-        # Distances of frames next to each other and of the two people of a pair differ in colour.
-        colours = [3 * number + np.arange(count) % 3 for number, count in enumerate(counts)]
-        self.colour = np.concatenate([np.arange(self.num_globals) + 3 * len(people), *colours])
         self.near = []
         for first, second in combinations(range(len(people)), 2):
             one, other = people[first].track, people[second].track
@@ -248,39 +256,80 @@ class _Problem:
         stays &= high - low < _TOUCH_KEEP_M
         return maximum_filter1d(stays.astype(np.uint8), length, axis=0).astype(bool)
 
-    def places(self, x: Array, number: int) -> tuple[Array, Array]:
-        """Return mid-hips (frame, 3) and positions (frame, 14, 3) of a person, camera axes."""
+    def places(self, x: Array, number: int) -> Array:
+        """Return joints and mid-hip (frame, 15, 3) of a person, camera axes, and their derivatives, (4, frame, 15, 3).
+
+        These are by `_OWN`: the unknown of each frame, by `_SIZE`, and by `_FOCAL`, the log of the focal length.
+        """
         ray = _rays(self.plane[number], float(np.exp(x[_LENS])))
         own = slice(self.starts[number], self.starts[number + 1])
         root = (self.distance[number] * np.exp(x[own]))[:, None] * ray
         relative = rotate(camera_turns(-ray)[:, None], self.relative[number]) * np.exp(x[_SIZES + number])
+        # A longer lens turns rays towards the axis, and people with them.
+        aside = (ray[:, :2] ** 2).sum(axis=1)[:, None]
+        turned = (relative[..., :2] * ray[:, None, :2]).sum(axis=-1) * ray[:, 2:]
         # Every joint stays on its own ray, whatever the lens.
-        depth = root[:, None, 2:] + relative[..., 2:]
-        return root, np.concatenate([-depth * self.images[number] * np.exp(-x[_LENS]), depth], axis=-1)
+        depth = root[:, 2:] + relative[..., 2]
+        depths = np.stack(np.broadcast_arrays(depth, root[:, 2:], relative[..., 2], root[:, 2:] * aside + turned))
+        image = -self.images[number] * np.exp(-x[_LENS])
+        joints = depths[..., None] * np.concatenate([image, np.ones((*depth.shape, 1))], axis=-1)
+        joints[_FOCAL] -= joints[0] * _ACROSS
+        roots = np.stack([root, root, np.zeros(root.shape), root * aside - root * _ACROSS])
+        return np.concatenate([joints, roots[:, :, None]], axis=2)
 
     def terms(self, x: Array) -> list[Term]:
         """Return the residuals at these unknowns."""
         placed = [self.places(x, number) for number in range(len(self.people))]
         terms = [self._priors(x)]
-        for number, (_, positions) in enumerate(placed):
-            terms += self._person(x, number, positions)
+        for number, own in enumerate(placed):
+            terms += self._person(x, number, own)
         terms += [self._pair(pair, placed, x) for pair in self.pairs]
-        for first, second, one_at, other_at in self.near:
-            both = np.stack([placed[first][1][one_at], placed[second][1][other_at]], axis=1)
-            size = np.exp(x[[_SIZES + first, _SIZES + second]])
-            between = surface_gaps(both, self.radii[[first, second]] * size[:, None], OP14).gap_m
-            gaps = between.min(axis=(1, 2))
-            stencil = np.stack([self.starts[first] + one_at, self.starts[second] + other_at], axis=1)
-            alike = self._alike(first, _FLOOR_S)
-            is_carried = self.carried in ((first, second), (second, first))
-            apart = gaps if is_carried else np.minimum(gaps, 0.0)
-            terms.append(Term(apart / (size.mean() * _GAP_DEVIATION_M), stencil, weight=alike))
-            touching = self.touching[first, second]
-            hands = np.where(touching, _of_hands(between), np.inf).min(axis=2)
-            rows, hand = np.nonzero(touching.any(axis=2))
-            touch = np.maximum(hands[rows, hand], 0.0) / (size.mean() * _TOUCH_DEVIATION_M)
-            terms.append(Term(touch, stencil[rows], is_robust=True, weight=alike))
+        for couple in self.near:
+            terms += self._near(couple, placed, x)
         return terms
+
+    def _near(self, couple: tuple[int, int, Integers, Integers], placed: Sequence[Array], x: Array) -> list[Term]:
+        """Return what two bodies say that are in a frame together."""
+        first, second, one_at, other_at = couple
+        own = placed[first][:, one_at], placed[second][:, other_at]
+        sizes = _SIZES + first, _SIZES + second
+        size = np.exp(x[list(sizes)])
+        radii = self.radii[[first, second]] * size[:, None]
+        between = surface_gaps(np.stack([one[0, :, :-1] for one in own], axis=1), radii, OP14)
+        stencil = _table(self.starts[first] + one_at, self.starts[second] + other_at, *sizes, _LENS)
+
+        def gaps(rows: Integers, bones: Array, deviation_m: float) -> tuple[Array, Array]:
+            """Return the gaps of two bones (2, row) in these frames, in deviations, and their slopes."""
+            joints, share = between.bones[bones], between.share[rows, bones[0], bones[1]]
+            ends = []
+            for side in (0, 1):
+                start, end = (own[side][:, rows, at] for at in (_PARENTS[joints[side]], joints[side]))
+                ends.append(start + share[:, side, None] * (end - start))
+            apart = ends[1][0] - ends[0][0]
+            unit = size.mean() * deviation_m
+            along = apart / np.maximum(unit * np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+            value = between.gap_m[rows, bones[0], bones[1]] / unit
+            one, other = -(ends[0] * along).sum(axis=-1), (ends[1] * along).sum(axis=-1)
+            # Bodies grow thicker, and the deviation wider.
+            thicker = [radii[side][joints[side]] / unit + 0.5 * value * size[side] / size.mean() for side in (0, 1)]
+            grown = one[_SIZE] - thicker[0], other[_SIZE] - thicker[1]
+            return value, _table(one[_OWN], other[_OWN], *grown, one[_FOCAL] + other[_FOCAL])
+
+        alike = self._alike(first, _FLOOR_S)
+        frames = np.arange(len(one_at))
+        nearest = between.gap_m.reshape(len(frames), -1).argmin(axis=1)
+        apart, slopes = gaps(frames, np.stack(np.divmod(nearest, len(between.bones))), _GAP_DEVIATION_M)
+        if self.carried not in ((first, second), (second, first)):
+            apart, slopes = np.minimum(apart, 0.0), slopes * (apart < 0.0)[:, None]
+        terms = [Term(apart, stencil, slopes, weight=alike)]
+        touching = self.touching[first, second]
+        bone = np.where(touching, _of_hands(between.gap_m), np.inf).argmin(axis=2)
+        rows, hand = np.nonzero(touching.any(axis=2))
+        bones = np.stack([np.array(_HANDS * 2)[hand], bone[rows, hand]])
+        bones = np.where(hand < len(_HANDS), bones, bones[::-1])
+        touch, slopes = gaps(rows, bones, _TOUCH_DEVIATION_M)
+        touch, slopes = np.maximum(touch, 0.0), slopes * (touch > 0.0)[:, None]
+        return [*terms, Term(touch, stencil[rows], slopes, is_robust=True, weight=alike)]
 
     def places_between(self, x: Array) -> Iterator[tuple[int, int, Array]]:
         """Yield two people's numbers and how the vector between them (some of the frames, 3) depends on unknowns."""
@@ -288,78 +337,120 @@ class _Problem:
             shown = np.unique(np.linspace(0, len(one_at) - 1, _NUM_SHOWN).astype(int))
             weights = np.zeros((len(shown), 3, len(x)))
             for number, at, sign in ((first, one_at[shown], -1.0), (second, other_at[shown], 1.0)):
-                weights[np.arange(len(shown)), :, self.starts[number] + at] = sign * self.places(x, number)[0][at]
+                moved = self.places(x, number)[_OWN, at, -1]
+                weights[np.arange(len(shown)), :, self.starts[number] + at] = sign * moved
             yield first, second, weights
 
     def _alike(self, number: int, seconds: float) -> float:
         """Return what each of the frames counts that err alike for so long."""
         return 1.0 / max(1.0, seconds * self.people[number].track.rate_hz)
 
-    def _person(self, x: Array, number: int, positions: Array) -> list[Term]:
-        """Return what image, floor and time say of one person at positions (frame, 14, 3)."""
+    def _person(self, x: Array, number: int, placed: Array) -> list[Term]:
+        """Return what image, floor and time say of one person, placed as `places` says."""
         found, rate_hz = self.people[number], self.people[number].track.rate_hz
-        at = np.arange(self.starts[number], self.starts[number + 1])
+        at, own_size = np.arange(self.starts[number], self.starts[number + 1]), _SIZES + number
+        own_ankle = own_size + len(self.people)
         known = np.flatnonzero(~found.is_bridged)
-        looks = (x[at] - x[_SIZES + number] - x[_LENS]) / _LOOK_DEVIATION
-        terms = [Term(looks[known], at[known, None], is_robust=True, weight=self._alike(number, _LOOK_S))]
-        size = np.exp(x[_SIZES + number])
-        bearing = self.bearing[number] * size + x[_SIZES + len(self.people) + number]
-        above = positions @ _up(x[_PITCH]) + np.exp(x[_HEIGHT]) - bearing
+        looks = (x[at] - x[own_size] - x[_LENS]) / _LOOK_DEVIATION
+        stencil = _table(at, own_size, _LENS)[known]
+        slopes = np.broadcast_to(np.array([1.0, -1.0, -1.0]) / _LOOK_DEVIATION, stencil.shape)
+        terms = [Term(looks[known], stencil, slopes, is_robust=True, weight=self._alike(number, _LOOK_S))]
+        size, joints = np.exp(x[own_size]), placed[:, :, :-1]
         # What poses err in depth tilts the floor, which is not the pitch.
-        above = above + x[_TILT] * (positions[..., 2] + self.mean_distance)
+        up = np.array([*_up(x[_PITCH])[:2], _up(x[_PITCH])[2] + x[_TILT]])
+        bearing = self.bearing[number] * size + x[own_ankle]
+        above = joints[0] @ up + np.exp(x[_HEIGHT]) + x[_TILT] * self.mean_distance - bearing
         alike = self._alike(number, _FLOOR_S)
         # Errors of poses grow with people: whoever is small gains nothing by it.
-        floor = above.min(axis=1) / (size * _FLOOR_DEVIATION_M)
+        unit = size * _FLOOR_DEVIATION_M
+        lowest, frames = np.argmin(above, axis=1), np.arange(len(at))
+        floor, bears = above[frames, lowest] / unit, joints[:, frames, lowest]
+        moved = bears[1:] @ up / unit
+        slopes = _table(
+            moved[0],
+            moved[1] - self.bearing[number][lowest] / _FLOOR_DEVIATION_M - floor,
+            moved[2],
+            bears[0] @ _up_further(x[_PITCH]) / unit,
+            np.exp(x[_HEIGHT]) / unit,
+            (bears[0, :, 2] + self.mean_distance) / unit,
+            -1.0 / unit,
+        )
         if self.carried is not None and number == self.carried[0]:
-            floor = np.minimum(floor, 0.0)
-        terms.append(Term(floor[known], at[known, None], is_robust=floor[known] > 0, weight=alike))
+            floor, slopes = np.minimum(floor, 0.0), slopes * (floor < 0.0)[:, None]
+        stencil = _table(at, own_size, _LENS, _PITCH, _HEIGHT, _TILT, own_ankle)
+        terms.append(Term(floor[known], stencil[known], slopes[known], floor[known] > 0, weight=alike))
         if len(at) > 2:
-            distance = self.distance[number] * np.exp(x[at] - x[_SIZES + number])
-            bend = np.diff(distance, n=2) * rate_hz**2 / _ACCELERATION_M_S2
-            terms.append(Term(bend, np.stack([at[:-2], at[1:-1], at[2:]], axis=1)))
+            distance = self.distance[number] * np.exp(x[at] - x[own_size]) * rate_hz**2 / _ACCELERATION_M_S2
+            bend = np.diff(distance, n=2)
+            slopes = _table(distance[:-2], -2.0 * distance[1:-1], distance[2:], -bend)
+            terms.append(Term(bend, _table(at[:-2], at[1:-1], at[2:], own_size), slopes))
             still = np.sqrt(np.minimum(self.still[number][1:], self.still[number][:-1]))
             lower = np.argmin(above[:, _ANKLES], axis=1)[1:]
             rows = np.arange(len(lower))
-            step = np.diff(positions[:, _ANKLES, 2], axis=0)[rows, lower] * rate_hz / (size * _STANCE_M_S)
-            stencil = np.stack([at[:-1], at[1:]], axis=1)
-            terms.append(Term(still[rows, lower] * step, stencil, is_robust=True, weight=alike))
+            per_m = still[rows, lower] * rate_hz / (size * _STANCE_M_S)
+            before, after = (joints[:, own, _ANKLES[lower], 2] * per_m for own in (frames[:-1], frames[1:]))
+            step, grown, focal = after[[0, _SIZE, _FOCAL]] - before[[0, _SIZE, _FOCAL]]
+            slopes = _table(-before[_OWN], after[_OWN], grown - step, focal)
+            terms.append(Term(step, _table(at[:-1], at[1:], own_size, _LENS), slopes, is_robust=True, weight=alike))
         return terms
 
     def _priors(self, x: Array) -> Term:
-        sizes = np.log(self.stature / self.wanted_stature) + x[_SIZES : _SIZES + len(self.people)]
-        value = np.concatenate(
-            [
-                [self.pitch_off_rad(x) / (self.pitch.deviation_rad or _GIVEN_RAD)],
-                [(x[_HEIGHT] - self.log_height) / self.height_deviation],
-                [x[_LENS] / self.lens_deviation],
-                sizes / self.size_deviation,
-                [x[_TILT] / _TILT_DEVIATION],
-                x[_SIZES + len(self.people) : self.num_globals] / _ANKLE_DEVIATION_M,
-            ]
+        people, unit = len(self.people), self.pitch.deviation_rad or _GIVEN_RAD
+        sizes = np.log(self.wanted_stature / self.stature)
+        at = np.array([_HEIGHT, _LENS, _TILT, *range(_SIZES, self.num_globals)])
+        wanted = np.array([self.log_height, 0.0, 0.0, *sizes, *np.zeros(people)])
+        deviation = np.array([self.height_deviation, self.lens_deviation, _TILT_DEVIATION, *self.size_deviation])
+        deviation = np.concatenate([deviation, np.full(people, _ANKLE_DEVIATION_M)])
+        off, by_pitch, by_lens = self.pitch_off_rad(x) / unit
+        return Term(
+            np.array([off, *(x[at] - wanted) / deviation]),
+            np.array([[_PITCH, *at], [_LENS, *at]]).T,
+            np.array([[by_pitch, *1.0 / deviation], [by_lens, *np.zeros(len(at))]]).T,
         )
-        return Term(value, np.zeros((len(value), 0), dtype=np.int64))
 
-    def pitch_off_rad(self, x: Array) -> float:
-        """Return how far the pitch is off: that of the rays to people is what suits their image."""
+    def pitch_off_rad(self, x: Array) -> Array:
+        """Return how far the pitch is off: that of the rays to people is what suits their image.
+
+        Beside it stand its derivatives by pitch and by the log of the focal length, (3,).
+        """
         if self.pitch.is_given:
-            return float(x[_PITCH] - self.pitch.pitch_rad)
+            return np.array([x[_PITCH] - self.pitch.pitch_rad, 1.0, 0.0])
         known = [plane[~one.is_bridged] for plane, one in zip(self.plane, self.people, strict=True)]
-        down = -_rays(np.concatenate(known), float(np.exp(x[_LENS]))) @ _up(x[_PITCH])
-        return float(np.arcsin(np.clip(down, -1.0, 1.0)).mean() - self.pitch.pitch_rad)
+        ray, up = _rays(np.concatenate(known), float(np.exp(x[_LENS]))), _up(x[_PITCH])
+        turned = ray * (ray[:, :2] ** 2).sum(axis=1)[:, None] - ray * _ACROSS
+        down, *slopes = np.clip(-ray @ up, -1.0, 1.0), -ray @ _up_further(x[_PITCH]), -turned @ up
+        per = 1.0 / np.sqrt(np.maximum(1.0 - down**2, 1e-12))
+        off = np.arcsin(down).mean() - self.pitch.pitch_rad
+        return np.array([off, *((per * one).mean() for one in slopes)])
 
-    def _pair(self, pair: PairDepth, placed: Sequence[tuple[Array, Array]], x: Array) -> Term:
+    def _pair(self, pair: PairDepth, placed: Sequence[Array], x: Array) -> Term:
         first, second = pair.people
-        at = [pair.frames - self.people[number].track.first_frame for number in pair.people]
-        roots = [placed[number][0][rows] for number, rows in zip(pair.people, at, strict=True)]
-        middle = roots[0] + roots[1]
-        towards = -middle / np.linalg.norm(middle, axis=-1, keepdims=True)
-        nearer = ((roots[1] - roots[0]) * towards).sum(axis=-1)
         known = np.flatnonzero(np.isfinite(pair.deviation_m))
+        at = [(pair.frames - self.people[number].track.first_frame)[known] for number in pair.people]
+        roots = [placed[number][:, rows, -1] for number, rows in zip(pair.people, at, strict=True)]
+        middle, across = roots[0][0] + roots[1][0], roots[1][0] - roots[0][0]
+        distance = np.linalg.norm(middle, axis=-1, keepdims=True)
+        towards = -middle / distance
+        nearer = (across * towards).sum(axis=-1)
         # Pairs were looked up at the initial size.
-        size = np.exp(0.5 * (x[_SIZES + first] + x[_SIZES + second]))
-        value = (nearer / size - pair.depth_m)[known] / pair.deviation_m[known]
-        stencil = np.stack([self.starts[first] + at[0], self.starts[second] + at[1]], axis=1)[known]
-        return Term(value, stencil, is_robust=True, weight=self._alike(first, _PAIR_S))
+        unit = np.exp(0.5 * (x[_SIZES + first] + x[_SIZES + second])) * pair.deviation_m[known]
+        value = nearer / unit - pair.depth_m[known] / pair.deviation_m[known]
+        turned = (across - nearer[:, None] * towards) / distance
+        one, other = (
+            (root * (sign * towards - turned)).sum(axis=-1) / unit
+            for sign, root in zip((-1.0, 1.0), roots, strict=True)
+        )
+        grown = -0.5 * nearer / unit
+        stencil = _table(
+            self.starts[first] + at[0], self.starts[second] + at[1], _SIZES + first, _SIZES + second, _LENS
+        )
+        slopes = _table(one[_OWN], other[_OWN], grown, grown, one[_FOCAL] + other[_FOCAL])
+        return Term(value, stencil, slopes, is_robust=True, weight=self._alike(first, _PAIR_S))
+
+
+def _table(*columns: npt.ArrayLike) -> Any:
+    """Return columns (n,), or numbers that all rows have, side by side (n, k)."""
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 def estimate_scene(
@@ -397,7 +488,7 @@ def estimate_scene(
     return SceneEstimate(
         float(x[_PITCH]),
         float(np.sqrt(variance_of(np.eye(len(x))[_PITCH]))),
-        problem.pitch_off_rad(x),
+        float(problem.pitch_off_rad(x)[0]),
         float(np.exp(x[_HEIGHT])),
         float(np.exp(x[_LENS])),
         np.exp(x[_SIZES : _SIZES + len(people)]),

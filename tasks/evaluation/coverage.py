@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +27,7 @@ from pasdedeux.evaluation.pictures import (
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.interaction.coverage import CoverageCurve, coverage_curve
+from pasdedeux.interaction.coverage import CoverageCurve, DrawPart, coverage_curve, curve_of_parts, draw_parts
 from pasdedeux.interaction.nearest import cartesian_distances
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
@@ -59,6 +60,9 @@ _MAX_DOTS = 400
 _COLOURS = {"ic": "#c2188f", PRIOR_ONLY: "#2a9d3a", GROWN: "#e0861a"}
 _MARKERS = ("^", "s", "X", "D", "v")
 _MANY_SEEDS = 5
+_FIRST_SEED = "_first_seed"
+_MAX_KEPT = 5000
+"""Draws that a worker keeps ready from shard to shard, at most: 60 MB."""
 _EXPLORATION = {
     "num_draws": "draws",
     "coverage_D_C": "coverage",
@@ -121,13 +125,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     generator = stream(shard.seed, TOPIC.name, split)
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
     truth, places = truth[chosen], [places[at] for at in chosen]
-    draws = {name: found.in_order for name, found in read_draw_sets(store, draw_refs).items()}
-    mapped = list(draws)
-    draws |= draws_from_first_seeds(store, draw_refs)
+    draws, parts = _ready_draws(store, draw_refs)
+    mapped = [name for name in draws if not name.endswith(_FIRST_SEED)]
     some = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
-    curves = {
-        name: coverage_curve(truth, pairs, curve_points(len(pairs), NUM_CURVE_POINTS)) for name, pairs in draws.items()
-    }
+    curves = {name: curve_of_parts(truth, parts.get(name) or _parts(pairs)) for name, pairs in draws.items()}
     levels = real_frame_levels(truth, others, generator)
     nearest = nearest_by_method(curves, GROWN)
     scores = coverage_scores(curves, levels, nearest, split=split)
@@ -156,6 +157,21 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     scores, notes = [*scores, *found], [*notes, *said]
     items = {name: Items(own, *where) if where else Items() for name, own in (("", nearest), (_ALONE, alone(nearest)))}
     return TopicResult(scores, pictures, notes, items, _baselines({score.method for score in scores}))
+
+
+@lru_cache(maxsize=1)
+def _ready_draws(
+    store: Store, refs: tuple[ArtifactRef, ...]
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]]]:
+    """Return all sets of draws, and made ready for all shards of a worker those that together are few enough."""
+    draws = {name: found.in_order for name, found in read_draw_sets(store, refs).items()}
+    draws |= draws_from_first_seeds(store, refs)
+    is_kept = sum(map(len, draws.values())) <= _MAX_KEPT
+    return draws, {name: tuple(_parts(pairs)) for name, pairs in draws.items() if is_kept}
+
+
+def _parts(pairs_m: np.ndarray) -> Iterator[DrawPart]:
+    return draw_parts(pairs_m, curve_points(len(pairs_m), NUM_CURVE_POINTS))
 
 
 def _annotated_frames(store: Store, shard: Shard) -> set[tuple[str, int]]:
@@ -194,7 +210,7 @@ def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[st
         seeds.setdefault(fact.density, set()).add(fact.seed_index)
     first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
     own = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
-    return {f"{name}_first_seed": found.in_order for name, found in read_draw_sets(store, own).items()}
+    return {f"{name}{_FIRST_SEED}": found.in_order for name, found in read_draw_sets(store, own).items()}
 
 
 def curve_points(num_draws: int, num_points: int) -> list[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +66,7 @@ class LiftedPairsSettings(Parameters):
 
 
 def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
-    """Plan a shard over all lifted pairs, one that shows some, one over real pairs with joints and frames hidden."""
+    """Plan a shard over all lifted pairs, one that shows some, two over real pairs with joints or frames hidden."""
     lifted = list(inputs.of("lifted_pairs"))
     takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons >= 2]
     couples = [manifest for manifest in takes if TakeFacts.of(manifest).num_persons == 2]
@@ -86,13 +86,15 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     if lifted and takes and annotations:
         found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
     if settings.num_completed_pairs and draws and couples:
-        found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=couples, draws=draws))
+        own = settings.part(LiftedPairsSettings)
+        found += [TOPIC.shard(inputs, name, own, takes=couples, draws=draws) for name in ("completed", "between")]
     return found
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score or show one of the three."""
-    return {"lifted": _lifted, "nearest": _nearest, "completed": _completed}[shard.name](shard, store)
+    """Score or show one of the four."""
+    runs = {"lifted": _lifted, "nearest": _nearest, "completed": _completed, "between": _between}
+    return runs[shard.name](shard, store)
 
 
 def _lifted(shard: Shard, store: Store) -> TopicResult:
@@ -330,29 +332,30 @@ def rows_figure(rows: Sequence[tuple[str, Sequence[tuple[str, Array]]]]) -> byte
 
 
 def _completed(shard: Shard, store: Store) -> TopicResult:
-    """Hide joints and frames of real pairs, and score what is put in their place."""
-    count = shard.options(LiftedPairsSettings).num_completed_pairs
-    truth = GroundTruth.read(store, shard.refs("takes"), ())
-    refuse_learned(store, shard.refs("draws"), truth.held_out)
-    sets = read_draw_sets(store, shard.refs("draws"))
-    # Neighbouring draws of a chain are alike: a spread of them is enough, grown pairs are all taken.
-    generator = stream(shard.seed, TOPIC.name, "completed")
-    nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
-    grown = sets[GROWN].pairs_m if GROWN in sets else nothing
-    others = np.concatenate([nothing, *(found.pairs_m for name, found in sets.items() if name != GROWN)])
-    pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MAX_DRAWS]]])
+    """Hide joints of real pairs, and score what is put in their place."""
+    truth, pool, generator = _truth_and_pool(shard, store)
     scores: list[Score] = []
-    judged: dict[str, list[Items]] = {_COMPLETED: [], _BETWEEN: []}
-    for split in ("learned", "held_out"):
-        own = {name: take for name, take in truth.takes.items() if (name in truth.held_out) == (split == "held_out")}
-        places = _spread_places(own, count, 0)
+    judged: list[Items] = []
+    for split, own in _learned_and_held_out(truth):
+        places = _spread_places(own, shard.options(LiftedPairsSettings).num_completed_pairs, 0)
         if not places:
             continue
         completed = completion_errors(generator, np.stack([own[take][frame] for take, frame in places]), pool)
         for part, errors in completed.items():
             scores += summarise(errors, "occluded_joint_error", "m", split=split, item=part)
-            judged[_COMPLETED] += _held_out(split, Items(errors, *truth.where(places)))
-        every = _spread_places(own, max(count, len(_GAPS)), max(_GAPS))
+            judged += _held_out(split, Items(errors, *truth.where(places)))
+    notes = [f"Joints were completed from {len(pool):,} draws and pairs lifted from seeds."]
+    return TopicResult(scores, notes=notes, items={_COMPLETED: Items.joined(judged)}, baselines=_BASELINES)
+
+
+def _between(shard: Shard, store: Store) -> TopicResult:
+    """Hide frames of takes, and score what is put in their place."""
+    truth, pool, _ = _truth_and_pool(shard, store)
+    scores: list[Score] = []
+    judged: list[Items] = []
+    for split, own in _learned_and_held_out(truth):
+        count = max(shard.options(LiftedPairsSettings).num_completed_pairs, len(_GAPS))
+        every = _spread_places(own, count, max(_GAPS))
         for number, gap in enumerate(_GAPS):
             starts = every[number :: len(_GAPS)]
             if not starts:
@@ -362,10 +365,29 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
             scores += summarise(means, "in_between_error", "m", split=split, item=f"{gap} frames")
             between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
             errors = {method: np.concatenate(spans) for method, spans in filled.items()}
-            judged[_BETWEEN] += _held_out(split, Items(errors, *between))
-    notes = [f"Joints were completed from {len(pool):,} draws and pairs lifted from seeds."]
-    items = {name: Items.joined(found) for name, found in judged.items()}
-    return TopicResult(scores, notes=notes, items=items, baselines=_BASELINES)
+            judged += _held_out(split, Items(errors, *between))
+    return TopicResult(scores, items={_BETWEEN: Items.joined(judged)}, baselines=_BASELINES)
+
+
+def _truth_and_pool(shard: Shard, store: Store) -> tuple[GroundTruth, np.ndarray, np.random.Generator]:
+    """Return real pairs, the draws that fill in what is hidden, and the generator that chose these."""
+    truth = GroundTruth.read(store, shard.refs("takes"), ())
+    refuse_learned(store, shard.refs("draws"), truth.held_out)
+    sets = read_draw_sets(store, shard.refs("draws"))
+    # Neighbouring draws of a chain are alike: a spread of them is enough, grown pairs are all taken.
+    generator = stream(shard.seed, TOPIC.name, "completed")
+    nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
+    grown = sets[GROWN].pairs_m if GROWN in sets else nothing
+    others = np.concatenate([nothing, *(found.pairs_m for name, found in sets.items() if name != GROWN)])
+    pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MAX_DRAWS]]])
+    return truth, pool, generator
+
+
+def _learned_and_held_out(truth: GroundTruth) -> Iterator[tuple[str, dict[str, Array]]]:
+    """Yield the takes of each part."""
+    for split in ("learned", "held_out"):
+        is_held_out = split == "held_out"
+        yield split, {name: take for name, take in truth.takes.items() if (name in truth.held_out) == is_held_out}
 
 
 def _held_out(split: str, items: Items) -> list[Items]:

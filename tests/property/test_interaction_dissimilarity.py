@@ -21,7 +21,7 @@ from pasdedeux.interaction.dissimilarity import (
 )
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import best_turn
-from pasdedeux.interaction.nearest import Coverage, image_distances, interaction_distances
+from pasdedeux.interaction.nearest import Coverage, image_distances, interaction_distances, pair_table
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 
@@ -200,8 +200,8 @@ def test_compiled_minima_agree_with_the_definition() -> None:
     rng = np.random.default_rng(4)
     truth, draws = random_pairs(rng, 5), random_pairs(rng, 9)
     coverage = Coverage(truth)
-    coverage.add(draws[:4])
-    coverage.add(draws[4:])
+    coverage.add(pair_table(draws[:4]))
+    coverage.add(pair_table(draws[4:]))
     interaction, cartesian = plain_coverage(truth, draws)
     assert coverage.interaction_m.mean() == pytest.approx(interaction, rel=1e-9)
     assert coverage.cartesian_m.mean() == pytest.approx(cartesian, rel=1e-9)
@@ -228,7 +228,7 @@ def test_coverage_refuses_nothing_and_nan() -> None:
     broken = pairs.copy()
     broken[1, 0, 0, 0] = np.nan
     with pytest.raises(InputError, match="point set 1"):
-        Coverage(pairs).add(broken)
+        Coverage(pairs).add(pair_table(broken))
 
 
 @given(seed=st.integers(0, 2**32 - 1), num_joints=st.integers(3, 12))
@@ -240,6 +240,6 @@ def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints:
     others[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))
     coverage = Coverage(truth)
     for part in (others[:0], others[:5], others[5:]):
-        coverage.add(part)
+        coverage.add(pair_table(part))
     distances = interaction_distances(truth, others)
     np.testing.assert_allclose(coverage.interaction_m, distances.min(axis=1), rtol=0, atol=1e-12)

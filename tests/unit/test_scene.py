@@ -12,6 +12,7 @@ import pytest
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction import scene as estimate
+from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
@@ -68,6 +69,23 @@ def solved_duet(name: str) -> tuple[SceneEstimate, np.ndarray]:
 def place_error(found: np.ndarray, truth: np.ndarray) -> float:
     between = [np.diff(mid_hip(one), axis=1)[:, 0] for one in (found, truth)]
     return float(np.median(np.linalg.norm(between[0] - between[1], axis=-1)))
+
+
+@pytest.mark.parametrize("carried", [None, (0, 1)])
+@pytest.mark.parametrize("deviation_deg", [0.0, 5.0])
+def test_slopes_are_those_of_the_residuals(carried: tuple[int, int] | None, deviation_deg: float) -> None:
+    people, _, _ = seen_and_true("lift")
+    frames, rng = np.arange(len(people[0].root_m)), np.random.default_rng(1)
+    said = PairDepth((0, 1), frames, rng.normal(0.0, 0.2, len(frames)), np.where(frames % 5, 0.1, np.inf))
+    problem = estimate._Problem(people, PitchEstimate(0, 0.3, np.deg2rad(deviation_deg)), [said], {}, None)
+    problem.carried = carried
+    x = problem.start + rng.normal(0.0, 0.03, len(problem.start))
+    moved = 1e-6 * rng.normal(0.0, 1.0, (8, len(x)))
+    moved[:, problem.num_globals :] *= rng.random(len(x) - problem.num_globals) < 0.1
+    for step in moved:
+        for before, at, after in zip(*(problem.terms(x + sign * step) for sign in (-1, 0, 1)), strict=True):
+            change = (at.slopes * step[at.stencil]).sum(axis=1)
+            np.testing.assert_allclose(0.5e6 * (after.value - before.value), 1e6 * change, rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["lift", "hug", "waltz"])

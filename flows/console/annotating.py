@@ -100,19 +100,17 @@ def annotate_film(
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
     for lost in {one.film.num_lost for one, _ in made if one.film.num_lost}:
         typer.echo(f"{film.name} states {lost} frames more than can be read", err=True)
-    if sheet is not None:
-        cells = [
-            cell
-            for (one, shot), frames in zip(made, wanted, strict=True)
-            for cell in _cells(one, shot, frames, has_faces)
-        ]
-        if cells:
-            _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
+    cells: list[Image] = []
+    for (one, shot), frames in zip(made, wanted, strict=True):
+        cells += _cells(one, shot, frames, has_faces) if sheet is not None else ()
+    if sheet is not None and cells:
+        _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
     if overlay is not None:
         overlay.parent.mkdir(parents=True, exist_ok=True)
         drawn = (image for one, shot in made for image in _drawn(one, shot, has_faces))
         write_film(overlay, drawn, made[0][1].frames.rate_hz or 30.0)
-    typer.echo(f"written: {target}", err=True)
+    written = (target, sheet if cells else None, overlay)
+    typer.echo(f"written: {', '.join(str(path) for path in written if path is not None)}", err=True)
 
 
 def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:

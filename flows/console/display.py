@@ -215,7 +215,7 @@ def progress_text(progress: Progress) -> str:
 def _running_text(progress: Progress) -> str:
     """Return the shards being computed, in words: `computing chains ic 0`."""
     running = [
-        " ".join(filter(None, (one.stage, one.partition, one.name, f"({part})" if part else "")))
+        " ".join(filter(None, (*dict.fromkeys((one.stage, one.partition, one.name)), f"({part})" if part else "")))
         for one in progress.running
         for part in [_part_text(progress, one)]
     ]
@@ -230,8 +230,8 @@ def _part_text(progress: Progress, shard: Shard) -> str:
 
 
 def left_text(progress: Progress) -> str:
-    """Return the remaining time in words; empty where it is unknown."""
-    if not progress.left_s:
+    """Return the remaining time in words; empty where it is unknown, or less than a second."""
+    if progress.left_s < 1.0:
         return ""
     return f"{'about' if progress.is_all else 'more than'} {duration_text(progress.left_s)} left"
 

@@ -32,7 +32,7 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.people import MethodMotions, ReconstructedTracks, reconstruct_people
+from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_misfit_m
@@ -231,15 +231,17 @@ def _write_sequence(
     write_text(people, write_decisions(sequence.decisions))
     typer.echo(f"{people}: who is who; --set people_file=COPY with changes overrules it", err=True)
     page = names.path(sequence.sequence_id, suffix=".html")
-    write_text(page, player_page(sequence.sequence_id, [_shown(found.methods[-1], sequence.sequence_id)]))
+    write_text(page, player_page(sequence.sequence_id, [_shown(found, sequence.sequence_id)]))
     typer.echo(f"look at it: {page}")
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was skipped: {reason}", err=True)
     typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
-def _shown(made: MethodMotions, sequence_id: str) -> Picture:
+def _shown(tracks_found: ReconstructedTracks, sequence_id: str) -> Picture:
     """Show the people of a sequence beside the 2D poses that they were found in."""
+    made, scene = tracks_found.methods[-1], tracks_found.scene
+    lens_factor = 1.0 if scene is None else scene.lens_factor
     tracks = [one.track for one in made.people]
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
     found, seen_px, projected_px = (np.full((len(frames), len(tracks), 14, axes), np.nan) for axes in (3, 2, 2))
@@ -247,10 +249,8 @@ def _shown(made: MethodMotions, sequence_id: str) -> Picture:
         at = np.searchsorted(frames, one.track.frames)
         found[at, number], seen_px[at, number] = one.positions_m, one.track.keypoints_px
         lens, depth_m = one.track.lens, np.maximum(-one.positions_m[..., 2:], 1e-3)
-        projected_px[at, number] = lens.principal_point_px + lens.focal_px * one.positions_m[..., :2] / depth_m * (
-            1,
-            -1,
-        )
+        across = one.positions_m[..., :2] / depth_m * (1, -1)
+        projected_px[at, number] = lens.principal_point_px + lens_factor * lens.focal_px * across
     player = reconstruction_player(found, rate_hz=tracks[0].rate_hz, keypoints_px=seen_px, projected_px=projected_px)
     caption = f"{sequence_id}: what was reconstructed, over its 2D poses and turning, five seconds from the middle."
     return Picture(f"{sequence_id}{PLAYER}", caption, player)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.detections import Footage, number_in_name, places_of_names
@@ -163,11 +165,20 @@ def is_named_after(name: str, stem: str) -> bool:
     return name == stem or any(name.startswith(stem + one) or name.endswith(one + stem) for one in _SEPARATORS)
 
 
-def read_header(video: Path) -> Footage:
-    """Return image size and rate that a video's header states; nothing of one that cannot be opened."""
+def open_capture(video: Path) -> Any:
+    """Return OpenCV's reader of a video, opened or not; libraries do not comment on what is wrong with it."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
     import cv2  # here: a quarter of a second that planning does not need
 
-    capture = cv2.VideoCapture(str(video))
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    return cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+
+
+def read_header(video: Path) -> Footage:
+    """Return image size and rate that a video's header states; nothing of one that cannot be opened."""
+    import cv2
+
+    capture = open_capture(video)
     try:
         width, height = (int(capture.get(one)) for one in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         rate_hz = float(capture.get(cv2.CAP_PROP_FPS))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.detections import places_of_names
-from tasks.ingest.cameras import IMAGE_SUFFIXES, VIDEO_SUFFIXES
+from tasks.ingest.cameras import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
 from tasks.stage import SourceFile
 
 Image = npt.NDArray[np.uint8]
@@ -231,9 +231,7 @@ def _time_s(capture: Any) -> float:
 
 
 def _opened(path: Path) -> Any:
-    import cv2  # here: a quarter of a second that planning does not need
-
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    capture = open_capture(path)
     if not capture.isOpened():
         raise InputError(
             f"film {path.name} cannot be opened: it is cut off, empty, no video, or of a codec that OpenCV does not "

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import subprocess
+import sys
 import threading
 import tracemalloc
 from collections.abc import Iterator
@@ -254,6 +256,16 @@ def test_damaged_film_is_refused_or_read_as_far_as_it_goes(film: Path, keys: Pat
     assert 2 <= opened.num_frames < 12
     with pytest.raises(InputError, match=r"no\.mp4 does not exist"):
         found(tmp_path / "no.mp4", keys=keys)
+
+
+def test_libraries_say_nothing_beside_the_sentence_on_a_film_that_is_none(keys: Path, tmp_path: Path) -> None:
+    film = tmp_path / "text.mp4"
+    film.write_text("hello")
+    words = [sys.executable, "-m", "flows.console", "annotate", str(film), "--keys", str(keys)]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1, ended.stderr
+    assert "film text.mp4 cannot be opened" in ended.stderr
 
 
 def test_one_of_key_frames_detections_and_detector_is_needed(film: Path, keys: Path) -> None:

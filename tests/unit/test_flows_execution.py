@@ -486,6 +486,8 @@ def test_silence_is_broken_with_how_far_the_run_is(
     listener.close()
     assert "12 of 45 shards, computing chains ic seed0; about 3 min 20 s left" in "".join(said)
     assert progress_text(Progress(1, 1, [], 0.0, is_all=True)) == "1 of 1 shard"
+    video = Shard("reconstruction", 1, "video00", "video00", Parameters())
+    assert progress_text(Progress(0, 1, [video], 0.2, is_all=False)) == "0 of 1 shard, computing reconstruction video00"
     assert progress_text(Progress(12, 45, [shard] * 5, 40.0, is_all=False)) == (
         "12 of 45 shards, computing chains ic seed0, chains ic seed0, chains ic seed0 and 2 more; more than 40 s left"
     )

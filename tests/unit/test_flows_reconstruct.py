@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,10 @@ from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.people import sized_by_stature
 from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Verdict
@@ -48,10 +51,23 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return build_store(tmp_path_factory.mktemp("store"))
 
 
-@pytest.mark.parametrize("units", ["cm", "m"])
+@pytest.mark.parametrize(("units", "zoom"), [("cm", 1.0), ("m", 1.4)])
 def test_files_that_lie_there_become_a_humanoid_a_person(
-    video: Path, store: Store, tmp_path: Path, units: str, capsys: pytest.CaptureFixture[str]
+    video: Path,
+    store: Store,
+    tmp_path: Path,
+    units: str,
+    zoom: float,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    def with_other_lens(*told: Any, **more: Any) -> SceneEstimate:
+        """Find a longer lens than was assumed, and everybody farther away."""
+        found = estimate_scene(*told, **more)
+        factors = tuple(zoom * one for one in found.factors)
+        return replace(found, lens_factor=zoom * found.lens_factor, factors=factors)
+
+    monkeypatch.setattr(people, "estimate_scene", with_other_lens)
     out = tmp_path / "out"
     command = ["reconstruct", str(video), *reference(store), "--out", str(out), "--set", "image_size_px=[1920, 1080]"]
     assert run_command_line([*command, *(["--units", "m"] if units == "m" else [])]) == 0

@@ -267,3 +267,4 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
     wait_until(lambda: editor.process is None or editor.process.poll() is not None, "chains", limit_s=300.0)
     wait_for(viewer, "their draws", lambda: any(part.name.startswith("restart") for part in viewer.shelf.parts))
     assert editor.process.returncode == 0, "it went on without a browser"
+    wait_for(viewer, "its last word", lambda: str(editor._progress.value).startswith("done: "))

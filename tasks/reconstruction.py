@@ -41,7 +41,7 @@ from tasks.stage import (
     shares_takes,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 21)
+RECONSTRUCTION = StageName("reconstruction", 22)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""

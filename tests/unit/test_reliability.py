@@ -219,8 +219,12 @@ def test_where_nothing_says_where_the_camera_is_the_place_fails_and_nobody_passe
     pitches = [0.0, 0.25, 0.5]
     pitch = choose_pitch([walkers[0].pitched(one) for one in pitches], tracks)
     found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), tracks, [Method.FIT], pitch=pitch)
-    judged = judge_tracks(found, pitches_rad=pitches).verdicts
+    quality = judge_tracks(found, pitches_rad=pitches)
+    judged = quality.verdicts
     assert judged["place of 0 and 1"].level is Level.FAIL
+    is_laid = kind != "five frames"
+    assert ("person 1 is not seen upright" in judged["place of 0 and 1"].reason) == is_laid
+    assert quality.people[0].evidence[-1] == is_laid
     says = "0.2 s are too short" if kind == "five frames" else "nobody is seen standing"
     for one in judged.values():
         assert one.level is not Level.PASS

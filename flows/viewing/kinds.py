@@ -123,7 +123,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         facts=(
             *(f"{name}: {verdict_words(verdict)}" for name, verdict in verdicts_of_parts(manifest).items()),
             f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
-            f'people_file = "people.csv" in [[ingest.annotations]]',
+            f'people_file = "people.csv" of its source in the study',
         ),
     )
 
@@ -287,7 +287,9 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
             truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
 
     def say(frame: int) -> list[str]:
-        return [" ".join(map(str, places[frame])), f"{data['num_joints_seen'][frame]} of 28 joints seen"]
+        at = places[frame]
+        who = f"{at.sequence_id} frame {at.frame}, persons {at.person_id} and {at.partner_id}"
+        return [who, f"{data['num_joints_seen'][frame]} of 28 joints seen"]
 
     return Scene(
         people,

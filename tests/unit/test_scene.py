@@ -127,7 +127,7 @@ def test_who_is_carried_all_the_time_is_held_to_who_carries(monkeypatch: pytest.
 
 def test_of_two_who_may_be_carried_it_is_who_explains_more(monkeypatch: pytest.MonkeyPatch) -> None:
     people, _, _ = seen_and_true("lift")
-    carried = [reconstruction(one.positions_m[105:195], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
+    carried = [reconstruction(one.positions_m[LIFTED], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
     right, _ = solved(carried)
     costs, solve = {None: 40.0, (0, 1): 20.0, (1, 0): 10.0}, estimate.solve
     monkeypatch.setattr(

@@ -247,7 +247,7 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
         chains.append(curve)
 
     def say(frame: int) -> list[str]:
-        lines = [f"{data['num_accepted'][frame]} accepted steps since the draw before"]
+        lines = [f"steps accepted since the draw before: {data['num_accepted'][frame]}"]
         matched = data["sequence_id"][frame]
         if matched is not None:
             d_i = 100.0 * float(data["dissimilarity_m"][frame])

@@ -28,6 +28,8 @@ _AMBIENT = 1.0
 _DARKER = 1.5
 """Exponent of colours: the lights of the room make them paler."""
 _LINE = (200, 200, 200)
+_CAMERA_M = 0.15
+"""Depth of the outline that stands for a camera."""
 _NO_POINTS = np.empty((0, 3))
 
 
@@ -89,8 +91,9 @@ class Room:
             wxyz, position, fov = _view_of(shown.camera)
             width, height = shown.camera.image_size_px
             scene.add_camera_frustum(
-                "/camera", fov, width / height, scale=0.3, thickness=0.005, color=_GREY, wxyz=wxyz, position=position
-            )
+                "/camera", fov, width / height, scale=_CAMERA_M, thickness=0.005,
+                color=_GREY, wxyz=wxyz, position=position,
+            )  # fmt: skip
             self._far_m = float(-np.nanmin(shown.camera.camera_from_world(flat)[:, 2])) + _BEHIND_M
 
     def show_frame(self, frame: int, pose: Array | None, *, has_marks: bool) -> tuple[int, int]:

@@ -127,6 +127,7 @@ class Viewer:
         """Read an item, and show it from its beginning or at one of its rows."""
         with self.lock:
             self.index, self.pose, self.image_px = index, None, None
+            self.panel.set("said", "")  # what was said is of something else
             scene = KINDS[self.part.table].scene(self.shelf, self.part, self.item)
             if self.wants_flat and scene.flat is not None:
                 scene = replace(scene, people=scene.flat, camera=None)

@@ -209,6 +209,13 @@ def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
     assert viewer.frame == viewer.scene.num_frames - 2
 
 
+def test_what_was_said_of_one_item_does_not_stand_beside_the_next(viewer: Viewer) -> None:
+    viewer.show_part(viewer.part)
+    viewer.panel.tell("no frame of this item fails or is a warning")
+    viewer.show_part(viewer.part)
+    assert viewer.panel.put["said"].value == ""
+
+
 def test_pictures_are_of_the_frame_of_their_scene_while_another_is_put_in_place(viewer: Viewer) -> None:
     asked: list[int] = []
     viewer.seek(5)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 
 from flows.building import MAX_TASKS, Build, StartTask
-from flows.machine import remembered_ctrl_c
+from flows.machine import remembered_ctrl_c, why_few
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
 from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
@@ -71,7 +71,8 @@ def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
     if settings.profile is not None:
         run.listener.note(f"starting {settings.profile.cluster}, waiting for its first worker")
     elif settings.scheduler is None:
-        run.listener.note(f"starting {settings.num_workers} local worker{'s' * (settings.num_workers != 1)}")
+        workers = f"{settings.num_workers} local worker{'s' * (settings.num_workers != 1)}"
+        run.listener.note(f"starting {workers}{why_few(settings)}")
     else:
         run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
     with connect(settings, store_root=root) as client:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -24,16 +25,42 @@ WORKER_MEMORY_GB = 2.0
 """Of one local worker, by default."""
 _KERNEL_BYTES = 64 * 1024**2
 """Room for all compiled kernels."""
+_GROUPS, _GROUP_LIMITS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+"""Where Linux says which control groups this process is in, and keeps their limits."""
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return the number of cores that this process may use: by its affinity, and by the limits of its container."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quotas = [*_group_limits("cpu", "cpu.max"), *_group_limits("cpu", "cpu.cfs_quota_us", "cpu.cfs_period_us")]
+    return min([cores, *(max(1, math.ceil(quota / period)) for quota, period in quotas)])
 
 
 def memory_bytes() -> int:
-    """Return the memory of the machine; OSError or ValueError where the system does not tell."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    """Return the memory of the machine, or of its container; OSError or ValueError where the system does not tell."""
+    limits = [*_group_limits("memory", "memory.max"), *_group_limits("memory", "memory.limit_in_bytes")]
+    return min([os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), *(limit for (limit,) in limits)])
+
+
+def _group_limits(controller: str, *names: str) -> Iterator[list[int]]:
+    """Yield the limits, in files of these names, of the control groups of Linux that this process is in, inner first.
+
+    There are two versions: in the first, each controller has groups of its own, and -1 is no limit.
+    """
+    try:
+        lines = _GROUPS.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, group = line.split(":", 2)
+        if controller in controllers.split(",") or not controllers:
+            top = _GROUP_LIMITS / controllers
+            folder = top / group.lstrip("/")
+            for place in (folder, *folder.parents[: len(folder.parts) - len(top.parts)]):
+                with suppress(OSError, ValueError):  # not there, or "max"
+                    limits = [int(word) for name in names for word in (place / name).read_text().split()]
+                    if min(limits) > 0:
+                        yield limits
 
 
 def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = False) -> int:
@@ -51,6 +78,15 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
             f"so more of them only take turns and memory; give at most {cores}, or --oversubscribe if it is meant"
         )
     return asked
+
+
+def why_few(settings: ClusterSettings) -> str:
+    """Say why there are fewer local workers than cores, if it is for lack of memory; empty where it is not."""
+    reach = memory_bytes() // settings.memory_bytes
+    if not max(1, reach) == settings.num_workers < usable_cores():
+        return ""
+    needed = f"{settings.memory_bytes / GIB:g} GB for each worker (--worker-memory)"
+    return f", for lack of memory: there are {memory_bytes() / GIB:.1f} GB, and {needed}"
 
 
 def cluster_settings(

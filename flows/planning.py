@@ -355,7 +355,8 @@ def plan_stage(
             ):
                 behind.add(shard.key)
             # What was made anew with the same content stands under another key, and the old one may have gone since.
-            is_lost = not has_lineage(store, (ref for ref in manifest.inputs if ref.key not in shard.after), there)
+            after = frozenset(shard.after)  # a summary comes after all segments
+            is_lost = not has_lineage(store, (ref for ref in manifest.inputs if ref.key not in after), there)
             if is_forced or is_lost or shard.key in behind:
                 reason = "a shard before it was computed again with other bytes"
                 reason = "forced" if is_forced else "what it was computed from is gone" if is_lost else reason

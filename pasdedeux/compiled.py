@@ -6,12 +6,13 @@ So what plans, or shows what is there, need not wait for it.
 from __future__ import annotations
 
 import fcntl
+import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import update_wrapper
 from pathlib import Path
-from threading import RLock
+from threading import RLock, Timer
 from types import ModuleType
 from typing import Any
 
@@ -19,6 +20,9 @@ _ONE_AT_A_TIME = RLock()
 """Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
 _LOCKED: set[str] = set()
 """Names of the kernels that this process compiles alone, by the one thread that holds numba's lock."""
+_PATIENCE_S = 10.0
+"""How long a process waits for another before it says so: few kernels take that long."""
+_LOG = logging.getLogger(__name__)
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -95,7 +99,8 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     Numba would compile it for each constant that a kernel passes, and in every process that asks at the same time: here
     one compiles, the others wait and load.  Where nothing can be kept, each process compiles for itself.
     """
-    from numba import config, njit
+    from numba import __version__, config, njit
+    from numba.core.caching import IndexDataCacheFile
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.types import unliteral
 
@@ -104,8 +109,11 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     options = {"nogil": True, "error_model": "numpy", **options}
     try:
         made = njit(cache=True, **options)(function)
+        base, stamp = made._cache._impl.filename_base, made._cache._cache_file._source_stamp
+        # Files of its own for each version of numba: each would replace those of the other, and compile for minutes.
+        files = made._cache._cache_file = IndexDataCacheFile(made.stats.cache_path, f"{base}-{__version__}", stamp)
     except RuntimeError:  # no folder that it may write to
-        made = njit(**options)(function)
+        made, files = njit(**options)(function), None
     compile_anew = made.compile
 
     def compile_once(signature: tuple[Any, ...]) -> Any:
@@ -114,6 +122,8 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
             return made.overloads[arguments].entry_point
         # Numba's own lock first: who waits for a file here holds all files that other threads may wait for.
         with global_compiler_lock, _alone(made.stats.cache_path, f"{function.__module__}.{function.__qualname__}"):
+            if files is not None:
+                _drop_old_code(files)
             try:
                 return compile_anew(arguments)
             except OSError:  # the disk of the cache is full, or was taken away
@@ -137,10 +147,48 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
         if folder is not None and name not in _LOCKED:
             with suppress(OSError):
                 handle = os.open(Path(folder) / f"{name}.lock", os.O_CREAT | os.O_RDWR, 0o644)
-                fcntl.flock(handle, fcntl.LOCK_EX)
+                _wait_for(handle, name)
                 _LOCKED.add(name)
         yield
     finally:
         if handle is not None:
             _LOCKED.discard(name)
             os.close(handle)
+
+
+def _wait_for(handle: int, name: str) -> None:
+    """Lock a file, and say once whose turn it is where that takes long: a process that is stopped waits for ever."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        patience = Timer(_PATIENCE_S, _say_who, (handle, name))
+        patience.daemon = True
+        patience.start()
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        finally:
+            patience.cancel()
+    with suppress(OSError):  # a disk that is full
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, str(os.getpid()).encode(), 0)
+
+
+def _say_who(handle: int, name: str) -> None:
+    process = os.pread(handle, 20, 0).decode() or "another process"
+    _LOG.warning(
+        "waiting for process %s, which compiles %s; if it is stopped, continue it (`fg`, or `kill -CONT %s`) or end it",
+        *(process, name, process),
+    )
+
+
+def _drop_old_code(files: Any) -> None:
+    """Remove what was compiled from other sources of a kernel before it is compiled anew.
+
+    Numba replaces its index first, then the code that it names: after a kill between the two, or on a full disk, the
+    index would name the old code.
+    """
+    with suppress(OSError):
+        if not files._load_index():
+            index = Path(files._index_path)
+            for old in index.parent.glob(f"{index.stem}.*.nbc"):
+                old.unlink(missing_ok=True)

@@ -22,6 +22,8 @@ Identity = tuple[str, str, str]
 
 _SHARED: dict[tuple[tuple[str, str], ...], dict[str, str]] = {}
 """Package versions as manifests have them: one and the same in nearly all, so they are kept once."""
+_REFS: dict[Identity, ArtifactRef] = {}
+"""References as manifests have them: what many shards read is in the manifests of all of them."""
 _HEX_KEY = re.compile(r"[0-9a-f]{64}")
 
 
@@ -131,7 +133,7 @@ class Manifest:
     @property
     def num_bytes(self) -> int:
         """Bytes of all data files."""
-        return sum(entry.bytes for entry in self.data_files.values())
+        return sum([part.bytes for part in self.tables.values()]) + sum([e.bytes for e in self.attachments.values()])
 
     def to_json(self) -> str:
         """Return the text of the manifest file."""
@@ -190,13 +192,22 @@ def with_fields(kind: type[_T], values: dict[str, Any]) -> _T:
     return one
 
 
+def _shared_ref(values: dict[str, Any]) -> ArtifactRef:
+    """Return a reference that was read: one and the same for all shards that name the artifact."""
+    identity = values["stage"], values["key"], values["content_digest"]
+    ref = _REFS.get(identity)
+    if ref is None or len(values) != len(identity):
+        ref = with_fields(ArtifactRef, values)
+        ref.__post_init__()
+        _REFS[identity] = ref
+    return ref
+
+
 def _parsed(values: dict[str, Any]) -> dict[str, Any]:
     """Return what was read of a manifest with its parts as what they are."""
     versions = values["package_versions"]
-    values["ref"] = with_fields(ArtifactRef, values["ref"])
-    values["inputs"] = tuple([with_fields(ArtifactRef, ref) for ref in values["inputs"]])
-    for ref in (values["ref"], *values["inputs"]):
-        ref.__post_init__()
+    values["ref"] = _shared_ref(values["ref"])
+    values["inputs"] = tuple([_shared_ref(ref) for ref in values["inputs"]])
     values["files"] = tuple([(name, digest) for name, digest in values["files"]])
     values["tables"] = {name: with_fields(TableFile, part) for name, part in values["tables"].items()}
     values["attachments"] = {name: with_fields(FileEntry, entry) for name, entry in values["attachments"].items()}

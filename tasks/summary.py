@@ -13,6 +13,7 @@ from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
 from tasks.facts import (
     DrawFacts,
+    Facts,
     LiftedFacts,
     ModelFacts,
     PeopleFacts,
@@ -54,13 +55,17 @@ _THINGS = (
 def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
     found = sorted(manifests, key=lambda one: (one.ref.stage, one.partition, one.name))
-    counted = {thing: [one for one in found if thing.table in one.tables] for thing in _THINGS}
+    told = [(one, facts_of(one)) for one in found]
+    holding: dict[str, list[tuple[Manifest, Facts]]] = {}
+    for one, facts in told:
+        for table in one.tables:
+            holding.setdefault(table, []).append((one, facts))
     verdicts = dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank))
     sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in found for s in one.sources}}
     return Summary(
-        made=[made for thing, parts in counted.items() if (made := _made(thing, parts, verdicts)).count],
+        made=[made for thing in _THINGS if (made := _made(thing, holding.get(thing.table, ()), verdicts)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
-        skipped=folded(sorted({sentence for one in found for sentence in _skipped(one)})),
+        skipped=folded(sorted({sentence for one, facts in told for sentence in _skipped(one, facts)})),
         verdicts=verdicts,
     )
 
@@ -78,9 +83,8 @@ def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
     return merge_verdicts(verdict for one in manifests for verdict in _verdicts(one).values())
 
 
-def _skipped(manifest: Manifest) -> list[str]:
-    """Return sentences on what an artifact, or the stage that made it, skipped and why."""
-    facts = facts_of(manifest)
+def _skipped(manifest: Manifest, facts: Facts) -> list[str]:
+    """Return sentences on what an artifact with these facts, or the stage that made it, skipped and why."""
     found = list(facts.skipped)
     match facts:
         case TakeFacts(num_persons=count) if "poses" in manifest.tables and count != 2:
@@ -125,18 +129,20 @@ def _verdicts(manifest: Manifest) -> dict[str, Verdict]:
 def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     """Return one verdict for each stage, those that others read first; what is evaluated is judged one by one."""
     judged = judge(manifests)
-    names = dict.fromkeys("" if one.stage == _APART else one.stage for one in judged)
-    found = {name: stage_verdict(one for one in manifests if one.ref.stage == name) for name in names if name}
+    parts: dict[str, list[Manifest]] = {one.stage: [] for one in judged if one.stage != _APART}
+    for one in manifests:
+        if one.ref.stage in parts:
+            parts[one.ref.stage].append(one)
+    found = {name: stage_verdict(own) for name, own in parts.items()}
     apart = {part_name(one.stage, one.partition): one.verdict for one in judged if one.stage == _APART}
     return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
 
 
-def _made(thing: _Thing, parts: Sequence[Manifest], verdicts: Mapping[str, Verdict]) -> Made:
+def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], verdicts: Mapping[str, Verdict]) -> Made:
     """Count a thing in its artifacts; seconds are of motion, where its artifacts say how many frames it has."""
     count, seconds = 0, math.nan
-    for one in parts:
+    for one, facts in parts:
         rows = one.tables[thing.table].rows
-        facts = facts_of(one)
         if isinstance(facts, LiftedFacts):
             own = facts.num_lifted
         else:  # a model counts as one, also where it has no arrays
@@ -148,12 +154,12 @@ def _made(thing: _Thing, parts: Sequence[Manifest], verdicts: Mapping[str, Verdi
             times = own if thing.table == "variant_quality" else 1
             length = times * facts.num_frames / facts.rate_hz
             seconds = length if math.isnan(seconds) else seconds + length
-    return Made(thing.name, count, seconds, sum(one.num_bytes for one in parts), _independent(thing, parts, verdicts))
+    independent = _independent(thing, [facts for _, facts in parts], verdicts)
+    return Made(thing.name, count, seconds, sum(one.num_bytes for one, _ in parts), independent)
 
 
-def _independent(thing: _Thing, parts: Sequence[Manifest], verdicts: Mapping[str, Verdict]) -> tuple[int, str] | None:
+def _independent(thing: _Thing, facts: Sequence[Facts], verdicts: Mapping[str, Verdict]) -> tuple[int, str] | None:
     """Return how many of a thing are independent of each other, in words that people count; None where all are."""
-    facts = [facts_of(one) for one in parts]
     if thing.table == "variant_quality":
         return len({one.take_id for one in facts if isinstance(one, VariantFacts)}), "takes with variants"
     if thing.table == "annotations":

@@ -150,6 +150,8 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
     yield from (*outcome_lines(outcome), *(f"warning: {words}" for words in made.warnings))
     if made.is_fresh:
         yield f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)"
+        if run.is_profiled:
+            yield "no profile: nothing was computed; --force STAGE computes a stage again, another --store everything"
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         yield f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}"

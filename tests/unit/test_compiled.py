@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import fcntl
+import importlib.util
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numba import config
+from numba.core.caching import IndexDataCacheFile
 
+from pasdedeux import compiled as compiling
 from pasdedeux.compiled import compiled
+from tests.builders.toy_runs import wait_until
 
 
 @compiled()
@@ -131,3 +138,75 @@ def interrupted(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
         return make(kernel)
 
     return made
+
+
+def kernel(folder: Path, factor: float = 2.0) -> Any:
+    """Return a kernel, not compiled in this process, that multiplies by a factor."""
+    path = folder / "scaling.py"
+    path.write_text(f"from pasdedeux.compiled import compiled\n\n@compiled()\ndef scale(x):\n    return {factor} * x\n")
+    spec = importlib.util.spec_from_file_location("scaling", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.scale
+
+
+def num_hits(scale: Any) -> int:
+    return sum(scale._made.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_code_of_an_older_source_is_never_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_killed: bool
+) -> None:
+    """Numba renews its index before the code: a full disk, or a kill, may leave one without the other."""
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    assert kernel(tmp_path)(3.0) == 6.0
+    with monkeypatch.context() as broken:
+        broken.setattr(IndexDataCacheFile, "_save_data", (lambda *_: None) if is_killed else refuse)
+        assert kernel(tmp_path, 20.0)(3.0) == 60.0
+    again = kernel(tmp_path, 20.0)
+    assert (again(3.0), num_hits(again)) == (60.0, 0)
+    again = kernel(tmp_path, 20.0)
+    assert (again(3.0), num_hits(again)) == (60.0, 1)
+
+
+def refuse(*_: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_two_versions_of_numba_keep_their_code_beside_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    here, hits = numba.__version__, []
+    for version in (here, "0.1", here, "0.1"):
+        monkeypatch.setattr(numba, "__version__", version)
+        scale = kernel(tmp_path)
+        assert scale(3.0) == 6.0
+        hits.append(num_hits(scale))
+    assert hits == [0, 0, 1, 1]
+
+
+def test_who_waits_long_for_another_process_says_for_which(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(compiling, "_PATIENCE_S", 0.02)
+    assert kernel(tmp_path)(3.0) == 6.0
+    (lock,) = (tmp_path / "cache").rglob("*.lock")
+    assert lock.read_text() == str(os.getpid())
+    with lock.open("r+") as held, ThreadPoolExecutor(1) as pool:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        lock.write_text("4711")
+        answer = pool.submit(kernel(tmp_path), 4.0)
+        try:
+            wait_until(lambda: bool(caplog.messages), "a message")
+        finally:
+            fcntl.flock(held, fcntl.LOCK_UN)
+        assert answer.result() == 8.0
+    assert caplog.messages == [
+        "waiting for process 4711, which compiles scaling.scale; if it is stopped, continue it (`fg`, or "
+        "`kill -CONT 4711`) or end it"
+    ]

@@ -43,6 +43,9 @@ def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(
     out = capsys.readouterr().out
     assert "everything is fresh, nothing to do" in out
     assert "report.html" in out
+    assert "profile" not in out
+    assert call("run", study, "--store", store, "--profile") == 0
+    assert "no profile: nothing was computed; --force STAGE" in capsys.readouterr().out
 
 
 def test_a_run_until_a_stage_ends_with_a_page_on_what_it_made_and_keeps_a_whole_page(

@@ -19,7 +19,7 @@ import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
 
-from flows.machine import cluster_settings, kernel_cache
+from flows.machine import GIB, cluster_settings, kernel_cache, memory_bytes, usable_cores, why_few
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from storage_schema.provenance import package_versions
@@ -425,3 +425,39 @@ def test_kernels_are_kept_where_there_is_a_folder_with_room(monkeypatch: pytest.
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
     assert kernel_cache()[1] == f"{tmp_path / 'file'} cannot be written to: Not a directory"
+
+
+@pytest.mark.parametrize(
+    ("groups", "limits"),
+    [
+        ("0::/a/b\n", {"a/memory.max": "3221225472", "a/b/memory.max": "max", "a/b/cpu.max": "150000 100000"}),
+        ("0::/\n", {"memory.max": "3221225472", "cpu.max": "150000 100000"}),
+        (
+            "5:memory:/a/b\n4:cpu,cpuacct:/a\n0::/\n",
+            {
+                "memory/memory.limit_in_bytes": "3221225472",
+                "cpu,cpuacct/a/cpu.cfs_quota_us": "150000",
+                "cpu,cpuacct/a/cpu.cfs_period_us": "100000",
+                "cpu,cpuacct/cpu.cfs_quota_us": "-1",
+                "cpu,cpuacct/cpu.cfs_period_us": "100000",
+            },
+        ),
+    ],
+)
+def test_workers_keep_to_the_limits_of_a_container(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, groups: str, limits: dict[str, str]
+) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(8))
+    monkeypatch.setattr("os.sysconf", lambda _: 1024**3)
+    monkeypatch.setattr("flows.machine._GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr("flows.machine._GROUP_LIMITS", tmp_path)
+    assert (usable_cores(), cluster_settings(None).num_workers, why_few(cluster_settings(None))) == (8, 8, "")
+    (tmp_path / "cgroup").write_text(groups)
+    for name, limit in limits.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(limit + "\n")
+    assert (usable_cores(), memory_bytes()) == (2, 3 * GIB)
+    assert cluster_settings(None).num_workers == 1
+    said = why_few(cluster_settings(None))
+    assert said == ", for lack of memory: there are 3.0 GB, and 2 GB for each worker (--worker-memory)"
+    assert why_few(cluster_settings(None, 1.5)) == ""

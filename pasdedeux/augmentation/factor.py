@@ -170,7 +170,7 @@ def _multiply(matrix: Array, right: Array, product: Array) -> None:
 
 @compiled()
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers) -> None:
-    """Do `solve`; columns of all axes follow each other, filled up to whole tiles, as loops take lanes of many alone."""
+    """Do `solve`; columns of all axes follow each other, up to whole tiles, as loops take lanes of many alone."""
     blocks, size, _, count = rhs.shape
     width = -(-len(axes) * count // _COLUMNS) * _COLUMNS
     work, solved = np.zeros((size, width), rhs.dtype), np.zeros((size, width), rhs.dtype)

@@ -43,8 +43,10 @@ from tasks.takes import TakeMotion, read_take
 
 AUGMENTATION = StageName("augmentation", 24)
 
-_SOLVED_TOGETHER = 16
-"""Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
+_SOLVED_TOGETHER, _OF_LONG_TAKES = 32, 16
+"""Variants solved in one batch: a few dozen columns fill the matrix products."""
+_LONG_FRAMES = 600
+"""Takes longer than this have fewer in a batch, as memory grows with both."""
 
 
 class SolvedParameters(VariationSettings, AugmentationSettings, Parameters):
@@ -206,9 +208,10 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         parameters=parameters.model_dump(mode="json", exclude={"limits"}),
     )
     verdicts: list[Verdict] = []
+    together = _OF_LONG_TAKES if take.source.num_frames > _LONG_FRAMES else _SOLVED_TOGETHER
     with store.writer(**artifact_fields(shard, store), facts=facts.to_json()) as writer:
-        for start in range(0, len(parameters.variants), _SOLVED_TOGETHER):
-            batch = [known[name] for name in parameters.variants[start : start + _SOLVED_TOGETHER]]
+        for start in range(0, len(parameters.variants), together):
+            batch = [known[name] for name in parameters.variants[start : start + together]]
             for variant in augmenter.solve(batch):
                 verdicts.append(variant.verdict)
                 write_variant(writer, take_id, take, variant)

@@ -93,44 +93,33 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
 
 
 @inner_kernel()
-def _forward(
-    rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
-) -> None:
-    """Leave columns of a block, less what the block before contributes, in `work` from column `at` on."""
-    size = rhs.shape[1]
-    half, shift = size // 2, at - low
+def _couple_before(work: Array, before: Array, lag1: Array, lag2: Array) -> None:
+    """Take away from right-hand sides of a block (2 n, column) what the solution of the block before contributes."""
+    size, width = work.shape
     for i in range(size):
-        if k == 0:
-            for v in range(low, high):
-                work[i, shift + v] = rhs[k, i, axis, v]
-        elif i < half:
-            c, d = lag2[k - 1, i], lag1[k - 1, i]
-            for v in range(low, high):
-                work[i, shift + v] = (rhs[k, i, axis, v] - c * rhs[k - 1, i, axis, v]) - d * rhs[
-                    k - 1, i + half, axis, v
-                ]
+        own, same, c = work[i], before[i], lag2[i]
+        if i < size // 2:
+            other, d = before[i + size // 2], lag1[i]
+            for v in range(width):
+                own[v] = (own[v] - c * same[v]) - d * other[v]
         else:
-            c = lag2[k - 1, i]
-            for v in range(low, high):
-                work[i, shift + v] = rhs[k, i, axis, v] - c * rhs[k - 1, i, axis, v]
+            for v in range(width):
+                own[v] -= c * same[v]
 
 
 @inner_kernel()
-def _backward(
-    rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
-) -> None:
-    """Leave what the next block's solution contributes to this one in `work` from column `at` on."""
-    size = rhs.shape[1]
-    half, shift = size // 2, at - low
+def _couple_after(work: Array, after: Array, lag1: Array, lag2: Array) -> None:
+    """Leave in `work` what the solution of the next block (2 n, column) contributes to a block."""
+    size, width = work.shape
     for i in range(size):
-        c = lag2[k, i]
-        if i < half:
-            for v in range(low, high):
-                work[i, shift + v] = c * rhs[k + 1, i, axis, v]
+        own, same, c = work[i], after[i], lag2[i]
+        if i < size // 2:
+            for v in range(width):
+                own[v] = c * same[v]
         else:
-            d = lag1[k, i - half]
-            for v in range(low, high):
-                work[i, shift + v] = c * rhs[k + 1, i, axis, v] + d * rhs[k + 1, i - half, axis, v]
+            other, d = after[i - size // 2], lag1[i - size // 2]
+            for v in range(width):
+                own[v] = c * same[v] + d * other[v]
 
 
 @intrinsic
@@ -181,29 +170,33 @@ def _multiply(matrix: Array, right: Array, product: Array) -> None:
 
 @compiled()
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers) -> None:
+    """Do `solve`; columns of all axes follow each other, up to whole tiles, as loops take lanes of many alone."""
     blocks, size, _, count = rhs.shape
-    work = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)
-    product = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)
-    for turn in range(2 * blocks - 1):
-        is_forward = turn < blocks
-        k = turn if is_forward else 2 * blocks - 2 - turn
-        for low in range(0, count, _COLUMNS):
-            high = min(low + _COLUMNS, count)
+    width = -(-len(axes) * count // _COLUMNS) * _COLUMNS
+    work, solved = np.zeros((size, width), rhs.dtype), np.zeros((size, width), rhs.dtype)
+    for k in range(blocks):
+        for i in range(size):
             for place in range(len(axes)):
-                if is_forward:
-                    _forward(rhs, k, axes[place], lag1, lag2, low, high, work, place * _COLUMNS)
-                else:
-                    _backward(rhs, k, axes[place], lag1, lag2, low, high, work, place * _COLUMNS)
-            _multiply(inverse[k], work, product)
+                given, column = rhs[k, i, axes[place]], work[i, place * count : place * count + count]
+                for v in range(count):
+                    column[v] = given[v]
+        if k > 0:
+            _couple_before(work, solved, lag1[k - 1], lag2[k - 1])
+        _multiply(inverse[k], work, solved)
+        for i in range(size):
             for place in range(len(axes)):
-                axis, shift = axes[place], place * _COLUMNS - low
-                for i in range(size):
-                    if is_forward:
-                        for v in range(low, high):
-                            rhs[k, i, axis, v] = product[i, shift + v]
-                    else:
-                        for v in range(low, high):
-                            rhs[k, i, axis, v] -= product[i, shift + v]
+                given, column = rhs[k, i, axes[place]], solved[i, place * count : place * count + count]
+                for v in range(count):
+                    given[v] = column[v]
+    for k in range(blocks - 2, -1, -1):
+        _couple_after(work, solved, lag1[k], lag2[k])
+        _multiply(inverse[k], work, solved)
+        for i in range(size):
+            for place in range(len(axes)):
+                given, column = rhs[k, i, axes[place]], solved[i, place * count : place * count + count]
+                for v in range(count):
+                    given[v] -= column[v]
+                    column[v] = given[v]
 
 
 def solve(factor: Factor, rhs: Array, axes: Integers) -> None:

@@ -233,8 +233,4 @@ def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, sour
         raise InputError(f"rest poses have shape {rest_m.shape}, expected ({num_people}, {BODY22.num_joints}, 3)")
     offsets = rest_m - rest_m[:, [max(parent, 0) for parent in BODY22.parents]]
     rest = place_bones(BODY22, rest_m[:, BODY22.root], offsets, bone_scale)
-    people = [
-        local_rotations(BODY22, rest[person], positions_m[:, person], source_world_unitquat[:, person])
-        for person in range(num_people)
-    ]
-    return np.stack(people, axis=1)
+    return local_rotations(BODY22, rest, positions_m, source_world_unitquat)

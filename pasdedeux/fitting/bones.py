@@ -108,28 +108,28 @@ class BoneForest:
 
     def state_of(self, positions_m: Array) -> BoneState:
         """Read roots and directions off positions (frame, N, 3); a bone of length zero points up."""
-        directions = _directions(positions_m, self.topology.parents)
+        directions = directions_of(positions_m, self.topology.parents)
         return BoneState(roots_m=positions_m[:, self.topology.roots], directions=directions)
 
     def positions(self, state: BoneState) -> Array:
         """Return positions (frame, N, 3), metres."""
         shape = self.topology
-        return _place(state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots)
+        return place_bones(state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots)
 
     def tangents(self, state: BoneState) -> Array:
         """Return two unit vectors square to each direction and to each other (frame, N, 3, 2)."""
-        return _tangents(state.directions)
+        return tangents_of(state.directions)
 
     def retract(self, state: BoneState, tangents: Array, step: Array) -> BoneState:
         """Move by a step (frame, n): roots are translated, directions leave along their tangents, made unit again."""
         shape = self.topology
         first = shape.starts[shape.roots]
         roots = state.roots_m + step[:, first[:, None] + np.arange(3)]
-        return BoneState(roots, _turn(state.directions, tangents, step, shape.parents, shape.starts))
+        return BoneState(roots, turn_bones(state.directions, tangents, step, shape.parents, shape.starts))
 
 
 @compiled()
-def _directions(positions: Array, parents: Integers) -> Array:
+def directions_of(positions: Array, parents: Integers) -> Array:
     """Return the unit vector of each bone; up for roots and where there is none."""
     directions = np.empty(positions.shape)
     for t in range(positions.shape[0]):
@@ -148,7 +148,7 @@ def _directions(positions: Array, parents: Integers) -> Array:
 
 
 @compiled()
-def _place(
+def place_bones(
     roots_m: Array, directions: Array, lengths: Array, parents: Integers, order: Integers, roots: Integers
 ) -> Array:
     """Return positions: each point a bone's length from its parent."""
@@ -166,7 +166,7 @@ def _place(
 
 
 @compiled()
-def _tangents(directions: Array) -> Array:
+def tangents_of(directions: Array) -> Array:
     """Return two unit vectors across each direction, the first across x as well, or y where that is too near."""
     tangents = np.empty((*directions.shape, 2))
     for t in range(directions.shape[0]):
@@ -182,7 +182,7 @@ def _tangents(directions: Array) -> Array:
 
 
 @compiled()
-def _turn(directions: Array, tangents: Array, step: Array, parents: Integers, starts: Integers) -> Array:
+def turn_bones(directions: Array, tangents: Array, step: Array, parents: Integers, starts: Integers) -> Array:
     """Return the directions of bones after a step along their tangents; roots' as they were."""
     turned = directions.copy()
     for t in range(directions.shape[0]):

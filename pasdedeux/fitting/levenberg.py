@@ -19,13 +19,13 @@ from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blo
 from pasdedeux.fitting.bones import BoneForest, BoneState
 from pasdedeux.fitting.terms import AXES, Normal, Term, total_energy
 
-_SMALLEST_CURVATURE = 1e-9
+SMALLEST_CURVATURE = 1e-9
 """Added to the diagonal so that a bone of length zero, which moves nothing, has a step of zero."""
 
 
-_FIRST_DAMPING = 1e-4
-"""As a share of the diagonal."""
-_LARGEST_DAMPING = 1e8
+FIRST_DAMPING, SMALLEST_DAMPING = 1e-4, 1e-12
+"""As shares of the diagonal."""
+LARGEST_DAMPING = 1e8
 """Beyond this a fit gives up, with what it has."""
 
 
@@ -83,7 +83,7 @@ def fit_bones(
     carried = _carry(forest, constant)
     del constant
     energies = [energy]
-    damping, is_converged, iteration = _FIRST_DAMPING, False, 0
+    damping, is_converged, iteration = FIRST_DAMPING, False, 0
     is_fresh = False
     while iteration < settings.max_iterations and not is_converged:
         if not is_fresh:
@@ -108,10 +108,10 @@ def fit_bones(
             is_converged = energy - moved_energy <= settings.tolerance * energy
             state, positions, energy = moved, moved_positions, moved_energy
             energies.append(energy)
-            damping, is_fresh = max(damping * 0.1, 1e-12), False
+            damping, is_fresh = max(damping * 0.1, SMALLEST_DAMPING), False
         else:
             damping *= 10.0
-            is_converged = damping > _LARGEST_DAMPING
+            is_converged = damping > LARGEST_DAMPING
     return FitResult(
         positions_m=positions,
         state=state,
@@ -124,7 +124,7 @@ def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
     blocks = np.array(matrix.diagonal)
     entries = np.einsum("tii->ti", blocks)  # a view
     entries *= 1.0 + damping
-    entries += _SMALLEST_CURVATURE
+    entries += SMALLEST_CURVATURE
     return BlockMatrix(diagonal=blocks, below=matrix.below)
 
 

@@ -20,11 +20,13 @@ from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import AccelerationTerm, Normal, PointTerm, Term
 from pasdedeux.skeletons import Skeleton
 
-_DEPTH_HOLD = 1e-2
+DEPTH_HOLD = 1e-2
 _FEWEST_DIFFERENCES = 5
 """Fewer third differences than this do not determine the noise."""
 ACCELERATION_M_S2 = 8.0
 """Standard deviation of a joint's acceleration."""
+HALF_WEIGHT = 3.0
+"""Joints count half at this many standard deviations of the noise from their image."""
 _NUM_ROUNDS = 2
 """Fits; between them the image's weights follow the residuals."""
 _STOP = FitSettings(max_iterations=6, tolerance=3e-3)
@@ -85,13 +87,20 @@ def image_noise(observed_m: Array, is_seen: Flags) -> float:
     The third difference of white noise has 20 times its variance, and little of a motion; the median of its size over
     all joints (0.6745 of the standard deviation) is not moved by outliers.
     """
-    if len(observed_m) < 4:
-        return 0.0
-    third = np.diff(observed_m, n=3, axis=0)
+    return noise_of_differences(third_differences(observed_m, is_seen))
+
+
+def third_differences(observed_m: Array, is_seen: Flags) -> Array:
+    """Return the third differences (m, 2) of joints (T, N, 2) that are seen in four frames which follow each other."""
     all_seen = is_seen[3:] & is_seen[2:-1] & is_seen[1:-2] & is_seen[:-3]
-    if int(all_seen.sum()) < _FEWEST_DIFFERENCES:
+    return np.asarray(np.diff(observed_m, n=3, axis=0)[all_seen])
+
+
+def noise_of_differences(third: Array) -> float:
+    """Return the noise that third differences (m, 2) tell, see `image_noise`."""
+    if len(third) < _FEWEST_DIFFERENCES:
         return 0.0
-    return float(np.median(np.abs(third[all_seen])) / 0.6745 / np.sqrt(20.0))
+    return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0))
 
 
 def fit_observed(
@@ -140,7 +149,7 @@ def fit_observed(
             residual = np.linalg.norm(flatten_image(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
             residual = np.where(is_seen, residual, np.nan)
             noise = np.maximum(noise, _joint_noise(residual))
-            robust = 1.0 / (1.0 + (np.nan_to_num(residual) / (3.0 * noise)) ** 2)
+            robust = 1.0 / (1.0 + (np.nan_to_num(residual) / (HALF_WEIGHT * noise)) ** 2)
     return positions
 
 
@@ -162,7 +171,7 @@ def image_term(observed_m: Array, weights: Array, positions_m: Array, distance_m
     Depth of the whole body is free for parallel rays: a light hand keeps it where it is.
     """
     flat = flatten_image(observed_m, positions_m, distance_m)
-    over = np.full(positions_m.shape, _DEPTH_HOLD)
+    over = np.full(positions_m.shape, DEPTH_HOLD)
     over[..., :2] = weights[..., None]
     return PointTerm(np.concatenate([flat, positions_m[..., 2:]], axis=-1), over)
 

@@ -88,7 +88,7 @@ def local_rotations(
 
     Args:
         skeleton: Tree of J joints.
-        rest_m: Rest positions (J, 3), metres.
+        rest_m: Rest positions (J, 3), or what broadcasts to the posed ones, metres.
         positions: Posed positions (*batch, J, 3), metres.
         reference_world_unitquat: World rotations from the rest pose (*batch, J, 4) whose twist is kept; identity
             (swing only) when not given.
@@ -110,12 +110,12 @@ def local_rotations(
                 correction = multiply(world[..., parent, :], conjugate(reference_world_unitquat[..., parent, :]))
                 world[..., joint, :] = multiply(correction, reference_world_unitquat[..., joint, :])
             continue
-        rest = rest_m[list(children)] - rest_m[joint]
+        rest = rest_m[..., list(children), :] - rest_m[..., joint, None, :]
         posed = positions[..., list(children), :] - positions[..., joint, None, :]
         if len(children) > 1:
             world[..., joint, :] = _refine_rotation(world[..., joint, :], rest, posed)
         else:
-            carried = rotate(world[..., joint, :], rest[0])
+            carried = rotate(world[..., joint, :], rest[..., 0, :])
             world[..., joint, :] = multiply(swing_between(carried, posed[..., 0, :]), world[..., joint, :])
     return local_from_world(skeleton, world)
 
@@ -130,7 +130,7 @@ def local_from_world(skeleton: Skeleton, world_unitquat: Array) -> Array:
 
 def _refine_rotation(start: Array, rest: Array, posed: Array) -> Array:
     """Fit rotations (*batch, 4) so that `rest` (k, 3) turns into `posed` (*batch, k, 3); weakly held to `start`."""
-    scale = 1e-3 * np.sqrt(np.mean(rest**2) + 1e-12)
+    scale = 1e-3 * np.sqrt(np.mean(rest**2, axis=(-2, -1), keepdims=True) + 1e-12)
     axes = np.broadcast_to(np.eye(3) * scale, (*posed.shape[:-2], 3, 3))
     turned = np.swapaxes(rotmat_from_unitquat(start), -1, -2) * scale
     source = np.concatenate([np.broadcast_to(rest, posed.shape), axes], axis=-2)

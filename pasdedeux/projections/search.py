@@ -61,10 +61,8 @@ def prepare_query(
     if query.shape[-2:] != (num_joints, 2):
         raise InputError(f"query has shape {query.shape}, expected (..., {num_joints}, 2) metres about the mid-hip")
     is_seen = np.isfinite(query).all(axis=-1)
-    if weights is None:
-        weight = np.ones(is_seen.shape, dtype=np.float32)
-    else:
-        weight = np.array(np.broadcast_to(np.asarray(weights, dtype=np.float32), is_seen.shape))
+    weight = np.ones(is_seen.shape, dtype=np.float32)
+    weight[...] = 1.0 if weights is None else weights
     if not (np.isfinite(weight).all() and (weight >= 0).all()):
         raise InputError("joint weights must be finite and not negative")
     weight[~is_seen] = 0.0

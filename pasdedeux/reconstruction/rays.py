@@ -50,3 +50,11 @@ def camera_turns(directions: Array) -> Array:
     for at in range(directions.shape[0]):
         put_unitquat(turns, at, swing_between((0.0, 0.0, 1.0), row_of(directions, at)))
     return turns
+
+
+@compiled()
+def turn_with_camera(towards: Array, point: Array) -> Array:
+    """Return a point (3,) of a camera turned by `camera_turns` into a direction (3,), in axes of the camera itself."""
+    turned, x, y, z = np.empty((1, 3)), towards[0], towards[1], towards[2]
+    put_row(turned, 0, rotate(swing_between((0.0, 0.0, 1.0), (x, y, z)), (point[0], point[1], point[2])))
+    return turned[0]

@@ -44,6 +44,7 @@ def refine_yaws(
     shape = neighbours.projection.shape
     row = np.ascontiguousarray(neighbours.row.reshape(-1, shape[-1]))
     yaw = neighbours.yaw_index.reshape(row.shape).astype(np.float64)
+    projection = np.array(neighbours.projection).reshape(row.shape)
     distance = np.full(row.shape, np.inf)
     camera = database.camera
     _refine(
@@ -53,14 +54,12 @@ def refine_yaws(
         row,
         database.yaw_step_rad,
         np.array([np.cos(camera.pitch_rad), np.sin(camera.pitch_rad)]),
+        projection,
         yaw,
         distance,
     )
-    order = np.argsort(distance, axis=-1, kind="stable").reshape(shape)
-    projection, distance, yaw = (
-        np.take_along_axis(one.reshape(shape), order, axis=-1) for one in (neighbours.projection, distance, yaw)
-    )
-    return replace(neighbours, projection=projection, distance_m=distance), yaw
+    found = replace(neighbours, projection=projection.reshape(shape), distance_m=distance.reshape(shape))
+    return found, yaw.reshape(shape)
 
 
 @compiled()
@@ -87,10 +86,11 @@ def _refine(
     row: Integers,
     step: float,
     rays: Array,
+    projection: Integers,
     yaw: Array,
     distance: Array,
 ) -> None:
-    """Move `yaw`, in steps, and note `distance` there."""
+    """Move `yaw`, in steps, note `distance` there and put what is nearer first; ties stay as they were."""
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     width = 2.0 * step / (_NUM_PLACES - 1)
     for at in range(query.shape[0]):
@@ -125,5 +125,9 @@ def _refine(
             if min(cost_a, cost_b) < least:
                 least = min(cost_a, cost_b)
                 best = a if cost_a < cost_b else b
-            yaw[at, rank] = best / step
-            distance[at, rank] = least
+            to, number = rank, projection[at, rank]
+            while to > 0 and distance[at, to - 1] > least:
+                yaw[at, to], distance[at, to] = yaw[at, to - 1], distance[at, to - 1]
+                projection[at, to] = projection[at, to - 1]
+                to -= 1
+            projection[at, to], yaw[at, to], distance[at, to] = number, best / step, least

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import multiply, rotate
+from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
 from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, bends_of, body_of, pose_body
@@ -28,7 +28,7 @@ from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveFloor
 from pasdedeux.reconstruction.live.window_fit import MIN_NOISE_M, LiveFrame, WindowFit
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
-from pasdedeux.reconstruction.rays import camera_turns, straighten_rays
+from pasdedeux.reconstruction.rays import camera_turns, straighten_rays, turn_with_camera
 from pasdedeux.reconstruction.reconstruct import MIN_JOINTS, Searcher
 from pasdedeux.reconstruction.smoothing import OneEuro, OneEuroFilter
 from pasdedeux.reconstruction.temporal import FixedLagViterbi
@@ -268,7 +268,7 @@ class _Chain:
         count = np.count_nonzero(refined.projection >= 0)
         row, yaw_steps = refined.row[:count], yaw_steps[:count]
         poses = database.turned(row, yaw_steps) @ self._camera_rotmat.T
-        root = rotate(camera_turns(towards)[0], np.append(centre * scale, -scale * focal))
+        root = turn_with_camera(towards[0], np.array([*(centre * scale), -scale * focal]))
         return LiveFrame(frame, row, yaw_steps, refined.distance_m[:count], poses, root, own, weights)
 
     def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:

@@ -9,26 +9,23 @@ the window that were fitted before start from there, so a step or two are enough
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.fitting.bones import BoneForest
-from pasdedeux.fitting.levenberg import FitSettings, fit_bones
-from pasdedeux.fitting.observed_pose import ACCELERATION_M_S2, BoneVectorTerm, flatten_image, image_noise, image_term
-from pasdedeux.fitting.terms import AccelerationTerm
+from pasdedeux.fitting.levenberg import FitSettings
+from pasdedeux.fitting.observed_pose import ACCELERATION_M_S2, flatten_image, noise_of_differences, third_differences
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
-from pasdedeux.reconstruction.depth import SignStep, bones_by_votes, place_depths, trace_signs, vote_on_signs
+from pasdedeux.reconstruction.depth import SignStep, bones_by_votes, trace_signs, vote_on_signs
+from pasdedeux.reconstruction.live.window_kernels import fit_window, guess_pose
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, bone_deviation_m, share_of_followed
 from pasdedeux.skeletons import OP14
 
 _POSE = (OP14.num_joints, 3)
 _NUM_HELD = 2
-_HOLD = 1e3
-"""Weight of poses that were given out, against that of time."""
 
 _NOISE_FRAMES = 24
 _NOISE_GAIN = 0.05
@@ -79,7 +76,8 @@ class _Fitted:
     step: SignStep
     trust_m: float
     distance_m: float
-    sign: Array | None = None
+    is_whole: bool
+    sign: Array = field(default_factory=lambda: np.zeros(OP14.num_joints))
     mean_m: Array = field(default_factory=lambda: np.zeros(_POSE))
     depth_m: Array = field(default_factory=lambda: np.zeros(OP14.num_joints))
     fitted_m: Array = field(default_factory=lambda: np.zeros(_POSE))
@@ -93,8 +91,10 @@ class WindowFit:
         self._min_noise_m = min_noise_m
         self._waiting: deque[_Fitted] = deque()
         self._newest: _Fitted | None = None
-        self._held: deque[tuple[int, Array]] = deque(maxlen=_NUM_HELD)
-        self._recent_m = np.full((_NOISE_FRAMES, OP14.num_joints, 2), np.nan)
+        self._held_frames: list[int] = []
+        self._held_m = np.zeros((0, *_POSE))
+        self._recent_m = np.full((4, OP14.num_joints, 2), np.nan)
+        self._differences: deque[Array] = deque(maxlen=_NOISE_FRAMES - 3)
         self._noise_m = 0.0
         self._joint_noise_m = np.zeros(OP14.num_joints)
 
@@ -108,10 +108,10 @@ class WindowFit:
         before = self._newest
         passed = 1 if before is None else new.frame - before.seen.frame
         image = np.where((new.weights > 0)[:, None], new.image_m, np.nan)
-        # Frames that did not come count as not seen.
-        unseen = np.full((min(passed, _NOISE_FRAMES) - 1, *image.shape), np.nan)
-        self._recent_m = np.concatenate([self._recent_m, unseen, image[None]])[-_NOISE_FRAMES:]
-        self._noise_m = image_noise(self._recent_m, np.isfinite(self._recent_m[..., 0]))
+        for came in [np.full(image.shape, np.nan)] * (min(passed, _NOISE_FRAMES) - 1) + [image]:
+            self._recent_m = np.array([*self._recent_m[1:], came])
+            self._differences.append(third_differences(self._recent_m, np.isfinite(self._recent_m[..., 0])))
+        self._noise_m = noise_of_differences(np.concatenate(self._differences))
         distance = float(np.linalg.norm(new.root_m))
         step = vote_on_signs(
             None if before is None else before.step,
@@ -123,7 +123,8 @@ class WindowFit:
         )
         trust = float(bone_deviation_m(new.match_m[0], self._noise_m, TRUST_PER_MISFIT))
         weights = np.where(np.isfinite(image).all(axis=-1), new.weights, 0.0)
-        self._newest = _Fitted(replace(new, image_m=image, weights=weights), step, trust, distance)
+        is_whole = bool((weights > 0).all())
+        self._newest = _Fitted(replace(new, image_m=image, weights=weights), step, trust, distance, is_whole)
         self._waiting.append(self._newest)
 
     def fit(self, ranks: Integers, proportions: Array) -> Array:
@@ -134,80 +135,42 @@ class WindowFit:
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
         signs = trace_signs([one.step for one in self._waiting])
-        window = list(self._waiting)[: MAX_AHEAD + 1]
+        window = list(islice(self._waiting, MAX_AHEAD + 1))
+        is_kept = np.array(
+            [one.sign is not None and bool((one.sign == signs[at]).all()) for at, one in enumerate(window)]
+        )
+        followed_m = np.array([one.step.vectors_m[rank] for one, rank in zip(window, ranks, strict=False)])
+        for at in np.flatnonzero(~is_kept):
+            one = window[at]
+            one.sign = signs[at]
+            one.mean_m, one.depth_m = bones_by_votes(one.step, one.sign)
+            own = proportions * one.depth_m, proportions[:, None] * followed_m[at]
+            one.fitted_m = guess_pose(one.seen.image_m, one.distance_m, *own)
         share = share_of_followed(self._noise_m)
-        noise = np.maximum(self._joint_noise_m, max(self._noise_m, self._min_noise_m))
-        image_m = np.stack([one.seen.image_m for one in window])
-        distance_m = np.array([one.distance_m for one in window])
-        guess_m, bones, is_kept = np.empty((len(window), *_POSE)), np.empty((len(window), *_POSE)), []
-        for at, one in enumerate(window):
-            followed = one.step.vectors_m[ranks[at]]
-            is_kept.append(one.sign is not None and np.array_equal(one.sign, signs[at]))
-            if not is_kept[at]:
-                one.sign = signs[at]
-                one.mean_m, one.depth_m = bones_by_votes(one.step, one.sign)
-                one.fitted_m = _first_guess(one, proportions[:, None] * followed, proportions * one.depth_m)
-            guess_m[at] = one.fitted_m
-            bones[at] = proportions[:, None] * (share * followed + (1.0 - share) * one.mean_m)
-        off = np.nan_to_num(_residuals(image_m, guess_m, distance_m)) / (3.0 * noise)
-        robust = np.where(np.array(is_kept)[:, None], 1.0 / (1.0 + off**2), 1.0)
-        believed = robust / noise**2 * np.stack([one.seen.weights for one in window])
-        fitted = self._fit(window, image_m, believed, distance_m, guess_m, bones, REFERENCE_LENGTHS_M * proportions)
+        bones_m = share * followed_m + (1.0 - share) * np.array([one.mean_m for one in window])
+        frames = np.array([*self._held_frames, *(one.seen.frame for one in window)])
+        stop = STOP if all(one.is_whole for one in window) else STOP_MISSING
+        fitted = fit_window(
+            self._held_m,
+            np.array([one.fitted_m for one in window]),
+            np.array([one.seen.image_m for one in window]),
+            np.array([one.distance_m for one in window]),
+            np.array([one.seen.weights for one in window]),
+            np.maximum(self._joint_noise_m, max(self._noise_m, self._min_noise_m)),
+            is_kept,
+            proportions[:, None] * bones_m,
+            np.array([1.0 / one.trust_m**2 for one in window]),
+            (frames[2:] == frames[:-2] + 2) * (self._rate_hz**2 / ACCELERATION_M_S2) ** 2,
+            REFERENCE_LENGTHS_M * proportions,
+            stop.max_iterations,
+            stop.tolerance,
+        )
         for one, pose in zip(window, fitted, strict=True):
             one.fitted_m = pose
         due = self._waiting.popleft()
-        of_joint = _residuals(image_m[0], fitted[0], distance_m[0]) / MEAN_OF_RAYLEIGH
-        known = np.isfinite(of_joint)
-        self._joint_noise_m[known] += _NOISE_GAIN * (of_joint[known] - self._joint_noise_m[known])
-        self._held.append((due.seen.frame, fitted[0]))
+        off = flatten_image(due.seen.image_m, fitted[0], due.distance_m) - fitted[0, :, :2]
+        more = np.hypot(off[:, 0], off[:, 1]) / MEAN_OF_RAYLEIGH - self._joint_noise_m
+        self._joint_noise_m += _NOISE_GAIN * np.where(np.isfinite(more), more, 0.0)
+        self._held_frames = [*self._held_frames, due.seen.frame][-_NUM_HELD:]
+        self._held_m = np.array([*self._held_m, fitted[0]])[-_NUM_HELD:]
         return np.asarray(fitted[0] - mid_hip(fitted[0]))
-
-    def _fit(
-        self,
-        window: Sequence[_Fitted],
-        image_m: Array,
-        believed: Array,
-        distance_m: Array,
-        guess_m: Array,
-        bones_m: Array,
-        lengths_m: Array,
-    ) -> Array:
-        """Return the poses (n, 14, 3) of a window behind the poses that are held."""
-        held = len(self._held)
-        start = np.concatenate([np.reshape([pose for _, pose in self._held], (held, *_POSE)), guess_m])
-        frames = np.array([*(frame for frame, _ in self._held), *(one.seen.frame for one in window)])
-        image, weight = np.zeros((*start.shape[:2], 2)), np.zeros(start.shape[:2])
-        image[held:], weight[held:] = image_m, believed
-        distance = np.concatenate([np.full(held, np.inf), distance_m])
-        per_time = (self._rate_hz**2 / ACCELERATION_M_S2) ** 2
-        points = image_term(image, weight, start, distance)
-        points.targets_m[:held], points.weights[:held] = start[:held], _HOLD * per_time
-        vectors, over = np.zeros(start.shape), np.zeros((*start.shape[:2], 1))
-        vectors[held:], over[held:, :, 0] = bones_m, np.array([[1.0 / one.trust_m**2] for one in window])
-        is_even = frames[2:] == frames[:-2] + 2
-        terms = [
-            points,
-            AccelerationTerm(np.where(is_even, per_time, 0.0)[:, None, None]),
-            BoneVectorTerm(OP14, vectors, over),
-        ]
-        is_whole = all((one.seen.weights > 0).all() for one in window)
-        forest = BoneForest((OP14,), lengths_m)
-        return fit_bones(forest, forest.state_of(start), terms, STOP if is_whole else STOP_MISSING).positions_m[held:]
-
-
-def _residuals(image_m: Array, pose_m: Array, distance_m: Array) -> Array:
-    """Return how far each joint (*batch, 14) of poses is from its image; NaN where not seen."""
-    off = flatten_image(image_m, pose_m, distance_m) - pose_m[..., :2]
-    return np.asarray(np.hypot(off[..., 0], off[..., 1]))
-
-
-def _first_guess(one: _Fitted, followed_m: Array, depth_m: Array) -> Array:
-    """Return a pose (14, 3) across as in the image, or as followed (14, 3) where not seen, of bones of these depths."""
-    pose = place_depths(np.zeros((OP14.num_joints, 2)), depth_m)
-    pose[:, 2] -= mid_hip(pose)[2]
-    pose[:, :2] = flatten_image(one.seen.image_m, pose, one.distance_m)
-    for joint in OP14.order:
-        if not np.isfinite(pose[joint, 0]):
-            parent = OP14.parents[joint]
-            pose[joint, :2] = 0.0 if parent < 0 else pose[parent, :2] + followed_m[joint, :2]
-    return pose

@@ -70,7 +70,7 @@ class ReconstructedTracks:
         skipped: Why the others could not be reconstructed, by person id.
         pitch: The pitch of the camera, which says where up is.
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
-        doubts: What was stated that contradicts itself, or is about nobody who is there.
+        doubts: What was stated that contradicts itself.
         otherwise: What the image of somebody may show as well, by person id, see `otherwise`.
     """
 
@@ -134,11 +134,6 @@ def reconstruct_people(
             tried[method] = (*tried.get(method, ()), one)
             on_step()
     scene, doubts = None, list[str]()
-    names = sorted(track.person_id for track in tracks)
-    absent = [
-        f"a stature is stated for person {name}, who is not there; people: {', '.join(map(str, names))}"
-        for name in sorted(set(statures_m) - set(names))
-    ]
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:
         people = tried[fitted[-1]]
@@ -177,7 +172,7 @@ def reconstruct_people(
         skipped,
         pitch,
         scene,
-        (*absent, *doubts),
+        tuple(doubts),
         otherwise,
     )
 

@@ -162,14 +162,14 @@ class Takes:
         left_out_m = left_out_misfit_m(level.database, level.index, take_ids)
         return Family(searchers, level, read_pairs(self._store, refs, max_pairs=MAX_PAIRS), left_out_m)
 
-    def clips(self, num_clips: int) -> list[Clip]:
-        """Return as many clips of each family."""
-        rng, found = np.random.default_rng(0), list[Clip]()
+    def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[Clip]:
+        """Return as many clips of each family; those of another seed have nothing in common."""
+        rng, found = np.random.default_rng(seed), list[Clip]()
         for family, takes in FAMILIES.items():
             for number in range(num_clips):
                 take = takes[number % len(takes)]
                 start = int(rng.integers(0, max(len(self.poses_m[take]) - int(SECONDS * RATE_HZ), 0) + 1))
-                pitch = PITCHES_DEG[(number * 3 + len(found) // num_clips) % len(PITCHES_DEG)] + rng.uniform(-2, 2)
+                pitch = pitches_deg[(number * 3 + len(found) // num_clips) % len(pitches_deg)] + rng.uniform(-2, 2)
                 stature, seed = float(rng.uniform(1.5, 2.0)), int(rng.integers(1e9))
                 yaw = float(rng.uniform(-np.pi, np.pi))
                 focal = (0.72, 1.15)[number % 2] * WIDTH

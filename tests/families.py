@@ -4,6 +4,7 @@
     python -m tests.families DATA --families hug,judo --clips 3
     python -m tests.families DATA --lens --stature         what stating the focal length and the statures brings
     python -m tests.families DATA --no-level               without the level camera, for half the time
+    python -m tests.families DATA --clips 4 --seed 2 --pitches=-18,-24,-30,-36    others, before cameras that look up
 
 DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from CMU) and `contact_pairs`, as
 PASDEDEUX_DATA names it.  The database is built first, in --store, and once.  Clips last 4 s at 30 Hz: people of 1.5 to
@@ -275,6 +276,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--store", type=Path, default=Path(tempfile.gettempdir()) / "pasdedeux-families")
     parser.add_argument("--clips", type=int, default=7)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pitches", default=",".join(map(str, PITCHES_DEG)))
     parser.add_argument("--families", default=",".join(FAMILIES))
     parser.add_argument("--lens", action="store_true")
     parser.add_argument("--stature", action="store_true")
@@ -289,9 +292,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def say_all(takes: Takes, asked: argparse.Namespace) -> None:
     """Reconstruct the clips, say each, and print the tables."""
     rows: list[Row] = []
+    pitches_deg = [float(one) for one in asked.pitches.split(",")]
+    clips = takes.clips(asked.clips, seed=asked.seed, pitches_deg=pitches_deg)
     for family in asked.families.split(","):
         from_others = takes.without(family)
-        for clip in (one for one in takes.clips(asked.clips) if one.family == family):
+        for clip in (one for one in clips if one.family == family):
             seen = takes.seen(clip, has_lens=asked.lens)
             stated = {"statures_m": {one.person_id: clip.stature_m for one in seen.tracks[:1]}} if asked.stature else {}
             found = reconstruct(seen, from_others, **stated)

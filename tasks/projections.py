@@ -58,7 +58,7 @@ class ProjectionsParameters(Parameters):
     """Which poses enter the database, and what cameras see them."""
 
     pitches_deg: Pitches = Field(
-        (-10.0, 0.0, 8.2, 20.0, 30.0, 45.0),
+        (-30.0, -10.0, 0.0, 8.2, 20.0, 30.0, 45.0),
         min_length=1,
         description="Pitches of the camera, which looks at the mid-hip, below 0 upwards (8.2: from 1.5 m over the "
         "floor, 4 m away); that of a sequence is found between these",

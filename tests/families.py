@@ -4,6 +4,7 @@
     python -m tests.families DATA --families hug,judo --clips 3
     python -m tests.families DATA --lens --stature         what stating the focal length and the statures brings
     python -m tests.families DATA --no-level               without the level camera, for half the time
+    python -m tests.families DATA --clips 4 --seed 2 --pitches=-18,-24,-30,-36    others, before cameras that look up
 
 DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from CMU) and `contact_pairs`, as
 PASDEDEUX_DATA names it.  The database is built first, in --store, and once.  Clips last 4 s at 30 Hz: people of 1.5 to
@@ -162,14 +163,14 @@ class Takes:
         left_out_m = left_out_misfit_m(level.database, level.index, take_ids)
         return Family(searchers, level, read_pairs(self._store, refs, max_pairs=MAX_PAIRS), left_out_m)
 
-    def clips(self, num_clips: int) -> list[Clip]:
-        """Return as many clips of each family."""
-        rng, found = np.random.default_rng(0), list[Clip]()
+    def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[Clip]:
+        """Return as many clips of each family; those of another seed have nothing in common."""
+        rng, found = np.random.default_rng(seed), list[Clip]()
         for family, takes in FAMILIES.items():
             for number in range(num_clips):
                 take = takes[number % len(takes)]
                 start = int(rng.integers(0, max(len(self.poses_m[take]) - int(SECONDS * RATE_HZ), 0) + 1))
-                pitch = PITCHES_DEG[(number * 3 + len(found) // num_clips) % len(PITCHES_DEG)] + rng.uniform(-2, 2)
+                pitch = pitches_deg[(number * 3 + len(found) // num_clips) % len(pitches_deg)] + rng.uniform(-2, 2)
                 stature, seed = float(rng.uniform(1.5, 2.0)), int(rng.integers(1e9))
                 yaw = float(rng.uniform(-np.pi, np.pi))
                 focal = (0.72, 1.15)[number % 2] * WIDTH
@@ -275,6 +276,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--store", type=Path, default=Path(tempfile.gettempdir()) / "pasdedeux-families")
     parser.add_argument("--clips", type=int, default=7)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pitches", default=",".join(map(str, PITCHES_DEG)))
     parser.add_argument("--families", default=",".join(FAMILIES))
     parser.add_argument("--lens", action="store_true")
     parser.add_argument("--stature", action="store_true")
@@ -289,9 +292,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def say_all(takes: Takes, asked: argparse.Namespace) -> None:
     """Reconstruct the clips, say each, and print the tables."""
     rows: list[Row] = []
+    pitches_deg = [float(one) for one in asked.pitches.split(",")]
+    clips = takes.clips(asked.clips, seed=asked.seed, pitches_deg=pitches_deg)
     for family in asked.families.split(","):
         from_others = takes.without(family)
-        for clip in (one for one in takes.clips(asked.clips) if one.family == family):
+        for clip in (one for one in clips if one.family == family):
             seen = takes.seen(clip, has_lens=asked.lens)
             stated = {"statures_m": {one.person_id: clip.stature_m for one in seen.tracks[:1]}} if asked.stature else {}
             found = reconstruct(seen, from_others, **stated)

@@ -42,7 +42,7 @@ from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.data import player_page
 from tasks.evaluation.reconstruction import reconstruction_player
-from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations, find_videos
+from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations, find_videos, stated_of_nobody
 from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.projections import read_cameras, read_database, read_pairs
 from tasks.reconstruction import MAX_PAIRS
@@ -169,7 +169,7 @@ def reconstruct_video(
         _write_sequence(found, sequence, out, units, judged)
 
     failed: list[InputError] = []
-    num_made = 0
+    num_made, known = 0, set[int]()
     listener.note(f"writing to {out.resolve()}")
     try:
         for one in videos:
@@ -179,6 +179,7 @@ def reconstruct_video(
             except InputError as error:
                 failed.append(error)
                 continue
+            known |= set(resolved.frames.person_id.tolist())
             for sequence in resolved.sequences:
                 try:
                     reconstruct_sequence(resolved, sequence)
@@ -189,6 +190,8 @@ def reconstruct_video(
         listener.close()
     for reason in failed if num_made else failed[:-1]:
         typer.echo(f"skipped: {reason}", err=True)
+    if of_nobody := stated_of_nobody(dict(video.statures_m) | _statures(statures, []), known):
+        typer.echo(of_nobody, err=True)
     if not num_made:
         raise failed[-1]
 

@@ -1,7 +1,7 @@
-"""What a video may show as well: somebody who lies before a steep camera, or a camera that looks up from below.
+"""What a video may show as well: somebody who lies before a steep camera; and a camera that stands as hardly any does.
 
-Both look like people who stand before another camera, and the pitch was chosen for those.  So the matches are compared
-with what the other view has, by the distance of the nearest projections.
+Who lies with the feet to the camera looks like somebody who stands, and the pitch was chosen for that.  So the matches
+are compared with poses laid down, by the distance of the nearest projections.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.lying import is_on_floor, laid_down, searcher_over
 from pasdedeux.reconstruction.reconstruct import Matches, Searcher, match_track
 from pasdedeux.reconstruction.scene import SceneEstimate
@@ -21,56 +20,38 @@ from pasdedeux.reconstruction.tracks import Track
 _STEEP_RAD, _LIES = float(np.deg2rad(15.0)), 1.2
 """Before a camera that looks down by more, who lies with the feet to it looks upright; poses laid down that are no
 farther than so many times the match may be the right ones: 1.0 of one who lies so, 1.4 and more of 30 who stand."""
-_BELOW_RAD, _BELOW = float(np.deg2rad(-30.0)), 0.9
-"""A camera that looks up by so much is compared, and believed if it is nearer for everybody, by this at least."""
 _MIN_LENS, _MIN_HEIGHT_M = 0.5, 0.45
 """Hardly any lens is as wide over the assumed, and hardly any camera stands as low: of 90 clips before cameras that
 look up by 8 degrees at most, one, whose camera was below the floor."""
-_FROM_BELOW = (
-    "a camera that looks up by 30 degrees explains the image better: state the pitch (--pitch, in a study "
-    "projections.pitches_deg)"
-)
 _NUM_PROJECTIONS, _STRIDE = 200_000, 5
 """Projections and every so many frames that are compared."""
 
 
-def seen_otherwise(
-    searcher: Searcher, matched: Sequence[tuple[Track, Matches]], *, is_pitch_given: bool
-) -> dict[int, str]:
+def seen_otherwise(searcher: Searcher, matched: Sequence[tuple[Track, Matches]]) -> dict[int, str]:
     """Return what each person's image may show as well, in words by person id, where that is as near.
 
     Args:
         searcher: Database of the matches, without poses laid down.
         matched: Tracks, and what was found for them; tracks of people on the floor are left alone.
-        is_pitch_given: The camera looks as it was stated to.
     """
     upright = [(track, matches) for track, matches in matched if not is_on_floor(track)]
-    if not upright:
+    if not upright or searcher.database.camera.pitch_rad <= _STEEP_RAD:
         return {}
     database = searcher.database.thinned(_NUM_PROJECTIONS)
-    by_below, by_laid = [np.inf] * len(upright), [np.inf] * len(upright)
-    if not is_pitch_given and len(upright) == len(matched):
-        below = Searcher.of(replace(database, camera=DatabaseCamera(_BELOW_RAD)))
-        by_below = [_times_as_far(below, *one) for one in upright]
-    if searcher.database.camera.pitch_rad > _STEEP_RAD:
-        laid = searcher_over(database, *laid_down(database, _NUM_PROJECTIONS))
-        by_laid = [_times_as_far(laid, *one) for one in upright]
-    doubts, is_below = dict[int, str](), max(by_below) < _BELOW
-    for (track, _), as_below, as_laid in zip(upright, by_below, by_laid, strict=True):
-        name = track.person_id
-        if as_laid < _LIES and not (is_below and as_below < as_laid):
-            doubts[name] = (
-                f"person {name} may lie, feet to the steep camera, which looks the same: key frames in 3D help"
-            )
-        elif is_below:
-            doubts[name] = _FROM_BELOW
-    return doubts
+    laid = searcher_over(database, *laid_down(database, _NUM_PROJECTIONS))
+    return {
+        (name := track.person_id): (
+            f"person {name} may lie, feet to the steep camera, which looks the same: key frames in 3D help"
+        )
+        for track, matches in upright
+        if _times_as_far(laid, track, matches) < _LIES
+    }
 
 
 def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_given: bool) -> str:
     """Return what tells that the camera of a scene is not where it was found, such as below the floor; or nothing."""
     is_odd = scene.lens_factor < _MIN_LENS and not is_lens_known
-    if not is_odd and (scene.camera_height_m > _MIN_HEIGHT_M or is_height_given):
+    if not is_odd and (not 0.0 <= scene.camera_height_m <= _MIN_HEIGHT_M or is_height_given):
         return ""
     return (
         f"the camera would be {scene.camera_height_m:.2f} m above the floor, its focal length {scene.lens_factor:.2f} "

@@ -70,7 +70,7 @@ class ReconstructedTracks:
         skipped: Why the others could not be reconstructed, by person id.
         pitch: The pitch of the camera, which says where up is.
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
-        doubts: What was stated that contradicts itself, or is about nobody who is there.
+        doubts: What was stated that contradicts itself, and where the camera would be if that is below the floor.
         otherwise: What the image of somebody may show as well, by person id, see `otherwise`.
     """
 
@@ -125,7 +125,7 @@ def reconstruct_people(
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
-    otherwise = seen_otherwise(searcher, matched, is_pitch_given=pitch.is_given)
+    otherwise = seen_otherwise(searcher, matched)
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
         for track, matches in matched:
@@ -134,11 +134,6 @@ def reconstruct_people(
             tried[method] = (*tried.get(method, ()), one)
             on_step()
     scene, doubts = None, list[str]()
-    names = sorted(track.person_id for track in tracks)
-    absent = [
-        f"a stature is stated for person {name}, who is not there; people: {', '.join(map(str, names))}"
-        for name in sorted(set(statures_m) - set(names))
-    ]
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:
         people = tried[fitted[-1]]
@@ -154,6 +149,11 @@ def reconstruct_people(
         is_lens_known = all(one.track.lens.is_known for one in people)
         if odd := doubt_of_camera(scene, is_lens_known=is_lens_known, is_height_given=camera_height_m is not None):
             otherwise = {one.track.person_id: odd for one in people} | otherwise
+        if scene.camera_height_m < 0:
+            doubts.append(
+                f"the camera would be {-scene.camera_height_m:.2f} m below the floor, as before a stage: if it was "
+                "not, state its height (--height, in a study camera_height_m)"
+            )
         if not pitch.is_given:
             # What poses and floor say of it is not independent: half of what they differ by is doubt.
             doubt = float(np.hypot(scene.pitch_deviation_rad, 0.5 * scene.pitch_off_rad))
@@ -177,7 +177,7 @@ def reconstruct_people(
         skipped,
         pitch,
         scene,
-        (*absent, *doubts),
+        tuple(doubts),
         otherwise,
     )
 

@@ -37,6 +37,8 @@ _LENS_FACTORS = (0.8, 1.0, 1.25, 1.56)
 _LEVEL_RAD, _STEEP_RAD = 0.0, float(np.deg2rad(30.0))
 _LOOKS_UP_RAD, _LOOKS_DOWN_RAD = float(np.deg2rad(5.0)), float(np.deg2rad(10.0))
 """Cameras stand level to this steep, and deviate from that by so much: what they see has to say more."""
+_FROM_BELOW = 0.05
+"""But cameras that look up by anything, from before a stage, have this density at least, over that of level ones."""
 _GRID_RAD, _BEYOND_RAD = float(np.deg2rad(0.5)), float(np.deg2rad(5.0))
 """Pitches are compared so finely, from so far below the first camera tried to so far above the last."""
 
@@ -139,8 +141,8 @@ def choose_pitch(
       pose says, by how short the line is seen and by which way the body faces.
 
     Both are functions of the pitch between and a little beyond the searchers, and the prior is how cameras stand: level
-    to 30 degrees down, else with a penalty.  Returned are mean and standard deviation of the posterior; what leaving
-    out each person or half of the video in turn moves it by enters the latter.
+    to 30 degrees down, else with a penalty, which for those that look up is bounded.  Returned are mean and standard
+    deviation of the posterior; what leaving out each person or half of the video in turn moves it by enters the latter.
     """
     options = options or ReconstructionOptions()
     stride = max(1, min(_STRIDE, max(len(track.keypoints_px) for track in tracks) // _FEW_FRAMES))
@@ -178,7 +180,8 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -
     from scipy.interpolate import CubicSpline  # here: 0.2 s that planning does not need
 
     looks_up, looks_down = np.minimum(grid - _LEVEL_RAD, 0.0), np.maximum(grid - _STEEP_RAD, 0.0)
-    score = -0.5 * ((looks_up / _LOOKS_UP_RAD) ** 2 + (looks_down / _LOOKS_DOWN_RAD) ** 2)
+    score = np.log(np.exp(-0.5 * (looks_up / _LOOKS_UP_RAD) ** 2) + _FROM_BELOW)
+    score -= 0.5 * (looks_down / _LOOKS_DOWN_RAD) ** 2
     order = np.argsort(tried)
     for own in people:
         # Away from the right pitch distances grow in proportion, and so their squares as a parabola.

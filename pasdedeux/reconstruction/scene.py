@@ -112,7 +112,7 @@ class SceneEstimate:
         pitch_deviation_rad: Standard deviation of it, from the curvature of what was solved.
         pitch_off_rad: By how much the rays to people look farther down than their image says; of a given pitch, the
             camera than was given.
-        camera_height_m: Height of the camera over the floor.
+        camera_height_m: Height of the camera over the floor; below 0 under it, as before a stage.
         lens_factor: Focal length over the assumed one.
         sizes: Size of each person over the initial one (person,).
         factors: Distance of each person's mid-hip from the camera over the initial one, (frame,) each.
@@ -206,6 +206,10 @@ class _Problem:
         self.bearing = np.array(self.radii)
         self.bearing[:, _ANKLES] = _ANKLE_HEIGHT * self.stature[:, None]
         self.still = [self._still(one) for one in people]
+        # A camera that looks up from before a stage is below the floor.
+        feet = [one.positions_m[:, _ANKLES] @ _up(pitch.pitch_rad) for one in people]
+        is_below = camera_height_m is None and np.median(np.concatenate([one.min(axis=1) for one in feet])) > 0
+        self.side = -1.0 if is_below else 1.0
         start = np.zeros(self.starts[-1])
         start[_PITCH], start[_HEIGHT] = pitch.pitch_rad, self.log_height
         for number in (at for at, one in enumerate(stated) if one is not None):
@@ -331,6 +335,10 @@ class _Problem:
         touch, slopes = np.maximum(touch, 0.0), slopes * (touch > 0.0)[:, None]
         return [*terms, Term(touch, stencil[rows], slopes, is_robust=True, weight=alike)]
 
+    def height_m(self, x: Array) -> float:
+        """Return the height of the camera over the floor, below 0 of one that is under it."""
+        return self.side * float(np.exp(x[_HEIGHT]))
+
     def places_between(self, x: Array) -> Iterator[tuple[int, int, Array]]:
         """Yield two people's numbers and how the vector between them (some of the frames, 3) depends on unknowns."""
         for first, second, one_at, other_at in self.near:
@@ -359,7 +367,8 @@ class _Problem:
         # What poses err in depth tilts the floor, which is not the pitch.
         up = np.array([*_up(x[_PITCH])[:2], _up(x[_PITCH])[2] + x[_TILT]])
         bearing = self.bearing[number] * size + x[own_ankle]
-        above = joints[0] @ up + np.exp(x[_HEIGHT]) + x[_TILT] * self.mean_distance - bearing
+        height = self.height_m(x)
+        above = joints[0] @ up + height + x[_TILT] * self.mean_distance - bearing
         alike = self._alike(number, _FLOOR_S)
         # Errors of poses grow with people: whoever is small gains nothing by it.
         unit = size * _FLOOR_DEVIATION_M
@@ -371,7 +380,7 @@ class _Problem:
             moved[1] - self.bearing[number][lowest] / _FLOOR_DEVIATION_M - floor,
             moved[2],
             bears[0] @ _up_further(x[_PITCH]) / unit,
-            np.exp(x[_HEIGHT]) / unit,
+            height / unit,
             (bears[0, :, 2] + self.mean_distance) / unit,
             -1.0 / unit,
         )
@@ -489,7 +498,7 @@ def estimate_scene(
         float(x[_PITCH]),
         float(np.sqrt(variance_of(np.eye(len(x))[_PITCH]))),
         float(problem.pitch_off_rad(x)[0]),
-        float(np.exp(x[_HEIGHT])),
+        problem.height_m(x),
         float(np.exp(x[_LENS])),
         np.exp(x[_SIZES : _SIZES + len(people)]),
         tuple(np.exp(x[start:stop]) for start, stop in pairwise(problem.starts)),

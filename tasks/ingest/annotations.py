@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -298,9 +298,20 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
         attachments=_attachments(parameters, shard.files, resolved),
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
         verdict=_verdict(
-            pair17.confidence[:, COUNTED17] > 0, len(frames.skipped), len(shard.files), resolved.sequences
+            pair17.confidence[:, COUNTED17] > 0,
+            len(frames.skipped),
+            len(shard.files),
+            resolved.sequences,
+            stated_of_nobody(dict(parameters.statures_m), frames.person_id.tolist()),
         ),
     )
+
+
+def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> str:
+    """Say of which people who are in no sequence a stature is stated; nothing where there are none."""
+    absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known))))
+    whom = ", ".join(map(str, absent))
+    return f"a stature is stated for person {whom}, who is in no sequence; people: {people}" if absent else ""
 
 
 def _attachments(
@@ -335,16 +346,19 @@ def _film_pictures(
     return {SHEET_NAME: moving_svg([contact_sheet(images, titles)], 1.0), CLIP_NAME: moving_svg(clip, rate_hz)}
 
 
-def _verdict(is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople]) -> Verdict:
+def _verdict(
+    is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople], of_nobody: str
+) -> Verdict:
     """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped.
 
-    Tracks that were joined are said, which is no fault.
+    What is stated `of_nobody` is doubted.  Tracks that were joined are said, which is no fault.
     """
     reasons, share_seen = [], float(is_seen.mean())
     if share_seen < GOOD_SHARE_SEEN:
         reasons.append(f"{share_seen:.0%} of the joints are seen")
     if num_skipped:
         reasons.append(f"{num_skipped} of {num_files} frames could not be read and were skipped")
+    reasons += [of_nobody] if of_nobody else []
     is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
     level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
     reasons += [row.as_joined() for one in sequences for row in one.joined]

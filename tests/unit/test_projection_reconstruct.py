@@ -111,8 +111,8 @@ def test_the_pitch_of_the_camera_is_found() -> None:
 
 
 def test_a_camera_that_looks_up_is_told_from_a_level_one() -> None:
-    searchers = [make_searcher(pitch) for pitch in (-0.175, 0.0, 0.35)]
-    for true_pitch in (-0.12, 0.0):
+    searchers = [make_searcher(pitch) for pitch in (-0.524, -0.175, 0.0, 0.35)]
+    for true_pitch in (-0.48, -0.35, -0.12, 0.0):
         track, _ = film(walk(60, seed=3), pitch=true_pitch)
         assert abs(choose_pitch(searchers, [track]).pitch_rad - true_pitch) < np.deg2rad(3.0)
 

@@ -30,7 +30,9 @@ PITCH_RAD, DISTANCE_M, HEAD_M = 0.26, 4.0, 0.11
 
 
 @cache
-def seen_and_true(name: str, *, is_upside_down: bool = False) -> tuple[list[Reconstruction], np.ndarray, float]:
+def seen_and_true(
+    name: str, *, is_upside_down: bool = False, pitch_rad: float = PITCH_RAD
+) -> tuple[list[Reconstruction], np.ndarray, float]:
     """Return a duet with its own poses as a camera sees it, how far away as a search errs, truth, camera's height."""
     world = duet_couple(name, duration_s=8.0, rate_hz=STRIDE * RATE_HZ)
     if is_upside_down:
@@ -38,7 +40,7 @@ def seen_and_true(name: str, *, is_upside_down: bool = False) -> tuple[list[Reco
         world[:, 1] = middle + (world[:, 1] - middle) * [-1.0, -1.0, 1.0] + [1.0, 0.0, 0.0]
         world[:, 1, :, 1] += HEAD_M - world[:, 1, :, 1].min(axis=1)[:, None]
     camera = look_at_camera(
-        mid_hip(world).mean(axis=(0, 1)), distance_m=DISTANCE_M, yaw_rad=1.1, pitch_rad=PITCH_RAD, focal_px=1400.0
+        mid_hip(world).mean(axis=(0, 1)), distance_m=DISTANCE_M, yaw_rad=1.1, pitch_rad=pitch_rad, focal_px=1400.0
     )
     truth = (world - camera.position_m) @ camera.camera_from_world_rotmat.T
     rng = np.random.default_rng(4)
@@ -74,10 +76,13 @@ def place_error(found: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.parametrize("carried", [None, (0, 1)])
 @pytest.mark.parametrize("deviation_deg", [0.0, 5.0])
 def test_slopes_are_those_of_the_residuals(carried: tuple[int, int] | None, deviation_deg: float) -> None:
-    people, _, _ = seen_and_true("lift")
+    # The second camera is below the floor.
+    pitch_rad = 0.3 if carried is None else -0.45
+    people, _, _ = seen_and_true("lift", pitch_rad=pitch_rad)
     frames, rng = np.arange(len(people[0].root_m)), np.random.default_rng(1)
     said = PairDepth((0, 1), frames, rng.normal(0.0, 0.2, len(frames)), np.where(frames % 5, 0.1, np.inf))
-    problem = estimate._Problem(people, PitchEstimate(0, 0.3, np.deg2rad(deviation_deg)), [said], {}, None)
+    problem = estimate._Problem(people, PitchEstimate(0, pitch_rad, np.deg2rad(deviation_deg)), [said], {}, None)
+    assert problem.side == np.sign(pitch_rad)
     problem.carried = carried
     x = problem.start + rng.normal(0.0, 0.03, len(problem.start))
     moved = 1e-6 * rng.normal(0.0, 1.0, (8, len(x)))
@@ -154,6 +159,15 @@ def test_a_known_height_of_the_camera_and_known_statures_give_sizes() -> None:
         np.linalg.norm(np.diff(one[:, OP14.legs[0][1:]], axis=1), axis=-1).mean() for one in (found[:, 0], truth[:, 0])
     ]
     assert lengths[0] / lengths[1] == pytest.approx(1.0, abs=0.04)
+
+
+def test_a_camera_that_looks_up_from_below_the_floor_is_found_there() -> None:
+    people, truth, height_m = seen_and_true("waltz", pitch_rad=-0.45)
+    scene, found = solved(people, -24.0)
+    assert height_m < -0.5
+    assert scene.camera_height_m == pytest.approx(height_m, abs=0.2)
+    assert np.rad2deg(abs(scene.pitch_rad + 0.45)) < 4.0
+    assert place_error(found, truth) < 0.12
 
 
 def test_one_person_and_short_tracks_have_defined_answers() -> None:

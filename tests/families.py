@@ -10,7 +10,8 @@ DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from
 PASDEDEUX_DATA names it.  The database is built first, in --store, and once.  Clips last 4 s at 30 Hz: people of 1.5 to
 2.0 m, pitches of -6 to 42 degrees, lenses of 0.72 and 1.15 of the image's width that are not told, 3 px of noise that
 lasts, 5 % of the joints missed.  Printed are the errors beside their baselines, how well expected errors hold, and the
-constants of `reconstruction.reliability` fitted to all families, and judged on each by those of the others.
+constants of `reconstruction.reliability` fitted to all families, and judged on each by those of the others, and on half
+of the families by the other half.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from flows.console.app import run_command_line
@@ -331,48 +334,78 @@ def say_errors(rows: Sequence[Row]) -> None:
 
 
 def say_expected(rows: Sequence[Row]) -> None:
-    """Print how well expected errors hold, as they are and as those fitted to the other families do."""
+    """Print how well expected errors hold, as they are, and as those that are fitted to other families do."""
     true, expected = np.array([[row.errors_m["ours"], row.expected_m] for row in rows]).T
+    evidence, families = np.array([row.evidence for row in rows]), np.array([row.clip.family for row in rows])
     large = true > LARGE_M * (2 if rows[0].is_place else 1)
-    if len({row.clip.family for row in rows}) < 3 or not 0 < np.count_nonzero(large) < len(rows):
+    names = np.unique(families)
+    if len(names) < 4 or len(rows) < 3 * len(names) or not 0 < np.count_nonzero(large) < len(rows):
         return
     passed = np.array([row.verdict == "pass" for row in rows])
     say(f"in use: AUC of large errors {auc(expected, large):.2f}; pass: {np.mean(passed[large]):.0%} of them,")
     say(f"  {np.mean(passed[~large]):.0%} of the others")
-    evidence, families = np.array([row.evidence for row in rows]), np.array([row.clip.family for row in rows])
-    left, low, high = np.full((3, len(rows)), np.nan)
-    for family in (names := np.unique(families)):
-        own = families == family
-        left[own] = np.exp(evidence[own] @ fitted(evidence[~own], true[~own]))
-        # Intervals, too, are those of families left out among the others.
-        parts = np.quantile(parts_left_out(evidence, true, families, ~own), INTERVAL)
-        low[own], high[own] = left[own] * parts[:, None]
-    holds = (low <= true) & (true <= high)
-    shares = ", ".join(f"{name} {holds[families == name].mean():.0%}" for name in names)
-    say(f"fitted to the other families: AUC {auc(left, large):.2f}, interval holds in {holds.mean():.0%} ({shares}),")
-    score, constant = interval_score(true, low, high), constant_score(true, families)
-    say(f"  interval score {100 * score:.1f} (a constant one {100 * constant:.1f})")
-    parts = np.quantile(parts_left_out(evidence, true, families, np.ones(len(rows), dtype=bool)), INTERVAL)
-    say(
-        f"fitted to all: weights {np.round(fitted(evidence, true), 3).tolist()}, interval {np.round(parts, 2).tolist()}"
-    )
+    halves = [np.isin(families, half) for half in combinations(names, len(names) // 2)]
+    for words, divisions in (
+        ("each family by the others", [[families != name for name in names]]),
+        ("half of the families by the other half, and swapped, all ways", [[half, ~half] for half in halves]),
+    ):
+        found = np.array([[*outside(evidence, true, families, chosen)] for chosen in divisions])
+        holds = np.mean((found[:, 1] <= true) & (true <= found[:, 2]), axis=0)
+        shares = ", ".join(f"{name} {holds[families == name].mean():.0%}" for name in names)
+        score = np.mean([interval_score(true, low, high) for _, low, high in found])
+        constant = np.mean([interval_score(true, *constants(true, chosen)) for chosen in divisions])
+        told = np.mean([auc(one, large) for one, _, _ in found])
+        say(f"{words}: AUC {told:.2f}, interval holds in {holds.mean():.0%}")
+        say(f"  ({shares}), interval score {100 * score:.1f} (a constant one {100 * constant:.1f})")
+    weights = np.round(fitted(evidence, true), 3).tolist()
+    say(f"fitted to all: weights {weights}, interval {np.round(parts(evidence, true, families), 2).tolist()}")
+
+
+def outside(evidence: Array, true: Array, families: Any, chosen: Sequence[Any]) -> Array:
+    """Return what is expected of all rows, and the ends of the interval (3, row), by families that are not their own.
+
+    Args:
+        evidence: (row, n).
+        true: Errors (row,), metres.
+        families: Name of the family of each row (row,).
+        chosen: Rows (row,) that the others are judged by: the others of all of these are every row, once.
+    """
+    found = np.full((3, len(true)), np.nan)
+    for fit in chosen:
+        middle = np.exp(evidence[~fit] @ fitted(evidence[fit], true[fit]))
+        found[:, ~fit] = middle * np.array([1.0, *parts(evidence[fit], true[fit], families[fit])])[:, None]
+    return found
 
 
 INTERVAL = (0.1, 0.9)
 
 
-def parts_left_out(evidence: Array, true: Array, families: Any, chosen: Any) -> Array:
-    """Return the chosen errors as parts of what the other chosen families let expect."""
-    parts = []
-    for family in np.unique(families[chosen]):
-        own, others = chosen & (families == family), chosen & (families != family)
-        parts.append(true[own] / np.exp(evidence[own] @ fitted(evidence[others], true[others])))
-    return np.concatenate(parts)
+def parts(evidence: Array, true: Array, families: Any) -> Array:
+    """Return the interval of the error of another family as parts (2,) of what is expected.
+
+    Each family is judged by the others.  What is left of the logarithms scatters within families and between them; of
+    the next family it is Student's t of as many degrees of freedom as there are families less one.
+    """
+    names = np.unique(families)
+    means, squares = np.zeros((2, len(names)))
+    for at, name in enumerate(names):
+        own = families == name
+        left = np.log(true[own]) - evidence[own] @ fitted(evidence[~own], true[~own])
+        means[at], squares[at] = left.mean(), np.sum((left - left.mean()) ** 2)
+    within = squares.sum() / (len(true) - len(names))
+    between = max(np.var(means, ddof=1) - within * len(names) / len(true), 0.0)
+    deviation = np.sqrt(within + between * (1.0 + 1.0 / len(names)))
+    return np.asarray(np.exp(means.mean() + deviation * stats.t.ppf(INTERVAL, len(names) - 1)))
 
 
 def fitted(evidence: Array, true_m: Array) -> Array:
-    """Return the weights (n,) of evidence (row, n) whose sum is nearest to the logarithm of the errors (row,)."""
-    return np.linalg.lstsq(evidence, np.log(true_m), rcond=None)[0]
+    """Return the weights (n,) of evidence (row, n), 1 first, whose sum is the logarithm of the error to expect (row,).
+
+    Least squares of the logarithms; the mean of what scatters about them is larger than what they are nearest to.
+    """
+    weights, *_ = np.linalg.lstsq(evidence, np.log(true_m), rcond=None)
+    weights[0] += 0.5 * np.var(np.log(true_m) - evidence @ weights)
+    return np.asarray(weights)
 
 
 def auc(score: Array, is_large: npt.NDArray[np.bool_]) -> float:
@@ -387,10 +420,12 @@ def interval_score(true: Array, low: Array, high: Array) -> float:
     return float(np.mean(high - low + missed / INTERVAL[0]))
 
 
-def constant_score(true: Array, families: Any) -> float:
-    """Return the interval score of one interval for all, from the other families."""
-    bounds = np.array([np.quantile(true[families != family], INTERVAL) for family in families])
-    return interval_score(true, *bounds.T)
+def constants(true: Array, chosen: Sequence[Any]) -> Array:
+    """Return the ends (2, row) of one interval for all rows of the families that are not chosen."""
+    found = np.full((2, len(true)), np.nan)
+    for fit in chosen:
+        found[:, ~fit] = np.quantile(true[fit], INTERVAL)[:, None]
+    return found
 
 
 say: Callable[[str], None] = lambda text: print(text, flush=True)  # noqa: E731, T201

@@ -126,7 +126,8 @@ def fetch_cmu(
 ) -> Iterator[Fetched]:
     """Bring skeleton and takes of each subject into a folder, file by file.
 
-    A file that is there and can be read is left alone; one that comes is written only when it is whole and was parsed.
+    A file that is there, can be read and is as it came is left alone; one that comes is written only when it is whole
+    and was parsed.
 
     Args:
         wanted: Numbers of subjects, such as "60", each with the numbers of its takes; None for those that the
@@ -215,10 +216,10 @@ def _listed_takes(base: str, subject: str) -> list[str]:
 
 
 def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
-    if path.exists() and _fault(path.read_bytes(), skeleton) is None:
-        return Fetched(path=path, num_bytes=path.stat().st_size, was_there=True)
-    from tasks.ingest.known_sources import note_fetched  # as for the credit
+    from tasks.ingest.known_sources import has_changed, note_fetched  # as for the credit
 
+    if path.exists() and not has_changed(path, there := path.read_bytes()) and _fault(there, skeleton) is None:
+        return Fetched(path=path, num_bytes=len(there), was_there=True)
     data = _download(url)
     fault = _fault(data, skeleton)
     if fault is not None:

@@ -49,7 +49,7 @@ def reconstruct(
     Image size, rate and focal length come from the files if stated there, else from --set with the keys of a study
     (image_size_px, rate_hz, focal_px or fov_deg).  --set people_file=FILE overrides identities with an edited copy of
     the table that was written.  The camera pitch is estimated (with --follow: 10 degrees).  --height or --stature fixes
-    the scale.
+    the scale (with --follow, --stature).
 
     With --follow, each pose is written --lag frames after its image; the first two seconds of a person are written when
     they are over.  It ends with Ctrl-C, when a file STOP appears in the folder, or after --idle seconds without a new
@@ -70,14 +70,14 @@ def reconstruct(
     if follow:
         if isinstance(video, FilmOptions):
             raise InputError("--follow reads OpenPose files, not film")
-        whole_only = {"--height": height, "--stature": stature, "--person": person}
+        whole_only = {"--height": height, "--person": person}
         given = [name for name, value in whole_only.items() if value] + ["--units"] * (units != "cm")
-        footage = {"rate_hz", "image_size_px", "focal_px", "fov_deg"}
+        footage = {"rate_hz", "image_size_px", "focal_px", "fov_deg", "statures_m"}
         given += sorted(f"--set {key}" for key in video.model_fields_set - {"id", "path"} - footage)
         if given:
             raise InputError(f"{given[0]} is for whole videos: with --follow, leave it out")
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
-        follow_video(video, database, store, out, pitch_deg=pitch, idle_s=idle, options=options)
+        follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
     reconstruct_video(
         video,

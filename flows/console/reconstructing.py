@@ -30,7 +30,7 @@ from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.reconstruction.live.chain import LivePeople, warm_up
+from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
@@ -63,16 +63,18 @@ def follow_video(
     out: Path | None,
     *,
     pitch_deg: float | None,
+    statures: Sequence[str],
     idle_s: float,
     options: LiveOptions,
 ) -> None:
     """Write a line per person and frame, to a file or standard output, while a folder's files are being written.
 
     Raises:
-        InputError: No folder, no projections, or keypoints that are not people.
+        InputError: No folder, no projections, a stature of another form, or keypoints that are not people.
     """
     if not video.path.is_dir():
         raise InputError(f"{video.path} is not a folder of OpenPose files")
+    statures_m = dict(video.statures_m) | _statures(statures, [EVERYBODY_ELSE])
     focal_px = Footage(focal_px=video.focal_px, fov_deg=video.fov_deg).focal_of(video.image_size_px)
     source, refs = _projections(database, store)
     (seen,), _ = _databases(source, refs, _LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
@@ -80,7 +82,12 @@ def follow_video(
     warm_up(searcher, options)
     rate_hz = video.rate_hz or DEFAULT_RATE_HZ
     people = LivePeople(
-        searcher, rate_hz=rate_hz, image_size_px=video.image_size_px, focal_px=focal_px, options=options
+        searcher,
+        rate_hz=rate_hz,
+        image_size_px=video.image_size_px,
+        focal_px=focal_px,
+        statures_m=statures_m,
+        options=options,
     )
     typer.echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
     # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
@@ -93,6 +100,8 @@ def follow_video(
         is_stopped = stack.enter_context(remembered_ctrl_c(is_passed_on=False))
         files = follow_folder(video.path, idle_s=idle_s, is_stopped=is_stopped)
         follow_lines(people, files, lines, rate_hz=rate_hz)
+    for name in sorted(statures_m.keys() - people.person_ids - {EVERYBODY_ELSE}):
+        typer.echo(f"a stature is stated for person {name}, who never came", err=True)
 
 
 def annotation_source(path: Path, settings: Sequence[str]) -> AnnotationOptions:
@@ -286,10 +295,10 @@ def _tracks(resolved: ResolvedPeople, sequence_id: str, person_ids: Sequence[int
     )
 
 
-def _statures(texts: Sequence[str], person_ids: list[int]) -> dict[int, float]:
-    """Return the statures by person that options say: METRES for everybody, or PERSON=METRES."""
+def _statures(texts: Sequence[str], person_ids: Sequence[int]) -> dict[int, float]:
+    """Return the statures by person that options say: PERSON=METRES, or METRES for everybody else."""
     statures: dict[int, float] = {}
-    for text in texts:
+    for text in sorted(texts, key=lambda one: "=" in one):
         match = re.fullmatch(r"(?:(\d{1,9})=)?(\d(?:\.\d+)?)", text)
         metres = float(match[2]) if match else 0.0
         if match is None or not 0.5 <= metres <= 2.5:

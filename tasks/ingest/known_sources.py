@@ -77,10 +77,21 @@ def note_fetched(path: Path, data: bytes) -> None:
 
 def was_fetched(path: Path, sha256: str) -> bool:
     """Tell whether `pasdedeux fetch` brought a file of this content from CMU, as is noted beside it."""
+    return any(line.startswith(f"{sha256} ") for line in _notes(path))
+
+
+def has_changed(path: Path, data: bytes) -> bool:
+    """Tell whether something else is noted of a file's name than its content: an AMC file cut off can be a good one."""
+    noted = [line for line in _notes(path) if line.endswith(f"  {path.name}")]
+    return bool(noted) and f"{hashlib.sha256(data).hexdigest()}  {path.name}" not in noted
+
+
+def _notes(path: Path) -> list[str]:
+    """Return the lines of what is noted beside a file; none where nothing can be read."""
     try:
-        return sha256 in path.with_name(FETCHED_FILE).read_text(encoding="utf-8").split()
+        return path.with_name(FETCHED_FILE).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
-        return False
+        return []
 
 
 def known_performance(file_name: str) -> str | None:

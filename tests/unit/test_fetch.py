@@ -100,9 +100,12 @@ def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:
     assert site.requests == []
 
 
-def test_a_damaged_file_that_is_there_is_brought_again(site: Site, tmp_path: Path) -> None:
+@pytest.mark.parametrize("left", [AMC.encode()[:60], AMC.encode().partition(b"\n2\n")[0] + b"\n"])
+def test_a_damaged_file_that_is_there_is_brought_again_also_where_it_can_be_read(
+    left: bytes, site: Site, tmp_path: Path
+) -> None:
     list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
-    (tmp_path / "60_01.amc").write_bytes(AMC.encode()[:60])
+    (tmp_path / "60_01.amc").write_bytes(left)
     again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
     assert [item.was_there for item in again] == [True, False]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()

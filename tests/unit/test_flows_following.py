@@ -17,11 +17,13 @@ from flows.console.app import run_command_line
 from flows.console.live import STOP_NAME, FollowedFile, follow_folder, follow_lines, list_frames
 from flows.machine import remembered_ctrl_c
 from pasdedeux.kinematics import forward_kinematics
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.reconstruct import Searcher
-from pasdedeux.skeletons import Skeleton
+from pasdedeux.skeletons import OP14, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import Store
 from tasks.projections import read_database
@@ -73,11 +75,12 @@ def test_files_being_written_by_another_process_become_lines_in_order(
 
 
 def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
-    video: Path, store: Store, tmp_path: Path
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "lines"
     command = ["reconstruct", str(video), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
-    assert run_command_line(command) == 0
+    assert run_command_line([*command, "--stature", "1=1.5", "--stature", "1.9", "--stature", "7=1.2"]) == 0
+    assert "a stature is stated for person 7, who never came" in capsys.readouterr().err
     head, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     assert (head["unit"], head["rate_hz"], head["joint_names"][head["parents"].index(-1)]) == ("m", 30.0, "Hips")
     skeleton = Skeleton("live", tuple(head["joint_names"]), tuple(head["parents"]))
@@ -92,9 +95,11 @@ def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
         own = joints[[skeleton.index(HUMANOID_NAMES[name]) for name in SHARED]]
         op14 = np.array(line["op14_m"])[[head["op14_names"].index(name) for name in SHARED]]
         np.testing.assert_allclose(own, op14, atol=2e-6)
+        stature = body_height_m(OP14, bone_lengths(OP14, np.array(line["op14_m"])))
+        assert stature == pytest.approx((1.9, 1.5)[line["person_id"]], abs=1e-5)
         floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])
     assert sum("rest_offset_m" in line for line in lines) == 2
-    assert 0.05 < np.quantile(floors, 0.1) < 0.09
+    assert 0.05 < np.quantile(floors, 0.1) < 0.1
 
 
 def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:

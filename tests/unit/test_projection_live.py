@@ -10,13 +10,16 @@ from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths, forward_kinematics
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.body import SHARED
-from pasdedeux.reconstruction.live.chain import LivePeople
+from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.people import reconstruct_people
+from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.temporal import FixedLagViterbi, choose_viterbi
+from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import BODY22, OP14
 from tests.builders.walkers import walk
 
@@ -165,6 +168,28 @@ def test_a_stated_lens_puts_people_as_far_away_as_it_says(searcher: Searcher) ->
         away.append(np.median([-pose.root_m[2] for pose in run(people, px[:, :1])]))
     assert away[1] / away[0] == pytest.approx(2.0, rel=0.05)
     assert away[0] == pytest.approx(-mid_hip(truth)[:12, 0, 2].mean(), rel=0.15)
+
+
+def test_a_stated_stature_holds_from_the_first_frame_on_and_gives_the_bones_of_the_whole_video(
+    searcher: Searcher,
+) -> None:
+    px, _ = video(70)
+    options, found = LiveOptions(has_clean_up=False), []
+    for stated in ({}, {0: 1.9}, {0: 1.9, EVERYBODY_ELSE: 1.5}, {EVERYBODY_ELSE: 1.9}):
+        people = LivePeople(
+            searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), statures_m=stated, options=options, focal_px=1400.0
+        )
+        found.append(np.stack([pose.positions_m for pose in run(people, px[:, :1])]))
+    plain, *tall = found
+    bones = bone_lengths(OP14, tall[0])
+    assert np.ptp(bones, axis=0).max() < 1e-9
+    assert body_height_m(OP14, bones[0]) == pytest.approx(1.9)
+    growth = 1.9 / body_height_m(OP14, bone_lengths(OP14, plain[0]))
+    for one in tall:
+        np.testing.assert_allclose(one, growth * plain, atol=1e-9)
+    track = Track(px[:, 0], np.ones((70, 14)), RATE_HZ, Lens(1400.0, (960.0, 540.0), is_known=True), 0)
+    film = reconstruct_people(searcher, [track], [Method.FIT], statures_m={0: 1.9}).methods[-1].people[0]
+    np.testing.assert_allclose(bones[0], bone_lengths(OP14, film.positions_m)[0], atol=0.01)
 
 
 def test_people_who_leave_are_given_out_within_the_lag_and_gaps_are_bridged_over(searcher: Searcher) -> None:

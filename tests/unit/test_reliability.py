@@ -180,6 +180,32 @@ def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(
         assert all(says in one.reason for one in judged.values())
 
 
+def test_the_place_of_a_partner_who_is_farther_away_than_the_other_is_less_well_known(
+    walkers: tuple[Searcher, np.ndarray],
+) -> None:
+    both = np.stack([walk(48, seed=2), walk(48, seed=2) + np.array([1.0, 0.0, 0.0])], axis=1)
+    tracks = [
+        replace(seen(both[:, one], middle=both.mean(axis=(0, 1, 2))), person_id=one, partner_id=1 - one)
+        for one in (0, 1)
+    ]
+    # The second is seen a moment longer: frames of both count.
+    tracks[1] = replace(tracks[1], first_frame=5)
+    found = reconstruct_people(walkers[0], tracks, [Method.FIT])
+    *before, last = found.methods
+    near, far = last.people
+    expected = []
+    for away_m in (0.0, 1.0, 2.0):
+        moved = replace(far, root_m=far.root_m * [1.0, 1.0, 0.0] + [0.0, 0.0, near.root_m[:, 2].mean() - away_m])
+        people = (replace(near, root_m=near.root_m * [1, 1, 0] + [0, 0, near.root_m[:, 2].mean()]), moved)
+        judged = judge_tracks(replace(found, methods=(*before, replace(last, people=people))))
+        expected.append(judged.places[0, 1].expected_error_m)
+    assert found.scene is not None
+    stated_m = found.scene.place_deviation_m[0, 1]
+    weight = np.log(expected[1] / expected[0]) / np.log(np.hypot(stated_m, 0.3) / stated_m)
+    assert 0.5 < weight < 1.2
+    assert expected[2] / expected[0] == pytest.approx((np.hypot(stated_m, 0.6) / stated_m) ** weight)
+
+
 @pytest.mark.parametrize(("height_m", "stature_m"), [(6.0, None), (0.8, 1.7), (0.8, 2.4)])
 def test_a_height_that_would_make_giants_is_a_doubt_and_changes_no_size(
     walkers: tuple[Searcher, np.ndarray], height_m: float, stature_m: float | None
@@ -319,7 +345,7 @@ def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_o
 def test_a_badly_known_place_warns_then_fails_and_says_what_would_help() -> None:
     assert [Place(error).verdict.level for error in (0.1, 0.25, 0.6)] == [Level.PASS, Level.WARN, Level.FAIL]
     assert (
-        "25 cm (11 to 59); what would help: a stature (--stature, in a study statures_m)" in Place(0.25).verdict.reason
+        "25 cm (9 to 48); what would help: a stature (--stature, in a study statures_m)" in Place(0.25).verdict.reason
     )
 
 

@@ -5,6 +5,8 @@ The poses of a person's first two seconds leave together, as soon as the bones a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from pasdedeux.arrays import Array
@@ -15,6 +17,9 @@ from pasdedeux.reconstruction.live.person import PROPORTIONS_EVERY, LiveOptions,
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Lens
 
+EVERYBODY_ELSE = -1
+"""Stands for all who have no stature of their own."""
+
 
 class LivePeople:
     """All people of a video as frames arrive: followed by identity, each reconstructed on their own.
@@ -24,7 +29,11 @@ class LivePeople:
         rate_hz: Frames per second.
         image_size_px: Width and height; estimated from the first people seen when not given.
         focal_px: Focal length where it is known.
+        statures_m: Statures by person id; under `EVERYBODY_ELSE` that of the others.
         options: How.
+
+    Attributes:
+        person_ids: Everybody who came.
     """
 
     def __init__(
@@ -34,14 +43,17 @@ class LivePeople:
         rate_hz: float,
         image_size_px: tuple[int, int] | None = None,
         focal_px: float | None = None,
+        statures_m: Mapping[int, float] | None = None,
         options: LiveOptions | None = None,
     ) -> None:
         self._options = options or LiveOptions()
         self._searcher = searcher
         self._rate_hz = rate_hz
         self._size, self._focal_px = image_size_px, focal_px
+        self._statures_m = statures_m or {}
         self._lens: Lens | None = None
         self._follower = Follower()
+        self.person_ids: set[int] = set()
         self._people: dict[int, LivePerson] = {}
         self._last_seen: dict[int, int] = {}
         self._last_frame: int | None = None
@@ -65,6 +77,7 @@ class LivePeople:
         at = {int(person): index for index, person in enumerate(found.track_id) if person >= 0}
         for person in at:
             if person not in self._people and self._lens is not None:
+                self.person_ids.add(person)
                 self._people[person] = LivePerson(
                     person,
                     self._searcher,
@@ -72,6 +85,7 @@ class LivePeople:
                     lens=self._lens,
                     options=self._options,
                     floor=self._floor,
+                    stature_m=self._statures_m.get(person, self._statures_m.get(EVERYBODY_ELSE)),
                 )
         for person in sorted(self._people):
             if person in at:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, starmap
 from statistics import median
 
@@ -20,6 +20,7 @@ from pydantic import Field
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import multiply
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
 from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, bends_of, body_of, pose_body
@@ -105,15 +106,23 @@ class LivePose:
 
 @dataclass(frozen=True)
 class _Bones:
-    """A person's bones: shares of the reference's (14,), and the width of the hips, metres."""
+    """A person's bones: shares of the reference's (14,), all times the size, and the width of the hips, metres."""
 
     proportions: Array
     hip_width_m: float
+    size: float = 1.0
 
     @property
     def lengths_m(self) -> Array:
         """Lengths (14,) of the bones that end in the joints of op14."""
-        return REFERENCE_LENGTHS_M * self.proportions
+        return REFERENCE_LENGTHS_M * self.proportions * self.size
+
+    def as_tall_as(self, stature_m: float | None) -> _Bones:
+        """Return the bones of somebody of this stature, as the legs tell it; the same where none is stated."""
+        if stature_m is None:
+            return self
+        growth = stature_m / float(body_height_m(OP14, self.lengths_m))
+        return replace(self, size=growth * self.size, hip_width_m=growth * self.hip_width_m)
 
 
 _REFERENCE = _Bones(np.ones(OP14.num_joints), REFERENCE_HIP_WIDTH_M)
@@ -129,6 +138,7 @@ class LivePerson:
         lens: The camera as far as it is known.
         options: How.
         floor: The floor shared with the other people of the video.
+        stature_m: Stature where it is known; else that of the reference body, as nearly as one camera tells.
     """
 
     def __init__(
@@ -140,6 +150,7 @@ class LivePerson:
         lens: Lens,
         options: LiveOptions | None = None,
         floor: LiveFloor | None = None,
+        stature_m: float | None = None,
     ) -> None:
         self.person_id = person_id
         self.searcher, self.rate_hz, self.lens = searcher, rate_hz, lens
@@ -149,7 +160,8 @@ class LivePerson:
         self._settling = max(1, round(SETTLING_S * rate_hz))
         self._held: list[tuple[int, Array, Array]] = []
         self._is_settled = not self.options.has_own_proportions
-        self._chain = _Chain(self, _REFERENCE, is_learning=not self._is_settled)
+        self._stature_m = stature_m
+        self._chain = _Chain(self, _REFERENCE.as_tall_as(stature_m), is_learning=not self._is_settled)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take this person's op14 keypoints (14, 2) of a frame; give the poses that are due."""
@@ -175,7 +187,7 @@ class LivePerson:
         if not self._held or frame - self._held[0][0] < self._settling - 1:
             return []
         self._chain.finish()
-        self._chain = _Chain(self, self._chain.learned(), is_learning=False)
+        self._chain = _Chain(self, self._chain.learned().as_tall_as(self._stature_m), is_learning=False)
         held, self._held, self._is_settled = self._held, [], True
         return [*chain.from_iterable(starmap(self._chain.push, held)), *self._chain.advance(frame)]
 
@@ -184,7 +196,8 @@ class _Chain:
     """The steps from images to poses with given bones; what the images say of the bones is learned beside them.
 
     A frame is placed by the scale so far, searched once, placed anew by its best match, and its candidates are turned
-    to their best yaws at that place.  While it learns, nothing is cleaned up: those poses are made again.
+    to their best yaws at that place, all at the reference's size: body and path grow together about the camera, which
+    sees no difference.  While it learns, nothing is cleaned up: those poses are made again.
     """
 
     def __init__(self, person: LivePerson, bones: _Bones, *, is_learning: bool) -> None:
@@ -194,7 +207,7 @@ class _Chain:
         self._scales: deque[float] = deque(maxlen=max(3, round(_WINDOW_S * rate_hz)))
         self._waiting: deque[LiveFrame] = deque()
         self._fit = WindowFit(rate_hz, min_noise_m=self._options.min_noise_m)
-        self._lengths_m, self._hip_width_m = bones.lengths_m, bones.hip_width_m
+        self._lengths_m, self._hip_width_m, self._size = bones.lengths_m, bones.hip_width_m, bones.size
         self._body = body_of(self._lengths_m, self._hip_width_m)
         self._proportions = bones.proportions
         self._is_learning = is_learning
@@ -316,7 +329,7 @@ class _Chain:
         """Return the pose of the oldest frame; `path` has the candidates that it and all waiting frames follow."""
         seen = self._waiting.popleft()
         unitquat = self._rotations.step(seen.frame, bone_rotations(self._fit.fit(path, self._proportions)))
-        root = self._root.step(seen.frame, seen.root_m[None])[0]
+        root = self._size * self._root.step(seen.frame, seen.root_m[None])[0]
         # Bones turn against each other, so only the body's frame turns with the whole.
         turned = np.array(unitquat)
         turned[OP14.root] = multiply(camera_turns(-root[None])[0], unitquat[OP14.root])

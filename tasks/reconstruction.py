@@ -43,7 +43,7 @@ from tasks.stage import (
     shares_takes,
 )
 
-RECONSTRUCTION = StageName("reconstruction", 22)
+RECONSTRUCTION = StageName("reconstruction", 23)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""

@@ -19,7 +19,7 @@ from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedDraws, as_pair17, lift_over_time
+from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedPairs, as_pair17, lift_over_time
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
@@ -29,7 +29,7 @@ from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pair
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
 from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
-from tasks.projections import Pitches, ProjectionsParameters
+from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
 from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
@@ -38,6 +38,8 @@ LIFTING = StageName("lifting", 11)
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
 """Median expected error above which lifted pairs are doubted."""
+_VIDEO = ("video", "given")
+"""Purposes of annotations whose frames may follow each other."""
 _EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 
 _NUM_HYPOTHESES = 8
@@ -104,7 +106,10 @@ def _shard(
     if parameters.baselines:
         bases = [one for one in inputs.of("torso_basis") if not shares_takes(annotated, one)]
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
-    pitches = {pitch for part in inputs.of("projections") for pitch in ProjectionFacts.of(part).pitches_deg}
+    database = [part for part in inputs.of("projections") if not shares_takes(annotated, part)]
+    if SequenceFacts.of(annotated).purpose in _VIDEO:
+        read["projections"] = database
+    pitches = {pitch for part in database for pitch in ProjectionFacts.of(part).pitches_deg}
     cameras = {"pitches_deg": tuple(sorted(pitches))} if pitches else {}
     own = parameters.part(LiftingShard, **cameras)
     return LIFTING.shard(inputs, annotated.partition, annotated.name, own, read)
@@ -119,7 +124,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     every, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    is_video = annotated.purpose in ("video", "given")
+    is_video = annotated.purpose in _VIDEO
     in_time = [place for place in every if is_video and place.sequence_id not in annotated.why_no_video]
     spans = _spans(in_time, options.num_spans, options.between_frames) if options.between_frames else []
     places = list(every)
@@ -222,9 +227,17 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
 
 
 @lru_cache(maxsize=1)
-def _filmed_draws(store: Store, refs: tuple[ArtifactRef, ...], pitches_deg: Pitches) -> FilmedDraws:
-    """Return the draws before every camera that is tried, made ready once for all shards of a worker."""
-    return FilmedDraws.of(_indexed_draws(store, refs)[0].pairs_m, np.deg2rad(pitches_deg).tolist())
+def _filmed_pairs(
+    store: Store, database: tuple[ArtifactRef, ...], draws: tuple[ArtifactRef, ...], pitches_deg: Pitches
+) -> FilmedPairs:
+    """Return what cameras see that are tried, made ready once for all shards of a worker: the projection database.
+
+    Draws and grown pairs are it where the database has no pairs.
+    """
+    pitches = np.deg2rad(pitches_deg).tolist()
+    if len(pairs_m := read_pairs(store, database)):
+        return FilmedPairs.of_database(read_database(store, database)[0], pairs_m, pitches)
+    return FilmedPairs.of_draws(_indexed_draws(store, draws)[0].pairs_m, pitches)
 
 
 def _over_time(
@@ -252,7 +265,7 @@ def _over_time(
             continue
         both = [tracks[couple.person_id], tracks[couple.partner_id]]
         made = lift_over_time(
-            _filmed_draws(store, shard.refs("draws"), pitches_deg),
+            _filmed_pairs(store, shard.refs("projections"), shard.refs("draws"), pitches_deg),
             both,
             np.array([place.frame for place in chosen]),
             statures_m=stated.statures_m,

@@ -31,7 +31,7 @@ from pasdedeux.spread import evenly_spread
 MIN_FRAMES = 12
 """Fewer annotated frames say too little of a camera: twelve place a lift within 9 cm, a single frame nothing."""
 _MAX_FRAMES, _MAX_PAIRS = 1000, 3000
-"""Frames that are reconstructed together, and pairs of the database, evenly chosen, at most."""
+"""Frames that are reconstructed together, and pairs of the database, evenly chosen, at most; poses twice as many."""
 
 _SHARED = [name for name in OP14.joint_names if name not in ("head", "neck")]
 """Joints that both skeletons have; op14's head is the nose, and its neck lies between the shoulders."""
@@ -40,11 +40,11 @@ _TORSO = [_SHARED.index(f"{side}_{name}") for side in ("left", "right") for name
 
 
 @dataclass(frozen=True)
-class FilmedDraws:
-    """Draws and grown pairs as the people whom cameras of some pitches see.
+class FilmedPairs:
+    """Pairs, and poses, as the people whom cameras of some pitches see.
 
     Args:
-        op14_m: The pairs (draw, person=2, 14, 3), metres, as many as count.
+        op14_m: The pairs (row, person=2, 14, 3), metres, as many as count.
         searchers: One for each pitch.
     """
 
@@ -52,13 +52,26 @@ class FilmedDraws:
     searchers: tuple[Searcher, ...]
 
     @classmethod
-    def of(cls, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedDraws:
-        """Make pairs (draw, person=2, 17, 3), metres, ready for cameras of these pitches."""
+    def of_draws(cls, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedPairs:
+        """Make draws and grown pairs (draw, person=2, 17, 3), metres, ready for cameras of these pitches."""
         op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64), PAIR17)
-        poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m.astype(np.float32)
-        starts = np.ones(len(poses), dtype=bool)
+        poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m
+        return cls._of(op14, poses, pitches_rad)
+
+    @classmethod
+    def of_database(
+        cls, database: Database, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]
+    ) -> FilmedPairs:
+        """Make the poses of a database and its pairs (row, person=2, 14, 3) ready for cameras of these pitches."""
+        pairs = pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64)
+        return cls._of(pairs, database.poses_m[evenly_spread(database.num_rows, 2 * _MAX_PAIRS)], pitches_rad)
+
+    @classmethod
+    def _of(cls, op14_m: Array, poses_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedPairs:
+        # Annotated frames are too far apart to follow motion by the frame.
+        poses, starts = poses_m.astype(np.float32), np.ones(len(poses_m), dtype=bool)
         cameras = [DatabaseCamera(pitch) for pitch in pitches_rad]
-        return cls(op14, tuple(Searcher.of(Database(poses, starts, camera=camera)) for camera in cameras))
+        return cls(op14_m, tuple(Searcher.of(Database(poses, starts, camera=camera)) for camera in cameras))
 
 
 class LiftedFrames(NamedTuple):
@@ -74,7 +87,7 @@ class LiftedFrames(NamedTuple):
 
 
 def lift_over_time(
-    draws: FilmedDraws,
+    known: FilmedPairs,
     tracks: Sequence[Track],
     frames: Integers,
     *,
@@ -84,7 +97,7 @@ def lift_over_time(
     """Return two people in annotated frames of one camera.
 
     Args:
-        draws: The database, with the pitches that are tried.
+        known: The database, with the pitches that are tried.
         tracks: The two people.
         frames: Annotated frames of the sequence (frame,) that show both, rising; need not be regular.
         statures_m: Stature by person id, where it is known.
@@ -113,14 +126,14 @@ def lift_over_time(
             )
             for number, one in enumerate(tracks)
         ]
-        pitch = choose_pitch(draws.searchers, both)
-        searcher = draws.searchers[0].pitched(pitch.pitch_rad)
+        pitch = choose_pitch(known.searchers, both)
+        searcher = known.searchers[0].pitched(pitch.pitch_rad)
         made = reconstruct_people(
             searcher,
             both,
             [Method.FIT],
             has_clean_up=False,
-            pairs_m=centre_pairs(draws.op14_m),
+            pairs_m=centre_pairs(known.op14_m),
             pitch=pitch,
             statures_m=stated_m,
             camera_height_m=camera_height_m,

@@ -45,7 +45,7 @@ _MIN_CONTACT_S = 0.1
 """Shorter contacts are none."""
 _SHIFT_STIFFNESS = 1.0
 """Cost of a second difference of the correction of the path, against 1 for a planted foot's step."""
-_SHIFT_HOLD = 1e-4
+_SHIFT_HOLD = 0.01
 """Cost of the correction itself."""
 _FLOOR_PULL = 0.1
 """Cost of the height of a planted foot over the floor."""

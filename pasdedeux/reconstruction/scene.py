@@ -93,7 +93,7 @@ _CARRIED_COST, _HELD_SHARE = 14.0, 0.5
 """Somebody is taken to be carried if that lowers the cost by more; tried of who is held in a larger share of frames."""
 _TOUCH_DEVIATION_M = 0.08
 """Deviation of the gap of two people who touch."""
-_TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.03, 3.0, 0.1
+_TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.05, 3.0, 0.1
 """Hands no further from the other's image may touch, if they stay so long and move along the bone by no more."""
 _GAP_DEVIATION_M = 0.05
 """Deviation of how far two bodies pass through each other."""

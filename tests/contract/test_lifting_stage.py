@@ -11,6 +11,8 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
+from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
@@ -20,7 +22,7 @@ from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs, verdict_of
-from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
+from tests.builders.sampling_store import QUICK, inputs, pairs_of, run, with_seeds
 from tests.builders.storage_rows import put, random_columns, take_rows
 
 __all__ = ["inputs"]  # the fixture
@@ -219,10 +221,48 @@ def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
         pairs = np.asarray(one["pair17_m"], dtype=float)[np.asarray(one["method"]) == "over_time"]
         sizes.append(np.median(bone_lengths(PAIR17, pairs)))
     assert sizes[1] > 1.15 * sizes[0]
-    facts = {"kind": "projections", "takes": ["one"], "rate_hz": 24.0, "pitches_deg": (10.0,)}
-    seen = put(store, "projections", "one", {"projections": random_columns("projections", 1)}, facts)
-    (shard,) = lifting.plan(StageInputs({**tall.manifests, "projections": [seen]}, seed=1), LiftingParameters())
+
+
+def put_projections(store: Store, take_id: str) -> Manifest:
+    """Commit a part of a projection database: the couples of a take."""
+    op14 = op14_from_working(pairs_of(take_id), PAIR17)
+    poses = centre_and_face(retarget_proportions(op14.reshape(-1, 14, 3)))
+    rows = np.arange(len(poses.poses_m))
+    columns = {
+        **random_columns("projections", len(rows)),
+        "take_id": [take_id] * len(rows),
+        "person": rows % 2,
+        "partner_row": rows ^ 1,
+        "op14_m": poses.poses_m,
+        "heading_rad": poses.heading_rad,
+        "root_translation_m": poses.root_translation_m,
+    }
+    facts = {"kind": "projections", "takes": [take_id], "rate_hz": 24.0, "pitches_deg": (10.0,)}
+    return put(store, "projections", take_id, {"projections": columns}, facts)
+
+
+def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own_take(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
+    film, film_views = put_film(store, tables, {"purpose": "video", "rate_hz": 30.0})
+    database = [put_projections(store, take_id) for take_id in ("one", "two")]
+    filmed = {**given.manifests, "annotations": [film], "views": [film_views]}
+    seen = StageInputs({**filmed, "projections": database}, seed=1)
+    (shard,) = lifting.plan(seen, LiftingParameters())
+    assert shard.refs("projections") == (database[1].ref,)
     assert shard.options(lifting.LiftingShard).pitches_deg == (10.0,)
+    lifted = {}
+    for name, some in (("draws", StageInputs(filmed, seed=1)), ("database", seen)):
+        table = store.read(lift(store, some, max_frames=2, between_frames=0)["film21"].ref, "lifted_pairs")
+        lifted[name] = {
+            m: np.asarray(table["pair17_m"])[np.asarray(table["method"]) == m] for m in ("fitted", "over_time")
+        }
+    np.testing.assert_array_equal(lifted["draws"]["fitted"], lifted["database"]["fitted"])
+    assert np.isfinite(lifted["database"]["over_time"]).all()
+    assert np.abs(lifted["draws"]["over_time"] - lifted["database"]["over_time"]).max() > 0.02
+    # Random views are frames of many cameras.
+    views = StageInputs({**given.manifests, "projections": database}, seed=1)
+    assert not any(shard.refs("projections") for shard in lifting.plan(views, LiftingParameters()))
 
 
 def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(inputs: Any) -> None:

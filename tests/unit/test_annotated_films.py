@@ -14,7 +14,7 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.sources import op14_from_working
-from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedDraws, as_pair17, lift_over_time
+from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedPairs, as_pair17, lift_over_time
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 
@@ -36,7 +36,7 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     lens = Lens.assumed(1920, 1080, px)
     tracks = [Track(px[:, person], np.ones((len(px), 14)), 6.0, lens, person_id=person) for person in (0, 1)]
     frames = np.arange(0, len(px), 2)
-    filmed = FilmedDraws.of(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    filmed = FilmedPairs.of_draws(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
     found = lift_over_time(filmed, tracks, frames)
     assert found is not None
     pairs = np.stack([as_pair17(one, draws[0]) for one in found.positions_m])
@@ -49,7 +49,7 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     assert lift_over_time(filmed, tracks, frames[: MIN_FRAMES - 1]) is None
     # A stature is that of the person, whatever number the sequence has for them.
     tracks = [replace(track, person_id=track.person_id + 5) for track in tracks]
-    one_pitch = FilmedDraws.of(draws, [0.2])
+    one_pitch = FilmedPairs.of_draws(draws, [0.2])
     tall = lift_over_time(one_pitch, tracks, frames[:MIN_FRAMES], statures_m={6: 2.2})
     usual = lift_over_time(one_pitch, tracks, frames[:MIN_FRAMES], camera_height_m=float(camera.position_m[1]))
     heights = [

@@ -16,6 +16,7 @@ from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion
+from pasdedeux.reconstruction.otherwise import seen_from_below
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera, searchers_tried
 from pasdedeux.reconstruction.reconstruct import (
@@ -202,12 +203,13 @@ def read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts
 
 
 class _SeenByAll(NamedTuple):
-    """The poses of a database before each camera, and the searchers that try the cameras where these are kept."""
+    """The poses of a database before each camera, and where they are kept the searchers that try the cameras."""
 
     databases: list[Database]
     take_ids: np.ndarray
     frames: np.ndarray
     searchers: tuple[Searcher, ...]
+    from_below: Searcher | None
 
 
 def _seen_by_all(store: Store, refs: tuple[ArtifactRef, ...]) -> _SeenByAll:
@@ -222,8 +224,9 @@ def _make_ready(store: Store, refs: tuple[ArtifactRef, ...], *, is_kept: bool) -
     level, take_ids, frames = read_database(store, refs)
     cameras = read_cameras([store.manifest(ref) for ref in refs])
     databases = [replace(level, camera=camera) for camera in cameras]
-    searchers = tuple(searchers_tried(databases)) if is_kept and len(databases) > 1 else ()
-    return _SeenByAll(databases, take_ids, frames, searchers)
+    is_tried = is_kept and len(databases) > 1
+    searchers = tuple(searchers_tried(databases)) if is_tried else ()
+    return _SeenByAll(databases, take_ids, frames, searchers, seen_from_below(level) if is_tried else None)
 
 
 _kept = lru_cache(maxsize=1)(_make_ready)
@@ -254,6 +257,7 @@ def _reconstruct(
     pairs_m = _read_pairs(store, tuple(database_refs)) if len(people) > 1 else None
     stated: dict[str, Any] = {
         "pairs_m": pairs_m,
+        "from_below": seen.from_below,
         "camera_height_m": parameters.camera_height_m,
         "statures_m": parameters.statures_m,
     }

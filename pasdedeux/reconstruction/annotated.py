@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working
+from pasdedeux.reconstruction.otherwise import seen_from_below
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
@@ -50,6 +52,11 @@ class FilmedDraws:
 
     op14_m: Array
     searchers: tuple[Searcher, ...]
+
+    @cached_property
+    def from_below(self) -> Searcher:
+        """Return them before a camera that looks up."""
+        return seen_from_below(self.searchers[0].database)
 
     @classmethod
     def of(cls, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedDraws:
@@ -122,6 +129,7 @@ def lift_over_time(
             has_clean_up=False,
             pairs_m=centre_pairs(draws.op14_m),
             pitch=pitch,
+            from_below=None if pitch.is_given else draws.from_below,
             statures_m=stated_m,
             camera_height_m=camera_height_m,
         )

@@ -13,6 +13,7 @@ import numpy as np
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.lying import is_on_floor, laid_down, searcher_over
 from pasdedeux.reconstruction.reconstruct import Matches, Searcher, match_track
 from pasdedeux.reconstruction.scene import SceneEstimate
@@ -34,8 +35,17 @@ _NUM_PROJECTIONS, _STRIDE = 200_000, 5
 """Projections and every so many frames that are compared."""
 
 
+def seen_from_below(database: Database) -> Searcher:
+    """Return the poses of a database before a camera that looks up."""
+    return Searcher.of(replace(database.thinned(_NUM_PROJECTIONS), camera=DatabaseCamera(_BELOW_RAD)))
+
+
 def seen_otherwise(
-    searcher: Searcher, matched: Sequence[tuple[Track, Matches]], *, is_pitch_given: bool
+    searcher: Searcher,
+    matched: Sequence[tuple[Track, Matches]],
+    *,
+    is_pitch_given: bool,
+    from_below: Searcher | None = None,
 ) -> dict[int, str]:
     """Return what each person's image may show as well, in words by person id, where that is as near.
 
@@ -43,6 +53,7 @@ def seen_otherwise(
         searcher: Database of the matches, without poses laid down.
         matched: Tracks, and what was found for them; tracks of people on the floor are left alone.
         is_pitch_given: The camera looks as it was stated to.
+        from_below: What `seen_from_below` gives for the database, where it is at hand.
     """
     upright = [(track, matches) for track, matches in matched if not is_on_floor(track)]
     if not upright:
@@ -50,7 +61,7 @@ def seen_otherwise(
     database = searcher.database.thinned(_NUM_PROJECTIONS)
     by_below, by_laid = [np.inf] * len(upright), [np.inf] * len(upright)
     if not is_pitch_given and len(upright) == len(matched):
-        below = Searcher.of(replace(database, camera=DatabaseCamera(_BELOW_RAD)))
+        below = from_below or seen_from_below(searcher.database)
         by_below = [_times_as_far(below, *one) for one in upright]
     if searcher.database.camera.pitch_rad > _STEEP_RAD:
         laid = searcher_over(database, *laid_down(database, _NUM_PROJECTIONS))

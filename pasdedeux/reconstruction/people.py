@@ -94,6 +94,7 @@ def reconstruct_people(
     camera_height_m: float | None = None,
     statures_m: Mapping[int, float] | None = None,
     pitch: PitchEstimate | None = None,
+    from_below: Searcher | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
@@ -111,6 +112,7 @@ def reconstruct_people(
         camera_height_m: Height of the camera over the floor where it is known, which gives people their size.
         statures_m: Stature of people, by person id, where it is known; gives them their size, and the others with them.
         pitch: Estimate of the camera's pitch; that of the searcher counts as stated.
+        from_below: What `seen_from_below` gives for the database, where it is at hand.
         on_step: Called when a track is matched, and when a method has made its motion.
     """
     statures_m, options = statures_m or {}, options or ReconstructionOptions()
@@ -125,7 +127,7 @@ def reconstruct_people(
         except InputError as error:
             skipped[track.person_id] = str(error)
         on_step()
-    otherwise = seen_otherwise(searcher, matched, is_pitch_given=pitch.is_given)
+    otherwise = seen_otherwise(searcher, matched, is_pitch_given=pitch.is_given, from_below=from_below)
     tried: dict[Method, tuple[Reconstruction, ...]] = {}
     for method in methods if matched else ():
         for track, matches in matched:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +37,7 @@ from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.selection import READS, SelectedPairs, select_pairs
-from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, kept, stream
 
 SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
@@ -166,7 +165,7 @@ class _Dots(NamedTuple):
     of_panel: dict[int, npt.NDArray[np.intp]]
 
 
-@lru_cache(maxsize=1)
+@kept()
 def _ready_draws(
     store: Store, refs: tuple[ArtifactRef, ...]
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots]]:

@@ -19,7 +19,6 @@ _PACKAGES = (
     "opencv-contrib-python-headless",
     "opencv-python-headless",
     "pybvh",
-    "arviz",
     "torch",
 )
 

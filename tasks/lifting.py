@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -31,7 +30,18 @@ from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
 from tasks.reconstruction import SequenceShard, read_tracks
-from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
+from tasks.stage import (
+    Parameters,
+    Shard,
+    Stage,
+    StageInputs,
+    StageName,
+    commit,
+    kept,
+    merge_takes,
+    shares_takes,
+    stream,
+)
 
 LIFTING = StageName("lifting", 11)
 
@@ -186,14 +196,14 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
     )
 
 
-@lru_cache(maxsize=1)
+@kept()
 def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet, DrawIndex]:
     """Return the draws and their index; the shards that one worker runs in a row share them."""
     draws = read_all_draws(store, refs)
     return draws, DrawIndex(draws.pairs_m)
 
 
-@lru_cache(maxsize=1)
+@kept()
 def _compared(store: Store, refs: tuple[ArtifactRef, ...], names: tuple[str, ...]) -> dict[str, DrawIndex]:
     """Return an index over the draws of each of these names alone."""
     own = [ref for ref in refs if density_of(store.manifest(ref)) in names]
@@ -226,7 +236,7 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     }
 
 
-@lru_cache(maxsize=1)
+@kept()
 def _filmed_pairs(
     store: Store, database: tuple[ArtifactRef, ...], draws: tuple[ArtifactRef, ...], pitches_deg: Pitches
 ) -> FilmedPairs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -39,6 +39,7 @@ from tasks.stage import (
     StageName,
     commit,
     join_columns,
+    kept,
     merge_takes,
     shares_takes,
 )
@@ -226,8 +227,8 @@ def _make_ready(store: Store, refs: tuple[ArtifactRef, ...], *, is_kept: bool) -
     return _SeenByAll(databases, take_ids, frames, searchers)
 
 
-_kept = lru_cache(maxsize=1)(_make_ready)
-_read_pairs = lru_cache(maxsize=1)(partial(read_pairs, max_pairs=MAX_PAIRS))
+_kept = kept()(_make_ready)
+_read_pairs = kept()(partial(read_pairs, max_pairs=MAX_PAIRS))
 
 
 def _reconstruct(

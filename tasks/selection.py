@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.draw_sets import GROWN, density_of, reference_to
 from tasks.facts import DrawFacts, SeedFacts
 from tasks.priors import read_limits
-from tasks.stage import verdict_of
+from tasks.stage import kept, verdict_of
 
 READS = ("draws", "seeds", "chain_info", "joint_limits")
 """Tables of a study that pairs are selected by; the last one may be missing."""
@@ -78,7 +77,7 @@ class _Part:
     rows: np.ndarray
 
 
-@lru_cache(maxsize=1)
+@kept()
 def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> SelectedPairs:
     """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are passed over.
 

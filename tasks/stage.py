@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from pydantic import create_model
@@ -24,6 +26,7 @@ VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
 
 
 S = TypeVar("S", bound=Settings)
+F = TypeVar("F", bound=Callable[..., Any])
 P = TypeVar("P", bound="Parameters")
 
 
@@ -218,6 +221,31 @@ class Stage:
     def tables(self) -> tuple[str, ...]:
         """Every table that it writes a part of."""
         return (*self.writes, *self.adds_to)
+
+
+_KEPT: list[Callable[[], None]] = []
+
+
+def kept(count: int = 1) -> Callable[[F], F]:
+    """Return a decorator: what a worker's last calls with other arguments gave is kept from shard to shard of a stage.
+
+    For what many shards make ready alike; until `forget_kept`.
+    """
+
+    def decorated(function: F) -> F:
+        cached = lru_cache(maxsize=count)(function)
+        _KEPT.append(cached.cache_clear)
+        return cast(F, cached)
+
+    return decorated
+
+
+def forget_kept() -> None:
+    """Give back the memory of all that is kept."""
+    for forget in _KEPT:
+        forget()
+    with suppress(AttributeError, OSError):  # another C library gives it back by itself, or has no name for that
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def merge_takes(*manifests: Manifest) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.nearest import image_distances, interaction_distances
+from pasdedeux.interaction.nearest import PairTable, image_distances, interaction_distances, pair_table
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,12 @@ class PairMap:
     """A plane on which real pairs, or images, lie as far apart as by D_I, as far as a plane can.
 
     Args:
-        landmarks_m: The real pairs, (n, person=2, joint, 3), or images, (n, person=2, joint, 2), metres.
+        landmarks_m: The real pairs, made ready, or images, (n, person=2, joint, 2), metres.
         places: Where they lie, (n, 2), metres.
         share: Share of the positive eigenvalues that the plane shows.
     """
 
-    landmarks_m: Array
+    landmarks_m: Array | PairTable
     places: Array
     share: float
     _mean_squares: Array
@@ -37,7 +37,8 @@ class PairMap:
         """Lay out real pairs (n, person=2, joint, 3), or images (..., 2), metres, at least three that differ."""
         if len(pairs_m) < 3:
             raise InputError(f"a map needs at least 3 pairs, found {len(pairs_m)}")
-        squared = _distances(pairs_m, pairs_m) ** 2
+        landmarks = pairs_m if pairs_m.shape[-1] == 2 else pair_table(pairs_m)
+        squared = _distances(landmarks, landmarks) ** 2
         squared = 0.5 * (squared + squared.T)
         np.fill_diagonal(squared, 0.0)
         mean = squared.mean(axis=0)
@@ -50,20 +51,22 @@ class PairMap:
         axes = axes * np.sign(axes[np.argmax(np.abs(axes), axis=0), [0, 1]])
         root = np.sqrt(largest)
         return cls(
-            landmarks_m=pairs_m,
+            landmarks_m=landmarks,
             places=axes * root,
             share=float(largest.sum() / values[values > 0].sum()),
             _mean_squares=mean,
             _inverse=(axes / root).T,
         )
 
-    def place(self, pairs_m: Array) -> Array:
-        """Return where other pairs (m, person=2, joint, 3 or 2) lie, (m, 2), metres."""
-        if not len(pairs_m):
+    def place(self, pairs_m: Array | PairTable) -> Array:
+        """Return where other pairs (m, person=2, joint, 3 or 2) lie, (m, 2), metres; those in 3D may be made ready."""
+        if not isinstance(pairs_m, PairTable) and not len(pairs_m):
             return np.empty((0, 2))
         squared = _distances(pairs_m, self.landmarks_m) ** 2
         return np.asarray(-0.5 * (squared - self._mean_squares) @ self._inverse.T)
 
 
-def _distances(first_m: Array, second_m: Array) -> Array:
-    return (image_distances if first_m.shape[-1] == 2 else interaction_distances)(first_m, second_m)
+def _distances(first_m: Array | PairTable, second_m: Array | PairTable) -> Array:
+    if isinstance(first_m, PairTable) or isinstance(second_m, PairTable):
+        return interaction_distances(first_m, second_m)
+    return image_distances(first_m, second_m)

@@ -143,6 +143,7 @@ def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_l
     for axis, panel in zip(axes, panels, strict=False):
         if is_log:
             axis.set_xscale("log")
+            axis.xaxis.set_major_formatter("{x:,g}")  # powers of ten are formulas to lay out
         _draw_panel(axis, panel, x_label)
         axis.minorticks_off()  # over less than a decade their names would overlap
     if panels and panels[0].curves:

@@ -98,14 +98,16 @@ class Coverage:
         return self._best[1].copy()
 
 
-def interaction_distances(first_m: Array, second_m: Array) -> Array:
+def interaction_distances(first_m: Array | PairTable, second_m: Array | PairTable) -> Array:
     """Return D_I (n, m), metres, between pairs (n, person, joint, 3) and (m, person, joint, 3), metres.
+
+    Pairs that are compared several times are given as `pair_table` has made them ready.
 
     Raises:
         InputError: A coordinate is not finite.
     """
-    first, second = pair_table(first_m), pair_table(second_m)
-    distances = np.empty((len(first_m), len(second_m)))
+    first, second = (one if isinstance(one, PairTable) else pair_table(one) for one in (first_m, second_m))
+    distances = np.empty((len(first.points), len(second.points)))
     _fill_distances(first, second, distances)
     return distances
 

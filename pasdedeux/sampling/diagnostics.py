@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -37,6 +35,8 @@ _JOINT_PAIRS = (
     ("right_ankle", "left_ankle"),
 )
 
+_MIN_DRAWS = 4
+"""Fewer have no correlations over time."""
 MIN_ACCEPTANCE = 0.005
 """Accepted share of proposals below which a chain counts as stuck."""
 MAX_RHAT = 1.1
@@ -89,40 +89,82 @@ def invariants(pair_m: Array) -> Array:
 
 
 def effective_sample_size(values: Array) -> Array:
-    """Return the bulk effective sample size (quantity,) of values (chain, draw, quantity); NaN where nothing moved."""
-    if values.shape[1] < 4:
+    """Return the bulk effective sample size (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
+
+    Of ranks of halves of chains (Vehtari et al. 2021, eqs. 10 to 14); NaN for fewer than four draws.
+    """
+    if values.shape[1] < _MIN_DRAWS:
         return np.full(values.shape[-1], np.nan)
-    return np.array([_or_nan(_arviz().ess, values[..., index]) for index in range(values.shape[-1])])
+    return np.array([_or_nan(_ranked_size, own) for own in np.moveaxis(values, -1, 0)])
 
 
 def rhat(values: Array) -> Array:
     """Return the rank-normalised split R-hat (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
 
-    A single chain is split in two halves first.
+    The larger one of places and spreads (Vehtari et al. 2021, section 4).  A single chain is split in two halves first.
     """
     if len(values) == 1:
-        half = values.shape[1] // 2
-        values = np.concatenate([values[:, :half], values[:, half : 2 * half]])
-    if values.shape[1] < 4:
+        values = _halves(values[:, : values.shape[1] // 2 * 2])
+    if values.shape[1] < _MIN_DRAWS:
         return np.full(values.shape[-1], np.nan)
-    return np.array([_or_nan(_arviz().rhat, values[..., index]) for index in range(values.shape[-1])])
+    return np.array([_or_nan(_rank_rhat, own) for own in np.moveaxis(values, -1, 0)])
 
 
-def _arviz() -> Any:
-    """Import arviz late (1 s, and matplotlib with it: sampling itself does without) and without its daily notice."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz
-    return arviz
-
-
-def _or_nan(statistic: Callable[[Array], object], values: Array) -> float:
+def _or_nan(statistic: Callable[[Array], float], values: Array) -> float:
     if np.ptp(values) == 0.0:
         return float("nan")
-    with warnings.catch_warnings():
-        # arviz divides by the variance of chains that stand still; the NaN it gives is what is wanted.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return float(np.asarray(statistic(values)))
+    with np.errstate(divide="ignore", invalid="ignore"):  # chains that stand still give NaN or infinity, as they should
+        return statistic(values)
+
+
+def _halves(values: Array) -> Array:
+    """Return both halves of each chain (chain, draw, ...) as chains; an odd one loses the draw in its middle."""
+    half = values.shape[1] // 2
+    return np.concatenate([values[:, :half], values[:, -half:]])
+
+
+def _normal_scores(values: Array) -> Array:
+    """Return the normal quantiles of the ranks of values, in their shape; equal ones share their mean rank (eq. 14)."""
+    from scipy.special import ndtri  # here: planning need not wait for it
+
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    rank = (np.cumsum(count) - 0.5 * (count - 1))[place].reshape(values.shape)
+    return np.asarray(ndtri((rank - 0.375) / (values.size + 0.25)))
+
+
+def _ranked_size(values: Array) -> float:
+    return _size(_normal_scores(_halves(values)))
+
+
+def _rank_rhat(values: Array) -> float:
+    """Return R-hat of values (chain, draw): of their halves, and of how far these are from the median."""
+    halves = _halves(values)
+    return max(_split_rhat(_normal_scores(one)) for one in (halves, np.abs(halves - np.median(halves))))
+
+
+def _split_rhat(chains: Array) -> float:
+    """Return the ratio of what chains (chain, draw) vary together to what each does (eqs. 1 to 4)."""
+    within, between = chains.var(axis=1, ddof=1).mean(), chains.mean(axis=1).var(ddof=1)
+    return float(np.sqrt((chains.shape[1] - 1) / chains.shape[1] + between / within))
+
+
+def _size(chains: Array) -> float:
+    """Return the effective sample size of chains (chain, draw).
+
+    Correlations over time count as long as sums of two are positive, and such a sum no more than the one before
+    (Geyer 1992).
+    """
+    num_draws = chains.shape[1]
+    power = np.abs(np.fft.rfft(chains - chains.mean(axis=1, keepdims=True), n=2 * num_draws)) ** 2
+    covariance = np.fft.irfft(power).mean(axis=0)[:num_draws] / num_draws
+    within = covariance[0] * num_draws / (num_draws - 1)
+    total = covariance[0] + chains.mean(axis=1).var(ddof=1)
+    correlation = 1.0 - (within - covariance) / total
+    correlation[0] = 1.0
+    sums = correlation[: 2 * max((num_draws - 3) // 2, 0)].reshape(-1, 2).sum(axis=1)
+    count = int(np.argmax(np.append(sums, -1.0) < 0.0))
+    time = 2.0 * np.minimum.accumulate(sums[:count]).sum() - 1.0 + max(correlation[2 * count], 0.0)
+    return float(chains.size / max(time, 1.0 / np.log10(chains.size)))
 
 
 def diagnose(

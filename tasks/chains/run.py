@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,7 +33,7 @@ from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
 from tasks.facts import ChainFacts, DrawFacts
 from tasks.priors import read_limits
-from tasks.stage import Shard, commit, followed, merge_takes, stream
+from tasks.stage import Shard, commit, followed, kept, merge_takes, stream
 
 Refs = tuple[ArtifactRef, ...]
 _NUM_HYPOTHESES = 4
@@ -201,7 +200,7 @@ class Evidence:
         return "; ".join(notes)
 
 
-@lru_cache(maxsize=2)
+@kept(2)
 def _evidence(
     store: Store,
     annotations: Refs,
@@ -232,7 +231,7 @@ def _evidence(
     )
 
 
-@lru_cache(maxsize=1)
+@kept()
 def _gathered(store: Store, annotations: Refs, views: Refs) -> PlacedPairs:
     """Return the annotated pairs: the same for all seeds, and with what is found out about them once."""
     return gather(store, annotations=annotations, views=views, num_hypotheses=_NUM_HYPOTHESES)

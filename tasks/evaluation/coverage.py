@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_tab
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.coverage import CoverageCurve, DrawPart, coverage_curve, curve_of_parts, draw_parts
-from pasdedeux.interaction.nearest import cartesian_distances
+from pasdedeux.interaction.nearest import PairTable, cartesian_distances, pair_table
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
@@ -37,7 +37,7 @@ from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.selection import READS, SelectedPairs, select_pairs
-from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, kept, stream
 
 SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
@@ -125,8 +125,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     generator = stream(shard.seed, TOPIC.name, split)
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
     truth, places = truth[chosen], [places[at] for at in chosen]
-    draws, parts = _ready_draws(store, draw_refs)
-    mapped = [name for name in draws if not name.endswith(_FIRST_SEED)]
+    draws, parts, dots = _ready_draws(store, draw_refs)
     some = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {name: curve_of_parts(truth, parts.get(name) or _parts(pairs)) for name, pairs in draws.items()}
     levels = real_frame_levels(truth, others, generator)
@@ -139,7 +138,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         "By interaction: by distances between both people's joints."
     )
     pictures = [Picture(f"coverage-{split}.svg", caption, coverage_figure(curves, levels, words))]
-    shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), words)
+    shown = _map(truth, dots, _seed(store, shard.refs("first_seed")), words)
     if shown is not None:
         caption = (
             f"A map of {words} real pairs and of draws, more draws from left to right, at most 400 dots of each; "
@@ -150,7 +149,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         pictures.append(Picture(f"coverage-map-{split}.svg", caption, shown))
     where = known.where(places) if split == "held_out" else None
     chosen_from = (*draw_refs, *shard.refs("chains"), *shard.refs("limits"))
-    pool = {name: draws[name] for name in mapped if name != PRIOR_ONLY}
+    pool = {name: draws[name] for name in dots if name != PRIOR_ONLY}
     found, said = set_scores(
         truth, select_pairs(store, chosen_from, _REAL_COUNTS[-1]), pool, levels, generator, split=split
     )
@@ -159,15 +158,32 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(scores, pictures, notes, items, _baselines({score.method for score in scores}))
 
 
-@lru_cache(maxsize=1)
+class _Dots(NamedTuple):
+    """Draws of a set on the map: those on any panel made ready, and by panel which of them are on it."""
+
+    table: PairTable
+    of_panel: dict[int, npt.NDArray[np.intp]]
+
+
+@kept()
 def _ready_draws(
     store: Store, refs: tuple[ArtifactRef, ...]
-) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]]]:
-    """Return all sets of draws, and made ready for all shards of a worker those that together are few enough."""
-    draws = {name: found.in_order for name, found in read_draw_sets(store, refs).items()}
-    draws |= draws_from_first_seeds(store, refs)
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots]]:
+    """Return all sets of draws, made ready for all shards of a worker: those that together are few enough, and dots."""
+    own = {name: found.in_order for name, found in read_draw_sets(store, refs).items()}
+    most = max(map(len, own.values()), default=0)
+    counts = sorted({max(1, round(share * most)) for share in _MAPPED_SHARES})
+    draws = own | draws_from_first_seeds(store, refs)
     is_kept = sum(map(len, draws.values())) <= _MAX_KEPT
-    return draws, {name: tuple(_parts(pairs)) for name, pairs in draws.items() if is_kept}
+    parts = {name: tuple(_parts(pairs)) for name, pairs in draws.items() if is_kept}
+    return draws, parts, {name: _dots(pairs, counts) for name, pairs in own.items()}
+
+
+def _dots(pairs_m: np.ndarray, counts: Sequence[int]) -> _Dots:
+    rows = {count: evenly_spread(min(len(pairs_m), count), _MAX_DOTS) for count in counts}
+    every = np.unique(np.concatenate(list(rows.values())))
+    table = pair_table(pairs_m[every].astype(np.float64))
+    return _Dots(table, {count: np.searchsorted(every, own) for count, own in rows.items()})
 
 
 def _parts(pairs_m: np.ndarray) -> Iterator[DrawPart]:
@@ -371,17 +387,17 @@ def _seed(store: Store, refs: Sequence[ArtifactRef]) -> Array | None:
     return pairs[0][:1] if pairs else None
 
 
-def _map(truth: Array, draws: Mapping[str, Array], seed: Array | None, words: str) -> bytes | None:
+def _map(truth: Array, draws: Mapping[str, _Dots], seed: Array | None, words: str) -> bytes | None:
     """Draw the draws among the real pairs, at three numbers of draws; nothing where the pairs are all alike."""
     try:
         plane = PairMap.of(truth[:_NUM_MAPPED])
     except InputError:
         return None
-    most = max(map(len, draws.values()), default=0)
-    panels = {}
-    for count in sorted({max(1, round(share * most)) for share in _MAPPED_SHARES}):
-        shown = {name: pairs[evenly_spread(min(len(pairs), count), _MAX_DOTS)] for name, pairs in draws.items()}
-        panels[f"{count:,} draws of each"] = {name: plane.place(own.astype(np.float64)) for name, own in shown.items()}
+    panels: dict[str, dict[str, Array]] = {}
+    for name, dots in draws.items():
+        places = plane.place(dots.table)
+        for count, own in dots.of_panel.items():
+            panels.setdefault(f"{count:,} draws of each", {})[name] = places[own]
     place = None if seed is None else plane.place(seed)[0]
     title = f"{words} frames and draws ({plane.share:.0%} of the spread shown)"
     return map_figure(plane.places, panels, seed=place, title=title)

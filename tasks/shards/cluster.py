@@ -76,6 +76,9 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": DEATHS_ALLOWED,
         "distributed.nanny.pre-spawn-environ": environment,
         "distributed.admin.system-monitor.gil.enabled": False,
+        # Stacks taken a hundred times a second, and loops that look at the clock fifty times: nobody reads them.
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "500ms",
         "distributed.worker.memory.pause": False,
         # Shards that come after others wait in the queue of priorities as well, with whatever is ready.
         "distributed.scheduler.rootish-taskgroup-dependencies": float("inf"),

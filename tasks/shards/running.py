@@ -25,7 +25,7 @@ from storage_schema import ArtifactRef, CorruptArtifact, StorageError, Store, li
 from storage_schema.store import SHARD_S
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
-from tasks.stage import Shard, artifact_fields
+from tasks.stage import Shard, artifact_fields, forget_kept
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -36,6 +36,8 @@ _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker i
 _COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
 _NO_WORKER_S = 60.0  # how long it may have none after one had to leave
 _ONE_AT_A_TIME = threading.RLock()
+_BEGUN = set[str]()
+"""Stages of which this process has computed a shard."""
 _GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the scheduler learns meanwhile that it does
 
 
@@ -99,6 +101,8 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
     rounded otherwise, and the bytes would differ. A process computes one shard at a time, whatever threads it has: that
     limit holds for the whole process, and what shards share (evidence of annotations) has room for one search alone.
 
+    What shards keep for the next ones is forgotten when a process begins with a stage: mostly the one before is done.
+
     A worker that is not fit for the run gives the shard back to the scheduler: another one computes it.
     """
     if is_refused:
@@ -113,6 +117,9 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
             return Result(found.ref, found.timings.get(SHARD_S, 0.0), None)
         store.measure()
         with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
+            if shard.stage not in _BEGUN:
+                _BEGUN.add(shard.stage)
+                forget_kept()
             ref = run_shard(shard, store)
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
         reason, trace = in_one_line(error), traceback.format_exc()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.densities.density import PairDensity, PriorOnly
-from pasdedeux.sampling.diagnostics import MAX_AT_CEILING, diagnose, invariants
+from pasdedeux.sampling.diagnostics import MAX_AT_CEILING, diagnose, effective_sample_size, invariants, rhat
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.verdict import Level
@@ -26,6 +27,26 @@ def report(log_density: np.ndarray, *, num_accepted: int = 1) -> object:
         pairs[None], log_density[None], np.full((1, len(log_density)), num_accepted), thin=4, log_ceiling=5.0
     )
     return found
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.5, 0.98, -0.6], ids=lambda kept: f"correlation_{kept}")
+@pytest.mark.parametrize(("num_chains", "num_draws"), [(1, 200), (1, 9), (2, 31), (4, 150)])
+def test_sizes_and_r_hat_are_those_of_arviz(kept: float, num_chains: int, num_draws: int) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # its daily notice
+        import arviz
+    generator = np.random.default_rng(num_draws)
+    values = generator.normal(size=(num_chains, num_draws, 6))
+    for draw in range(1, num_draws):
+        values[:, draw] += kept * values[:, draw - 1]
+        is_kept = generator.random((num_chains, 3)) < 0.6  # as after a proposal that was not accepted
+        values[:, draw, ::2] = np.where(is_kept, values[:, draw - 1, ::2], values[:, draw, ::2])
+    values[..., -2:] += np.arange(num_chains)[:, None, None]  # apart
+    half = num_draws // 2
+    split = values if num_chains > 1 else np.concatenate([values[:, :half], values[:, half : 2 * half]])
+    every = range(values.shape[-1])
+    np.testing.assert_allclose(effective_sample_size(values), [float(arviz.ess(values[..., one])) for one in every])
+    np.testing.assert_allclose(rhat(values), [float(arviz.rhat(split[..., one])) for one in every])
 
 
 def test_a_chain_that_is_often_in_the_flat_top_left_the_range_of_its_seed() -> None:

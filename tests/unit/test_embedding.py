@@ -9,6 +9,7 @@ from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.interaction.coverage import coverage_curve
+from pasdedeux.interaction.nearest import pair_table
 from tasks.evaluation.coverage import (
     coverage_figure,
     coverage_scores,
@@ -27,6 +28,7 @@ PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
 def test_a_real_pair_is_placed_where_it_already_lies() -> None:
     plane = PairMap.of(PAIRS)
     np.testing.assert_allclose(plane.place(PAIRS[4:7]), plane.places[4:7], atol=1e-6)
+    np.testing.assert_array_equal(plane.place(pair_table(PAIRS[4:7])), plane.place(PAIRS[4:7]))
     assert 0.0 < plane.share <= 1.0
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from graphlib import TopologicalSorter
 from pathlib import Path
 from queue import SimpleQueue
@@ -37,7 +38,7 @@ from tasks.shards import (
     worker_environment,
 )
 from tasks.shards.profiles import cluster_class
-from tasks.stage import Shard, StageInputs
+from tasks.stage import Shard, StageInputs, kept
 from tests.builders.toy_runs import ROOT
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 
@@ -409,6 +410,24 @@ def test_threads_of_a_process_compute_one_shard_after_the_other(tmp_path: Path) 
         for _ in threads.map(lambda shard: run(run_alone, shard, str(tmp_path)), shards(num_takes=2, num_segments=1)):
             pass
     assert are_alone == [True, True]
+
+
+def test_what_shards_keep_lasts_until_the_process_begins_with_another_stage(tmp_path: Path) -> None:
+    calls = []
+
+    @kept()
+    def make_ready(name: str) -> str:
+        calls.append(name)
+        return name
+
+    def run_with_it(shard: Shard, store: Store) -> ArtifactRef:
+        make_ready("poses")
+        return run_grow(shard, store)
+
+    stages = ("keeps", "keeps", "keeps_too", "keeps")
+    for shard, stage in zip(shards(num_takes=4, num_segments=1), stages, strict=True):
+        run(run_with_it, replace(shard, stage=stage), str(tmp_path))
+    assert calls == ["poses", "poses"]
 
 
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,80 +91,33 @@ def invariants(pair_m: Array) -> Array:
 def effective_sample_size(values: Array) -> Array:
     """Return the bulk effective sample size (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
 
-    Of ranks of halves of chains (Vehtari et al. 2021, eqs. 10 to 14); NaN for fewer than four draws.
+    Of ranks of halves of chains (Vehtari et al. 2021); NaN for fewer than four draws.
     """
-    if values.shape[1] < _MIN_DRAWS:
-        return np.full(values.shape[-1], np.nan)
-    return np.array([_or_nan(_ranked_size, own) for own in np.moveaxis(values, -1, 0)])
+    from arviz_stats.base.array import array_stats  # here: planning need not wait for it
+
+    return _of_each(array_stats.ess, values)
 
 
 def rhat(values: Array) -> Array:
     """Return the rank-normalised split R-hat (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
 
-    The larger one of places and spreads (Vehtari et al. 2021, section 4).  A single chain is split in two halves first.
+    A single chain is split in two halves first.
     """
+    from arviz_stats.base.array import array_stats  # as above
+
     if len(values) == 1:
-        values = _halves(values[:, : values.shape[1] // 2 * 2])
-    if values.shape[1] < _MIN_DRAWS:
-        return np.full(values.shape[-1], np.nan)
-    return np.array([_or_nan(_rank_rhat, own) for own in np.moveaxis(values, -1, 0)])
+        half = values.shape[1] // 2
+        values = np.concatenate([values[:, :half], values[:, half : 2 * half]])
+    return _of_each(array_stats.rhat, values)
 
 
-def _or_nan(statistic: Callable[[Array], float], values: Array) -> float:
-    if np.ptp(values) == 0.0:
-        return float("nan")
-    with np.errstate(divide="ignore", invalid="ignore"):  # chains that stand still give NaN or infinity, as they should
-        return statistic(values)
-
-
-def _halves(values: Array) -> Array:
-    """Return both halves of each chain (chain, draw, ...) as chains; an odd one loses the draw in its middle."""
-    half = values.shape[1] // 2
-    return np.concatenate([values[:, :half], values[:, -half:]])
-
-
-def _normal_scores(values: Array) -> Array:
-    """Return the normal quantiles of the ranks of values, in their shape; equal ones share their mean rank (eq. 14)."""
-    from scipy.special import ndtri  # here: planning need not wait for it
-
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - 0.5 * (count - 1))[place].reshape(values.shape)
-    return np.asarray(ndtri((rank - 0.375) / (values.size + 0.25)))
-
-
-def _ranked_size(values: Array) -> float:
-    return _size(_normal_scores(_halves(values)))
-
-
-def _rank_rhat(values: Array) -> float:
-    """Return R-hat of values (chain, draw): of their halves, and of how far these are from the median."""
-    halves = _halves(values)
-    return max(_split_rhat(_normal_scores(one)) for one in (halves, np.abs(halves - np.median(halves))))
-
-
-def _split_rhat(chains: Array) -> float:
-    """Return the ratio of what chains (chain, draw) vary together to what each does (eqs. 1 to 4)."""
-    within, between = chains.var(axis=1, ddof=1).mean(), chains.mean(axis=1).var(ddof=1)
-    return float(np.sqrt((chains.shape[1] - 1) / chains.shape[1] + between / within))
-
-
-def _size(chains: Array) -> float:
-    """Return the effective sample size of chains (chain, draw).
-
-    Correlations over time count as long as sums of two are positive, and such a sum no more than the one before
-    (Geyer 1992).
-    """
-    num_draws = chains.shape[1]
-    power = np.abs(np.fft.rfft(chains - chains.mean(axis=1, keepdims=True), n=2 * num_draws)) ** 2
-    covariance = np.fft.irfft(power).mean(axis=0)[:num_draws] / num_draws
-    within = covariance[0] * num_draws / (num_draws - 1)
-    total = covariance[0] + chains.mean(axis=1).var(ddof=1)
-    correlation = 1.0 - (within - covariance) / total
-    correlation[0] = 1.0
-    sums = correlation[: 2 * max((num_draws - 3) // 2, 0)].reshape(-1, 2).sum(axis=1)
-    count = int(np.argmax(np.append(sums, -1.0) < 0.0))
-    time = 2.0 * np.minimum.accumulate(sums[:count]).sum() - 1.0 + max(correlation[2 * count], 0.0)
-    return float(chains.size / max(time, 1.0 / np.log10(chains.size)))
+def _of_each(statistic: Callable[..., Array], values: Array) -> Array:
+    """Return a statistic (quantity,) of what moved at all among values (chain, draw, quantity), else NaN."""
+    found, has_moved = np.full(values.shape[-1], np.nan), np.ptp(values, axis=(0, 1)) > 0.0
+    if values.shape[1] >= _MIN_DRAWS and has_moved.any():
+        with np.errstate(divide="ignore", invalid="ignore"):  # chains that stand still give NaN, as they should
+            found[has_moved] = statistic(values[..., has_moved], chain_axis=0, draw_axis=1)
+    return found
 
 
 def diagnose(

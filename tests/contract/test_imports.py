@@ -71,7 +71,7 @@ def test_planning_and_a_run_with_nothing_to_do_import_neither_prefect_nor_dask(t
 
 
 def test_planning_every_stage_imports_nothing_heavy(tmp_path: Path) -> None:
-    heavy = {"prefect", "dask", "distributed", "numba", "scipy", "matplotlib", "jinja2", "cv2", "arviz"}
+    heavy = {"prefect", "dask", "distributed", "numba", "scipy", "matplotlib", "jinja2", "cv2", "arviz_stats"}
     assert loaded(heavy | {"pandas", "torch"}, "plan", "duets", "--store", str(tmp_path)) == []
 
 

@@ -349,7 +349,7 @@ HEAVY = {
     "cv2",
     "matplotlib.pyplot",
     "scipy.signal",
-    "arviz",
+    "arviz_stats",
     "pandas",
     "uvicorn",
     "fastapi",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 
 import numpy as np
 import pytest
@@ -29,24 +28,29 @@ def report(log_density: np.ndarray, *, num_accepted: int = 1) -> object:
     return found
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.5, 0.98, -0.6], ids=lambda kept: f"correlation_{kept}")
-@pytest.mark.parametrize(("num_chains", "num_draws"), [(1, 200), (1, 9), (2, 31), (4, 150)])
-def test_sizes_and_r_hat_are_those_of_arviz(kept: float, num_chains: int, num_draws: int) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # its daily notice
-        import arviz
-    generator = np.random.default_rng(num_draws)
-    values = generator.normal(size=(num_chains, num_draws, 6))
-    for draw in range(1, num_draws):
-        values[:, draw] += kept * values[:, draw - 1]
-        is_kept = generator.random((num_chains, 3)) < 0.6  # as after a proposal that was not accepted
-        values[:, draw, ::2] = np.where(is_kept, values[:, draw - 1, ::2], values[:, draw, ::2])
-    values[..., -2:] += np.arange(num_chains)[:, None, None]  # apart
-    half = num_draws // 2
-    split = values if num_chains > 1 else np.concatenate([values[:, :half], values[:, half : 2 * half]])
-    every = range(values.shape[-1])
-    np.testing.assert_allclose(effective_sample_size(values), [float(arviz.ess(values[..., one])) for one in every])
-    np.testing.assert_allclose(rhat(values), [float(arviz.rhat(split[..., one])) for one in every])
+@pytest.mark.parametrize("kept", [0.0, 0.5, -0.4], ids=lambda kept: f"correlation_{kept}")
+def test_draws_that_follow_each_other_count_as_fewer_and_those_that_alternate_as_more(kept: float) -> None:
+    values = np.random.default_rng(3).normal(size=(4, 5000, 2))
+    for draw in range(1, values.shape[1]):
+        values[:, draw] = kept * values[:, draw - 1] + np.sqrt(1.0 - kept**2) * values[:, draw]
+    np.testing.assert_allclose(effective_sample_size(values), 20000 * (1.0 - kept) / (1.0 + kept), rtol=0.1)
+    np.testing.assert_allclose(rhat(values), 1.0, atol=5e-3)
+    np.testing.assert_allclose(rhat(values[:1]), 1.0, atol=2e-2)
+
+
+def test_chains_that_are_apart_are_told_and_what_stands_still_or_is_too_short_is_not_known() -> None:
+    values = np.random.default_rng(4).normal(size=(2, 200, 3))
+    values[1, :, 0] += 3.0
+    values[..., 2] = 7.0
+    apart, together, still = rhat(values)
+    assert apart > 1.5
+    assert together < 1.05
+    assert np.isnan(still)
+    sizes = effective_sample_size(values)
+    assert sizes[0] < 10.0
+    assert np.isnan(sizes[2])
+    assert np.isnan(effective_sample_size(values[:, :3])).all()
+    assert np.isnan(rhat(values[:1, :7])).all()
 
 
 def test_a_chain_that_is_often_in_the_flat_top_left_the_range_of_its_seed() -> None:

@@ -339,7 +339,7 @@ def say_expected(rows: Sequence[Row]) -> None:
     evidence, families = np.array([row.evidence for row in rows]), np.array([row.clip.family for row in rows])
     large = true > LARGE_M * (2 if rows[0].is_place else 1)
     names = np.unique(families)
-    if len(names) < 4 or len(rows) < 3 * len(names) or not 0 < np.count_nonzero(large) < len(rows):
+    if len(names) < 4 or len(rows) < 10 * len(names) or not 0 < np.count_nonzero(large) < len(rows):
         return
     passed = np.array([row.verdict == "pass" for row in rows])
     say(f"in use: AUC of large errors {auc(expected, large):.2f}; pass: {np.mean(passed[large]):.0%} of them,")

@@ -72,6 +72,7 @@ class ReconstructedTracks:
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
         doubts: What was stated that contradicts itself, and where the camera would be if that is below the floor.
         otherwise: What the image of somebody may show as well, by person id, see `otherwise`.
+        has_stature: Somebody's stature is stated, and nothing contradicts it.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -81,6 +82,7 @@ class ReconstructedTracks:
     scene: SceneEstimate | None
     doubts: tuple[str, ...] = ()
     otherwise: Mapping[int, str] = field(default_factory=dict)
+    has_stature: bool = False
 
 
 def reconstruct_people(
@@ -179,6 +181,7 @@ def reconstruct_people(
         scene,
         tuple(doubts),
         otherwise,
+        not doubts and not statures_m.keys().isdisjoint(names),
     )
 
 

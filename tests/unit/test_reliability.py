@@ -174,8 +174,13 @@ def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(
         ({0: 2.5}, "person 1 would be 2.5"),
     ):
         found = reconstruct_people(walkers[0], tracks, [Method.FIT], statures_m=stated)
-        judged = judge_tracks(found).verdicts
+        quality = judge_tracks(found)
+        judged = quality.verdicts
+        assert found.has_stature == (not says or "who is not there" in says)
         assert set(judged) == {"person 0", "person 1", "place of 0 and 1"}
+        unstated = judge_tracks(replace(found, has_stature=False))
+        for one, other in ((quality.people[0], unstated.people[0]), (quality.places[0, 1], unstated.places[0, 1])):
+            assert found.has_stature == (one.expected_error_m < 0.9 * other.expected_error_m)
         assert bool(says) == (judged["person 0"].level is not Level.PASS)
         assert all(says in one.reason for one in judged.values())
 

@@ -34,8 +34,9 @@ others."""
 OF_DATABASE = 0.86
 LOW_OF_DATABASE, HIGH_OF_DATABASE = 0.57, 1.9
 """The same of pairs lifted by the takes of a projection database: the error over what is expected of the scene's poses
-and places.  Means of logarithms over 303 pairs of the same videos, the database without their families; families left
-out of that in turn, 79 % are inside.  What is expected of the pair alone is of draws, and of no use."""
+and places.  Means of logarithms over 302 pairs of the same videos, the database without their families; families left
+out of that in turn, 73 % are inside, and 83 % of 112 pairs of the built-in duets, which nothing was fitted to.  What is
+expected of the pair alone is of draws: with it the score of intervals falls (findings)."""
 
 
 class ExpectedError(NamedTuple):

@@ -33,7 +33,7 @@ from tasks.projections import Pitches, ProjectionsParameters, read_database, rea
 from tasks.reconstruction import SequenceShard, read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes, stream
 
-LIFTING = StageName("lifting", 11)
+LIFTING = StageName("lifting", 12)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15

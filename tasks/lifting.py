@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -43,7 +43,7 @@ from tasks.stage import (
     stream,
 )
 
-LIFTING = StageName("lifting", 11)
+LIFTING = StageName("lifting", 12)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -250,18 +250,23 @@ def _filmed_pairs(
     return FilmedPairs.of_draws(_indexed_draws(store, draws)[0].pairs_m, pitches)
 
 
+class _Together(NamedTuple):
+    """Two people (2, 14, 3) lifted with others of their camera; what is expected to err; whether draws were used."""
+
+    people_m: np.ndarray
+    expected_m: float
+    is_of_draws: bool
+
+
 def _over_time(
     shard: Shard, store: Store, places: Sequence[Place], wanted: set[Place], pitches_deg: Pitches
-) -> dict[Place, tuple[np.ndarray, float]]:
-    """Return both people (2, 14, 3) at the wanted ones of these places of videos, from them and some between.
-
-    Beside them stands what error is expected of them.
-    """
+) -> dict[Place, _Together]:
+    """Return both people at the wanted ones of these places of videos, from them and some between."""
     stated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
     couples: dict[Place, list[Place]] = {}
     for place in places:
         couples.setdefault(place._replace(frame=0), []).append(place)
-    found: dict[Place, tuple[np.ndarray, float]] = {}
+    found: dict[Place, _Together] = {}
     for couple, own in couples.items():
         between = {own[at] for at in evenly_spread(len(own), _NUM_OVER_TIME)}
         chosen = sorted(between.union(wanted.intersection(own)))
@@ -274,15 +279,17 @@ def _over_time(
         if not {couple.person_id, couple.partner_id} <= set(tracks):
             continue
         both = [tracks[couple.person_id], tracks[couple.partner_id]]
+        filmed = _filmed_pairs(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)
         made = lift_over_time(
-            _filmed_pairs(store, shard.refs("projections"), shard.refs("draws"), pitches_deg),
+            filmed,
             both,
             np.array([place.frame for place in chosen]),
             statures_m=stated.statures_m,
             camera_height_m=stated.camera_height_m,
         )
         if made is not None:
-            found |= dict(zip(chosen, zip(made.positions_m, made.expected_m.tolist(), strict=True), strict=True))
+            for place, people_m, expected_m in zip(chosen, *made, strict=True):
+                found[place] = _Together(people_m, float(expected_m), filmed.is_of_draws)
     return found
 
 
@@ -291,7 +298,7 @@ def _lift(
     draws: DrawSet,
     index: DrawIndex,
     own: Sequence[int],
-    over_time: tuple[np.ndarray, float] | None = None,
+    over_time: _Together | None = None,
 ) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
     found = retrieve(index, one.image_m, one.directions)
@@ -314,9 +321,8 @@ def _lift(
     mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m
     expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     if over_time is not None:
-        people_m, together_m = over_time
-        expected = expected_over_time(expected, together_m)
-        fitted = as_pair17(people_m, fitted)
+        expected = expected_over_time(expected if over_time.is_of_draws else None, over_time.expected_m)
+        fitted = as_pair17(over_time.people_m, fitted)
         off = np.nanmean(np.where(one.is_seen[..., None], fitted[..., :2] - one.image_m, np.nan), axis=(0, 1))
         fitted = fitted - np.array([*off, fitted[..., 2].mean()])
         rows.append(_row(one, "over_time", fitted, **known))

@@ -46,17 +46,19 @@ class FilmedPairs:
     Args:
         op14_m: The pairs (row, person=2, 14, 3), metres, as many as count.
         searchers: One for each pitch.
+        is_of_draws: Whether they are draws and grown pairs, not people of takes.
     """
 
     op14_m: Array
     searchers: tuple[Searcher, ...]
+    is_of_draws: bool
 
     @classmethod
     def of_draws(cls, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedPairs:
         """Make draws and grown pairs (draw, person=2, 17, 3), metres, ready for cameras of these pitches."""
         op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64), PAIR17)
         poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m
-        return cls._of(op14, poses, pitches_rad)
+        return cls._of(op14, poses, pitches_rad, is_of_draws=True)
 
     @classmethod
     def of_database(
@@ -64,14 +66,18 @@ class FilmedPairs:
     ) -> FilmedPairs:
         """Make the poses of a database and its pairs (row, person=2, 14, 3) ready for cameras of these pitches."""
         pairs = pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64)
-        return cls._of(pairs, database.poses_m[evenly_spread(database.num_rows, 2 * _MAX_PAIRS)], pitches_rad)
+        poses = database.poses_m[evenly_spread(database.num_rows, 2 * _MAX_PAIRS)]
+        return cls._of(pairs, poses, pitches_rad, is_of_draws=False)
 
     @classmethod
-    def _of(cls, op14_m: Array, poses_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> FilmedPairs:
+    def _of(
+        cls, op14_m: Array, poses_m: npt.NDArray[np.floating], pitches_rad: Sequence[float], *, is_of_draws: bool
+    ) -> FilmedPairs:
         # Annotated frames are too far apart to follow motion by the frame.
         poses, starts = poses_m.astype(np.float32), np.ones(len(poses_m), dtype=bool)
         cameras = [DatabaseCamera(pitch) for pitch in pitches_rad]
-        return cls(op14_m, tuple(Searcher.of(Database(poses, starts, camera=camera)) for camera in cameras))
+        searchers = tuple(Searcher.of(Database(poses, starts, camera=camera)) for camera in cameras)
+        return cls(op14_m, searchers, is_of_draws)
 
 
 class LiftedFrames(NamedTuple):

@@ -13,6 +13,9 @@ from pasdedeux.evaluation.lifting import lifted_errors
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.pairs import centre_pairs
+from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedPairs, as_pair17, lift_over_time
 from pasdedeux.reconstruction.tracks import Lens, Track
@@ -30,7 +33,7 @@ def pairs_of(name: str, **style: object) -> tuple[np.ndarray, np.ndarray]:
 
 def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     truth, op14 = pairs_of("waltz", duration_s=6.0)
-    draws, _ = pairs_of("waltz", duration_s=6.0, heights_m=(1.6, 1.9))
+    draws, known = pairs_of("waltz", duration_s=6.0, heights_m=(1.6, 1.9))
     camera = look_at_camera(truth.mean(axis=(0, 1, 2)), distance_m=4.5, yaw_rad=0.5, pitch_rad=0.2, focal_px=1300.0)
     px = camera.project(op14).px + np.random.default_rng(0).normal(0.0, 3.0, (*op14.shape[:3], 2))
     lens = Lens.assumed(1920, 1080, px)
@@ -46,6 +49,18 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     assert errors["lifted_pair_error"].mean() < 0.12
     assert errors["person_distance_error"].mean() < 0.08
     assert 0.5 < errors["lifted_pair_error"].mean() / found.expected_m.mean() < 2.0
+    # So do takes of a projection database.
+    poses = centre_and_face(retarget_proportions(known.reshape(-1, 14, 3))).poses_m.astype(np.float32)
+    database = Database(poses, np.ones(len(poses), dtype=bool))
+    of_takes = FilmedPairs.of_database(database, centre_pairs(known), np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    assert not of_takes.is_of_draws
+    placed = lift_over_time(of_takes, tracks, frames)
+    assert placed is not None
+    between, true_between = (
+        one[:, 1] - one[:, 0]
+        for one in map(mid_hip, (placed.positions_m, op14[frames] @ camera.camera_from_world_rotmat.T))
+    )
+    assert np.linalg.norm(between - true_between, axis=-1).mean() < 0.12
     assert lift_over_time(filmed, tracks, frames[: MIN_FRAMES - 1]) is None
     # A stature is that of the person, whatever number the sequence has for them.
     tracks = [replace(track, person_id=track.person_id + 5) for track in tracks]

@@ -12,7 +12,7 @@ from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.baselines import lift_by_ik, resolve_penetration, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.expected_error import expected_error
+from pasdedeux.completion.expected_error import expected_error, expected_over_time
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_by_interaction, nearest_rigid
@@ -240,3 +240,9 @@ def test_an_expected_error_is_a_length_and_knows_no_place(scale: float, seed: in
 def test_an_error_is_to_be_expected_also_of_draws_that_fit_and_nothing_seen_tells_none() -> None:
     assert 0.02 < expected_error(PAIRS[0, ..., :2], PAIRS[0], PAIRS[0], has_own_draw=False).value_m < 0.1
     assert np.isnan(expected_error(np.full((2, 17, 2), np.nan), PAIRS[0], PAIRS[1], has_own_draw=False).value_m)
+
+
+def test_the_error_of_pairs_lifted_by_takes_follows_that_of_the_scene_and_no_draw() -> None:
+    near, far = (expected_over_time(None, together_m) for together_m in (0.05, 0.2))
+    assert far.value_m == pytest.approx(4.0 * near.value_m)
+    assert far.low_m < far.value_m < far.high_m

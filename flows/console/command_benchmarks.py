@@ -11,47 +11,75 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from flows.console.stores import describe_store
 from flows.machine import usable_cores
+from pasdedeux.benchmarks import scale
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, Rate, measure
+from pasdedeux.benchmarks.scale import growth
 from storage_schema import ArtifactRef, ShardRecord, Store, record_latest
 from storage_schema.manifest import MANIFEST_NAME
 from storage_schema.store import ArtifactFields
 
 _NUM_ARTIFACTS = 2_000
+_NUMS_TAKES = (1, 10, 100)
+_STAGES = ("ingest", "augmentation", "projections")
+_TAKES = """
+[study]
+name = "takes"
+
+[ingest]
+duets = [{{ name = "waltz", count = {count}, duration_s = 2 }}]
+
+[augmentation]
+persons = ["A"]
+kinds = ["uniform"]
+
+[projections]
+include_draws = false
+"""
 
 
 class CommandFailedError(Exception):
     """A command that is measured failed; the message is one sentence, with what the command said last."""
 
 
-def _run_s(workers: int) -> tuple[float, float]:
-    """Return what `pasdedeux run duets` takes into a new store by the clock, and of processor time, seconds.
+class _Spent(NamedTuple):
+    """What a run took: seconds by the clock and of processor time; memory of its largest process, and of its store."""
+
+    clock_s: float
+    processor_s: float
+    memory_mb: float
+    written_mb: float
+
+
+def _run(workers: int, study: str = "duets", *arguments: str) -> _Spent:
+    """Return what `pasdedeux run` takes into a new store.
 
     Raises:
         CommandFailedError: It ended with another exit code than 0.
     """
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "flows.console", "run", "duets", "--store", folder, "--workers", str(workers)]
+        words = ["run", study, *arguments, "--workers", str(workers)]
+        command = [sys.executable, "-m", "flows.console", *words, "--store", folder, "--json"]
         before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             said = next(reversed(done.stderr.strip().splitlines()), f"exit code {done.returncode}")
-            raise CommandFailedError(
-                f"`pasdedeux run duets --workers {workers}` failed: {said.removeprefix('error: ')}"
-            )
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        return time.perf_counter() - started, spent
+            raise CommandFailedError(f"`pasdedeux {' '.join(words)}` failed: {said.removeprefix('error: ')}")
+        clock_s, after = time.perf_counter() - started, resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        written = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+        return _Spent(clock_s, spent_s, json.loads(done.stdout)["peak_memory_bytes"] / 1e6, written / 1e6)
 
 
 def _demo() -> BenchmarkResult:
     """Measure the study of the demo by the clock; the first run, which may compile, is said and not compared."""
     cores = usable_cores()
-    first_s, first_spent_s = _run_s(cores)
-    many_s, spent_s = _run_s(cores)
-    one_s, _ = _run_s(1)
+    first_s, first_spent_s, *_ = _run(cores)
+    many_s, spent_s, *_ = _run(cores)
+    one_s = _run(1).clock_s
     return BenchmarkResult(
         "demo, `pasdedeux run duets` into an empty store",
         "runs",
@@ -97,4 +125,18 @@ def _status() -> BenchmarkResult:
         )
 
 
+def _takes() -> BenchmarkResult:
+    """Measure three stages on ever more takes of 2 s, built in with other bodies, speeds and forms, in one process."""
+    found = []
+    for count in _NUMS_TAKES:
+        with tempfile.TemporaryDirectory() as folder:
+            study = Path(folder) / "takes.toml"
+            study.write_text(_TAKES.format(count=count), encoding="utf-8")
+            found.append(_run(0, str(study), *(word for name in _STAGES for word in ("--only", name))))
+    memory, written = [one.memory_mb for one in found], [one.written_mb for one in found]
+    megabytes = {"memory": memory, "written": written}
+    return growth(", ".join(_STAGES), "takes", _NUMS_TAKES, [one.processor_s for one in found], megabytes)
+
+
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {"status": _status, "demo": _demo}
+FULL_BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {**scale.FULL_BENCHMARKS, "takes": _takes}

@@ -27,8 +27,8 @@ from tasks.shards import ClusterError, ClusterSettings, connect, worker_environm
 
 _MIN_MEMORY_BYTES = 2 * GIB
 _MIN_DISK_BYTES = GIB
-_COMMANDS = "commands"
-"""Benchmarks of whole commands: they run for minutes, so only where they are named."""
+_COMMANDS, _FULL_SCALE = "commands", "full-scale"
+"""Benchmarks of whole commands, and of growth to full sizes: they run for minutes, so only where they are named."""
 
 
 class _BadError(Exception):
@@ -106,7 +106,8 @@ def _check_dask() -> str:
 @app.command()
 def bench(
     stage: Annotated[
-        str | None, Argument(metavar="[STAGE]", help="One stage, or commands; default: all stages.")
+        str | None,
+        Argument(metavar="[STAGE]", help="One stage, scale, full-scale or commands; default: all stages, scale."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -115,6 +116,8 @@ def bench(
     \b
       pasdedeux bench              kernels of all stages
       pasdedeux bench chains       of one stage
+      pasdedeux bench scale        how cost grows with size
+      pasdedeux bench full-scale   the same to 10,000,000 projections, 1,000,000 annotations, 100 takes: only when named
       pasdedeux bench commands     `status`, and the demo, which is built three times: only when named
     """
     os.environ.update(worker_environment())
@@ -122,7 +125,7 @@ def bench(
     if stage is not None and stage not in found:
         raise PlanError(f"there are no benchmarks for '{stage}'; there are for: {', '.join(found)}")
     results: list[tuple[str, BenchmarkResult]] = []
-    for name in [one for one in found if one != _COMMANDS] if stage is None else [stage]:
+    for name in [one for one in found if one not in (_COMMANDS, _FULL_SCALE)] if stage is None else [stage]:
         for label, function in found[name].items():
             typer.echo(f"measuring {name}: {label}", err=True)
             results.append((name, function()))
@@ -139,8 +142,9 @@ def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
     """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands."""
     names = [module.name for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__)]
     modules = {name: importlib.import_module(f"pasdedeux.benchmarks.{name}") for name in names}
-    modules[_COMMANDS] = importlib.import_module("flows.console.command_benchmarks")
-    return {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}
+    found = {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}
+    commands = importlib.import_module("flows.console.command_benchmarks")
+    return {**found, _FULL_SCALE: commands.FULL_BENCHMARKS, _COMMANDS: commands.BENCHMARKS}
 
 
 def _rate(value: float) -> str:

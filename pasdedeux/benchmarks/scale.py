@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -27,6 +27,8 @@ from pasdedeux.sampling.densities.interaction import InteractionLikelihood
 Work = Callable[[], object]
 
 _NUM_QUERIES = 200
+_BATCH = 32
+"""Variants that are solved at once, as the stage does."""
 
 
 def grown(
@@ -52,17 +54,35 @@ def grown(
         work()
         peaks.append(tracemalloc.get_traced_memory()[1] / 1e6)
         tracemalloc.stop()
-    exponents = [np.polyfit(np.log(sizes), np.log(values), 1)[0] for values in (spent_s, peaks)]
-    shown = ", ".join(
-        f"{size:,}: {seconds:.2g} s and {peak:.0f} MB"
-        for size, seconds, peak in zip(sizes, spent_s, peaks, strict=True)
+    return growth(name, unit, sizes, spent_s, {"memory": peaks}, count=count)
+
+
+def growth(
+    name: str,
+    unit: str,
+    sizes: Sequence[int],
+    spent_s: Sequence[float],
+    megabytes: Mapping[str, Sequence[float]],
+    *,
+    count: int = 0,
+) -> BenchmarkResult:
+    """Return what work took at several sizes, and the exponents; takes what `grown` takes, megabytes by what they are.
+
+    A megabyte is added to each before the exponent is fitted: what is nothing beside the process does not grow.
+    """
+    shown = (
+        f"{size:,}: {spent_s[at]:.2g} s"
+        + "".join(f", {values[at]:.1f} MB {what}" for what, values in megabytes.items())
+        for at, size in enumerate(sizes)
     )
+    grew = {"time": list(spent_s)} | {what: [value + 1.0 for value in values] for what, values in megabytes.items()}
+    exponents = (f"{what} {np.polyfit(np.log(sizes), np.log(values), 1)[0]:.2f}" for what, values in grew.items())
     return BenchmarkResult(
         name,
         unit,
         *Rate(f"{sizes[-1]:,}", (count or sizes[-1]) / spent_s[-1]),
         *Rate(f"{sizes[0]:,}", (count or sizes[0]) / spent_s[0]),
-        f"{shown}; exponents: time {exponents[0]:.2f}, memory {exponents[1]:.2f}",
+        f"{'; '.join(shown)}; exponents: {', '.join(exponents)}",
     )
 
 
@@ -100,16 +120,30 @@ def _variants(num_variants: int) -> Work:
     duet = make_duet("waltz", duration_s=2.0, rate_hz=30.0)
     problem = build_problem(Source(duet.positions_m(), 30.0, "waltz"))
     solver, scales = BulkSolver(problem), np.linspace(0.75, 1.25, num_variants).tolist()
-    targets = build_targets(problem, np.stack([one.bone_scale for one in uniform_variations(scales)]))
-    return lambda: solver.solve(targets)
+    bodies = np.stack([one.bone_scale for one in uniform_variations(scales)])
+
+    def solve() -> None:
+        for start in range(0, num_variants, _BATCH):
+            solver.solve(build_targets(problem, bodies[start : start + _BATCH]))
+
+    return solve
 
 
-BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
-    "database": partial(grown, "index of a database", "projections", (20_000, 200_000, 2_000_000), _index),
-    "query": partial(grown, "query of a database", "queries", (20_000, 200_000, 2_000_000), _query, count=_NUM_QUERIES),
-    "annotations": partial(
-        grown, "likelihood among annotations", "evaluations", (500, 4_000, 32_000), _likelihood, count=_NUM_QUERIES
-    ),
-    "coverage": partial(grown, "coverage of 100 pairs", "draws", (500, 2_000, 8_000), _coverage),
-    "variants": partial(grown, "variants of a take of 2 s", "variants", (16, 64, 256), _variants),
-}
+def _benchmarks(*, is_full: bool) -> dict[str, Callable[[], BenchmarkResult]]:
+    """Return the benchmarks of growth, to sizes that take a minute or, in full, many."""
+    projections = (100_000, 1_000_000, 10_000_000) if is_full else (20_000, 200_000, 2_000_000)
+    annotations = (1_000, 32_000, 1_000_000) if is_full else (500, 4_000, 32_000)
+    draws = (1_000, 10_000, 100_000) if is_full else (500, 2_000, 8_000)
+    variants = (100, 1_000, 10_000) if is_full else (16, 64, 256)
+    likelihoods = "likelihood among annotations", "evaluations", annotations, _likelihood
+    return {
+        "database": partial(grown, "index of a database", "projections", projections, _index),
+        "query": partial(grown, "query of a database", "queries", projections, _query, count=_NUM_QUERIES),
+        "annotations": partial(grown, *likelihoods, count=_NUM_QUERIES),
+        "coverage": partial(grown, "coverage of 100 pairs", "draws", draws, _coverage),
+        "variants": partial(grown, "variants of a take of 2 s", "variants", variants, _variants),
+    }
+
+
+BENCHMARKS = _benchmarks(is_full=False)
+FULL_BENCHMARKS = _benchmarks(is_full=True)

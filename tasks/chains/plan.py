@@ -74,6 +74,8 @@ def _plan_seed(
         proposal = next(iter(PROPOSALS.values()))
     partition, num_segments = f"{name}-seed{index}", -(-own.num_draws // own.segment_draws)
     segments: list[Shard] = []
+    run, target = own.part(RunSettings), own.part(TargetSettings)
+    annotations = own.part(AnnotationSettings) if density.reads_annotations else None
     for chain in range(own.num_chains):
         previous: tuple[str, ...] = ()
         for segment in range(num_segments):
@@ -87,9 +89,9 @@ def _plan_seed(
                     seed_index=index,
                     chain=chain,
                     segment=segment,
-                    run=own.part(RunSettings),
-                    target=own.part(TargetSettings),
-                    annotations=own.part(AnnotationSettings) if density.reads_annotations else None,
+                    run=run,
+                    target=target,
+                    annotations=annotations,
                     proposal=proposal.name,
                 ),
                 read,

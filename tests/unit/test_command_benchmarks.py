@@ -11,13 +11,16 @@ import pytest
 from flows.console import command_benchmarks, this_machine
 from flows.console.app import run_command_line
 from flows.console.this_machine import find_benchmarks
+from flows.study import load_study
 from pasdedeux.benchmarks.benchmark import BenchmarkResult
 from pasdedeux.benchmarks.scale import grown
+from tasks.graph import load_graph
 
 
 def test_commands_and_scale_have_benchmarks_beside_the_stages() -> None:
     found = find_benchmarks()
     assert list(found["commands"]) == ["status", "demo"]
+    assert set(found["full-scale"]) == {*found["scale"], "takes"}
     assert {"chains", "projections", "scale"} <= set(found)
 
 
@@ -37,7 +40,7 @@ def test_whole_commands_are_measured_only_where_they_are_named(
         measured.append(name)
         return BenchmarkResult(name, "runs", "fast", 2.0, "plain", 1.0)
 
-    names = ("chains", "commands")
+    names = ("chains", "full-scale", "commands")
     monkeypatch.setattr(this_machine, "find_benchmarks", lambda: {n: {n: partial(counted, n)} for n in names})
     assert run_command_line(["bench"]) == run_command_line(["bench", "commands"]) == 0
     assert measured == ["chains", "commands"]
@@ -54,6 +57,19 @@ def test_a_demo_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch, caps
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("error: `pasdedeux run duets --workers ")
     assert last.endswith(" failed: no space is left")
+
+
+def test_stages_are_measured_on_ever_more_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def spend(_: int, study: str, *only: str) -> command_benchmarks._Spent:
+        (family,) = load_study(study, load_graph())[0].parameters["ingest"].duets
+        assert only == ("--only", "ingest", "--only", "augmentation", "--only", "projections")
+        return command_benchmarks._Spent(1.0, family.count**2.0, 400.0 * family.count, 2.0 * family.count - 1.0)
+
+    monkeypatch.setattr(command_benchmarks, "_run", spend)
+    assert command_benchmarks.FULL_BENCHMARKS["takes"]().note == (
+        "1: 1 s, 400.0 MB memory, 1.0 MB written; 10: 1e+02 s, 4000.0 MB memory, 19.0 MB written; "
+        "100: 1e+04 s, 40000.0 MB memory, 199.0 MB written; exponents: time 2.00, memory 1.00, written 1.00"
+    )
 
 
 def test_growth_is_measured_as_an_exponent() -> None:

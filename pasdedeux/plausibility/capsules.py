@@ -132,13 +132,15 @@ def _distance(u: Any, v: Any, gap: Any) -> float:
 
 
 @inner_kernel()
-def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child_b: int, reach: float) -> float:
-    """Return the penetration depth of two capsules whose radii sum to `reach`; 0 when they are apart."""
+def _depth(
+    a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child_b: int, reach: float, halves: float
+) -> float:
+    """Return the penetration depth of two capsules whose radii sum to `reach`, half their bones to `halves`, or 0."""
     start_a, start_b = row_of(a, parent_a), row_of(b, parent_b)
     u, v, gap = subtract(row_of(a, child_a), start_a), subtract(row_of(b, child_b), start_b), subtract(start_a, start_b)
     # Balls round the two bones: far apart is decided without a division.
     middle = mix(1.0, gap, 0.5, subtract(u, v))
-    far = reach + 0.5 * (math.sqrt(dot(u, u)) + math.sqrt(dot(v, v)))
+    far = reach + halves
     if dot(middle, middle) >= far * far:
         return 0.0
     return max(reach - _distance(u, v, gap), 0.0)
@@ -158,13 +160,19 @@ def pair_penetration(
         between: `CapsuleModel.between`, (pair, 2).
         out: The sums within person A, within B, ... and, last, between people are written here, (P + 1,).
     """
-    count = people.shape[0]
+    count, half = people.shape[0], np.zeros(radii.shape)
+    for person in range(count):
+        for joint in range(parents.shape[0]):
+            if parents[joint] >= 0:
+                bone = subtract(row_of(people[person], joint), row_of(people[person], parents[joint]))
+                half[person, joint] = 0.5 * math.sqrt(dot(bone, bone))
     for person in range(count):
         total = 0.0
-        points, radius = people[person], radii[person]
+        points, radius, size = people[person], radii[person], half[person]
         for row in range(within.shape[0]):
             one, other = within[row, 0], within[row, 1]
-            total += _depth(points, parents[one], one, points, parents[other], other, radius[one] + radius[other])
+            reach, halves = radius[one] + radius[other], size[one] + size[other]
+            total += _depth(points, parents[one], one, points, parents[other], other, reach, halves)
         out[person] = total
     total = 0.0
     for a in range(count):
@@ -172,7 +180,8 @@ def pair_penetration(
             for row in range(between.shape[0]):
                 one, other = between[row, 0], between[row, 1]
                 reach = radii[a, one] + radii[b, other]
-                total += _depth(people[a], parents[one], one, people[b], parents[other], other, reach)
+                halves = half[a, one] + half[b, other]
+                total += _depth(people[a], parents[one], one, people[b], parents[other], other, reach, halves)
     out[count] = total
     everything = 0.0
     for part in range(count + 1):

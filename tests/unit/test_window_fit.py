@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pasdedeux.fitting.levenberg import FitSettings
-from pasdedeux.fitting.observed_pose import image_noise
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings, fit_bones
+from pasdedeux.fitting.observed_pose import BoneVectorTerm, image_noise, image_term
+from pasdedeux.fitting.terms import AccelerationTerm
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.depth import bone_vectors
 from pasdedeux.reconstruction.live import window_fit
 from pasdedeux.reconstruction.live.window_fit import TRUST_PER_MISFIT, LiveFrame, WindowFit
+from pasdedeux.reconstruction.live.window_kernels import fit_window
 from pasdedeux.reconstruction.reconstruct import bone_deviation_m
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import walk
@@ -124,6 +127,31 @@ def test_windows_have_the_least_energy_of_a_plain_fit_behind_poses_that_stay(
         given = np.concatenate([given, placed[:1]])
         off = np.where(confidence[due:] > 0, np.linalg.norm(plain[..., :2] - image[due:], axis=-1), 0.0)
         robust = (1.0 / (1.0 + (off / (3.0 * noise)) ** 2))[1:]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 7])
+def test_steps_of_a_window_are_those_of_the_fit_of_whole_tracks(rng: np.random.Generator, frames: int) -> None:
+    truth, candidates, _ = seen_walk(rng, frames)
+    image, weights = truth[..., :2] + rng.normal(0, 0.03, (frames, 14, 2)), rng.uniform(0.2, 1.0, (frames, 14))
+    bones, start = bone_vectors(candidates[:, 0]), candidates[:, 1]
+    noise, firmness, smoothness = (
+        np.full(14, 0.03),
+        rng.uniform(10.0, 100.0, frames),
+        np.full(max(frames - 2, 0), 500.0),
+    )
+    forest, far = BoneForest((OP14,), REFERENCE_LENGTHS_M), np.full(frames, 1e9)
+    terms = [
+        image_term(image, weights / noise**2, start, far),
+        AccelerationTerm(smoothness[:, None, None]),
+        BoneVectorTerm(OP14, bones, firmness[:, None, None]),
+    ]
+    is_kept, held = np.zeros(frames, dtype=bool), np.zeros((0, 14, 3))
+    for steps in (1, 3):
+        whole = fit_bones(forest, forest.state_of(start), terms, FitSettings(steps, 0.0)).positions_m
+        guess = (held, start, image, far, weights, noise, is_kept, bones, firmness, smoothness)
+        found = fit_window(*guess, REFERENCE_LENGTHS_M, steps, 0.0)
+        assert np.abs(found - start).max() > 0.05
+        np.testing.assert_allclose(found, whole, atol=1e-8)
 
 
 def test_fitted_poses_are_nearer_than_the_matches_and_keep_their_lengths(rng: np.random.Generator) -> None:

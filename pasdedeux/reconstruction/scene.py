@@ -91,6 +91,8 @@ _PAIR_S = 0.5
 """As `_LOOK_S`, for what pairs say."""
 _CARRIED_COST, _HELD_SHARE = 14.0, 0.5
 """Somebody is taken to be carried if that lowers the cost by more; tried of who is held in a larger share of frames."""
+_OTHER_SIDE_COST = 2.0
+"""The floor is on the other side of the camera than the first pitch says if that lowers the cost by more."""
 _TOUCH_DEVIATION_M = 0.08
 """Deviation of the gap of two people who touch."""
 _TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.05, 3.0, 0.1
@@ -206,10 +208,8 @@ class _Problem:
         self.bearing = np.array(self.radii)
         self.bearing[:, _ANKLES] = _ANKLE_HEIGHT * self.stature[:, None]
         self.still = [self._still(one) for one in people]
-        # A camera that looks up from before a stage is below the floor.
-        feet = [one.positions_m[:, _ANKLES] @ _up(pitch.pitch_rad) for one in people]
-        is_below = camera_height_m is None and np.median(np.concatenate([one.min(axis=1) for one in feet])) > 0
-        self.side = -1.0 if is_below else 1.0
+        # The floor is below the camera, or above it (-1.0), as before a stage: `estimate_scene` tries what may be.
+        self.side = 1.0
         start = np.zeros(self.starts[-1])
         start[_PITCH], start[_HEIGHT] = pitch.pitch_rad, self.log_height
         for number in (at for at, one in enumerate(stated) if one is not None):
@@ -334,6 +334,13 @@ class _Problem:
         touch, slopes = gaps(rows, bones, _TOUCH_DEVIATION_M)
         touch, slopes = np.maximum(touch, 0.0), slopes * (touch > 0.0)[:, None]
         return [*terms, Term(touch, stencil[rows], slopes, is_robust=True, weight=alike)]
+
+    def sides(self) -> list[float]:
+        """Return where the floor may be: where feet are by the pitch, then by a pitch that is one deviation off."""
+        feet = np.concatenate([one.positions_m[:, _ANKLES] for one in self.people])
+        pitches = self.pitch.pitch_rad + self.pitch.deviation_rad * np.array([0.0, -1.0, 1.0])
+        is_above = [np.median((feet @ _up(pitch)).min(axis=1)) > 0 for pitch in pitches]
+        return list(dict.fromkeys(-1.0 if one else 1.0 for one in is_above))
 
     def height_m(self, x: Array) -> float:
         """Return the height of the camera over the floor, below 0 of one that is under it."""
@@ -485,7 +492,12 @@ def estimate_scene(
     if camera_height_m is not None:
         check_positive(camera_height_m, "the height of the camera")
     problem = _Problem(people, pitch, pairs, statures_m or {}, camera_height_m)
-    solution = solve(problem, robust=_ROBUST)
+    sides = problem.sides() if camera_height_m is None else [problem.side]
+    solutions = []
+    for problem.side in sides:
+        solutions.append(solve(problem, robust=_ROBUST))
+    number = len(sides) - 1 if solutions[-1].cost + _OTHER_SIDE_COST < solutions[0].cost else 0
+    problem.side, solution = sides[number], solutions[number]
     tried = []
     for carried in problem.may_carry():
         problem.carried = carried

@@ -13,6 +13,7 @@ from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
 from pasdedeux.reconstruction.otherwise import doubt_of_camera
 from pasdedeux.reconstruction.people import reconstruct_people
@@ -306,6 +307,28 @@ def test_a_camera_that_looks_up_from_below_the_floor_is_found_and_said(walkers: 
     stated = reconstruct_people(walkers[0].pitched(0.0), [track], [Method.FIT], pitch=pitch, camera_height_m=1.0)
     assert stated.scene is not None
     assert stated.scene.camera_height_m > 0.0
+
+
+def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_nearer_to_the_image(
+    walkers: tuple[Searcher, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = walk(96, seed=7)
+    right, wrong = (PitchEstimate(0, np.deg2rad(pitch_deg), np.deg2rad(15.0)) for pitch_deg in (20.0, 0.0))
+    camera = look_at_camera(
+        mid_hip(world).mean(axis=0), distance_m=4.0, yaw_rad=0.3, pitch_rad=right.pitch_rad, focal_px=1400.0
+    )
+    track = Track(camera.project(world).px, np.ones((96, 14)), 24.0, replace(LENS, is_known=True))
+    truth = (world - camera.position_m) @ camera.camera_from_world_rotmat.T
+
+    def error_m(pitch: PitchEstimate, least_rad: float) -> float:
+        monkeypatch.setattr(people, "_OTHER_PITCH_RAD", least_rad)
+        found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], [Method.FIT], pitch=pitch)
+        return float(root_centred_error_m(found.methods[-1].people[0].positions_m, truth).mean())
+
+    assert error_m(wrong, people._OTHER_PITCH_RAD) < 0.6 * error_m(wrong, np.inf)
+    once = error_m(right, np.inf)
+    monkeypatch.setattr(people, "_PITCHES_RAD", (0.0, 0.01))
+    assert error_m(right, 0.1) == once, "0.01 is farther from the image"
 
 
 def test_a_camera_as_hardly_any_is_is_a_doubt_where_it_was_not_stated() -> None:

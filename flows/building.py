@@ -66,7 +66,7 @@ class _StageWork:
 
     Args:
         plan: The plan made beforehand; when all that it reads is there, what the stage consists of (`is_planned`).
-        urgency: Stages, one after the other, that wait for it.
+        urgency: Its place among the stages, the least urgent is 0.
         early: Its early plans, each with the number of artifacts of the run that it has seen.
         partitions: Numbers of its partitions.
         tasks: Tasks that can still get shards or have some left, by number.
@@ -124,7 +124,7 @@ class Build:
 
     def __init__(self, run: Run, run_id: str, plan: Plan, pool: Pool, start_task: StartTask) -> None:
         self._run, self._run_id, self._pool, self._start_task = run, run_id, pool, start_task
-        urgency = stages_behind(run.graph)
+        urgency = {name: place for place, name in enumerate(by_urgency(run.graph))}
         self._work: dict[str, _StageWork] = {}
         for first in plan.stages:
             name, made = first.stage.name, None if first.is_selected else first.manifests
@@ -349,6 +349,15 @@ class Build:
                     for name, one in errors.items()
                 ]
             )
+
+
+def by_urgency(graph: Graph) -> list[str]:
+    """Return the stages, the least urgent first.
+
+    Of two that as many wait for one is done before the other: shards of a stage share what they make ready.
+    """
+    behind = stages_behind(graph)  # the last stage first
+    return sorted(behind, key=behind.__getitem__)
 
 
 def stages_behind(graph: Graph) -> dict[str, int]:

@@ -107,10 +107,11 @@ def new_figure(width: float, height: float, *, columns: int = 1, has_common_axes
 def figure_svg(figure: Figure, *, title: str = "") -> bytes:
     """Lay out a figure, with a title over all of it, and render it to SVG bytes that depend on the picture alone."""
     from matplotlib import rc_context
+    from matplotlib.layout_engine import TightLayoutEngine
 
     if title:
         figure.suptitle(title, fontsize=9)
-    figure.tight_layout()
+    TightLayoutEngine().execute(figure)  # of a figure that has an engine, saving draws all of it once more
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "pasdedeux", "svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", dpi=_DOTS_PER_INCH, metadata={"Date": None, "Creator": None})
@@ -143,7 +144,7 @@ def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_l
     for axis, panel in zip(axes, panels, strict=False):
         if is_log:
             axis.set_xscale("log")
-            axis.xaxis.set_major_formatter("{x:,g}")  # powers of ten are formulas to lay out
+            axis.xaxis.set_major_formatter("{x:,.0f}")  # powers of ten are formulas to lay out
         _draw_panel(axis, panel, x_label)
         axis.minorticks_off()  # over less than a decade their names would overlap
     if panels and panels[0].curves:

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.building import stages_behind
+from flows.building import by_urgency, stages_behind
 from flows.console.display import LineListener, progress_text
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
@@ -238,6 +238,7 @@ def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tm
     assert began[:2] == ["grow t0 s0", "aside aside all"]
     assert began.index("bend t0 s0") < began.index("grow t0 s2"), "of a stage that cannot be planned yet"
     assert stages_behind(TOYS) == {"aside": 1, "judge": 1, "bend": 2, "grow": 3}
+    assert by_urgency(TOYS) == [*sorted(("aside", "judge"), key=TOYS.names.index, reverse=True), "bend", "grow"]
 
 
 @pytest.mark.parametrize("max_tasks", [200, 2])

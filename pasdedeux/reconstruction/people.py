@@ -225,7 +225,7 @@ def _reconstruct_people(
         scene,
         tuple(doubts),
         otherwise,
-        not doubts and not statures_m.keys().isdisjoint(names),
+        not doubts and not statures_m.keys().isdisjoint(track.person_id for track in tracks),
     )
 
 

@@ -16,7 +16,7 @@ from tasks.draw_sets import GROWN
 from tasks.facts import SeedFacts
 from tasks.stage import Shard, StageInputs, StageName
 
-CHAINS = StageName("chains", 16)
+CHAINS = StageName("chains", 17)
 
 Inputs = dict[str, Sequence[Manifest]]
 

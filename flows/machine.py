@@ -82,11 +82,14 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
 
 def why_few(settings: ClusterSettings) -> str:
     """Say why there are fewer local workers than cores, if it is for lack of memory; empty where it is not."""
-    reach = memory_bytes() // settings.memory_bytes
-    if not max(1, reach) == settings.num_workers < usable_cores():
+    try:
+        total = memory_bytes()
+    except (OSError, ValueError):
+        return ""
+    if not max(1, total // settings.memory_bytes) == settings.num_workers < usable_cores():
         return ""
     needed = f"{settings.memory_bytes / GIB:g} GB for each worker (--worker-memory)"
-    return f", for lack of memory: there are {memory_bytes() / GIB:.1f} GB, and {needed}"
+    return f", for lack of memory: there are {total / GIB:.1f} GB, and {needed}"
 
 
 def cluster_settings(

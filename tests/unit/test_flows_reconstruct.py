@@ -430,7 +430,7 @@ def test_a_study_makes_of_the_same_files_what_the_command_makes(
     source = {"id": video.name, "path": video, "image_size_px": [1920, 1080], "statures_m": [[0, 1.75], [3, 1.6]]}
     read = ingest.STAGE.plan(StageInputs({}, seed=5), ingest.IngestParameters.model_validate({"annotations": [source]}))
     seen = [store.manifest(ingest.STAGE.run_shard(shard, store)) for shard in read]
-    of_nobody = "a stature is stated for person 3, who is in no sequence; people: 0, 1"
+    of_nobody = "a stature is stated for person 3, who is not there; people: 0, 1"
     assert output.err.count(of_nobody) == 1, "once, not for each person or sequence"
     assert of_nobody in judged(seen[0]).reason
     tables = {"annotations": seen, "projections": list(store.artifacts("projections"))}

@@ -29,7 +29,7 @@ from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws,
 from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
-from tasks.reconstruction import SequenceShard, read_tracks
+from tasks.reconstruction import MAX_PAIRS, SequenceShard, read_tracks
 from tasks.stage import (
     Parameters,
     Shard,
@@ -116,10 +116,12 @@ def _shard(
     if parameters.baselines:
         bases = [one for one in inputs.of("torso_basis") if not shares_takes(annotated, one)]
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
-    database = [part for part in inputs.of("projections") if not shares_takes(annotated, part)]
+    parts = [(part, ProjectionFacts.of(part)) for part in inputs.of("projections")]
     if SequenceFacts.of(annotated).purpose in _VIDEO:
-        read["projections"] = database
-    pitches = {pitch for part in database for pitch in ProjectionFacts.of(part).pitches_deg}
+        # Draws of a database are among those that are read anyway, and what they lift errs otherwise.
+        takes = [part for part, facts in parts if facts.origin == "take"]
+        read["projections"] = [part for part in takes if not shares_takes(annotated, part)]
+    pitches = {pitch for _, facts in parts for pitch in facts.pitches_deg}
     cameras = {"pitches_deg": tuple(sorted(pitches))} if pitches else {}
     own = parameters.part(LiftingShard, **cameras)
     return LIFTING.shard(inputs, annotated.partition, annotated.name, own, read)
@@ -159,7 +161,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         is_held_out=annotated.is_held_out,
         num_draws=len(draws.pairs_m),
         num_lifted=len(wanted),
-        learned_takes=merge_takes(*(store.manifest(ref) for ref in shard.refs("draws"))),
+        learned_takes=merge_takes(*map(store.manifest, (*shard.refs("draws"), *shard.refs("projections")))),
         takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
         skipped=(skipped,) if num_skipped else (),
     )
@@ -240,12 +242,12 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
 def _filmed_pairs(
     store: Store, database: tuple[ArtifactRef, ...], draws: tuple[ArtifactRef, ...], pitches_deg: Pitches
 ) -> FilmedPairs:
-    """Return what cameras see that are tried, made ready once for all shards of a worker: the projection database.
+    """Return what cameras see that are tried, made ready once for all shards of a worker: takes of a database.
 
-    Draws and grown pairs are it where the database has no pairs.
+    Draws and grown pairs where these have no pairs.
     """
     pitches = np.deg2rad(pitches_deg).tolist()
-    if len(pairs_m := read_pairs(store, database)):
+    if len(pairs_m := read_pairs(store, database, max_pairs=MAX_PAIRS)):
         return FilmedPairs.of_database(read_database(store, database)[0], pairs_m, pitches)
     return FilmedPairs.of_draws(_indexed_draws(store, draws)[0].pairs_m, pitches)
 

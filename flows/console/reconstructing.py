@@ -138,6 +138,7 @@ def reconstruct_video(
         InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
             or nobody who can be reconstructed.
     """
+    named_m = dict(video.statures_m) | _statures(statures, [])
     videos = find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
     source, refs = _projections(database, store)
     databases, take_ids = _databases(source, refs, pitch_deg)
@@ -199,7 +200,7 @@ def reconstruct_video(
         listener.close()
     for reason in failed if num_made else failed[:-1]:
         typer.echo(f"skipped: {reason}", err=True)
-    if of_nobody := stated_of_nobody(dict(video.statures_m) | _statures(statures, []), known):
+    if of_nobody := stated_of_nobody(named_m, known):
         typer.echo(of_nobody, err=True)
     if not num_made:
         raise failed[-1]
@@ -251,15 +252,16 @@ def _write_sequence(
 
 
 def _shown(tracks_found: ReconstructedTracks, sequence_id: str) -> Picture:
-    """Show the people of a sequence beside the 2D poses that they were found in."""
+    """Show the people of a sequence upright, beside the 2D poses that they were found in."""
     made, scene = tracks_found.methods[-1], tracks_found.scene
+    upright = np.asarray(DatabaseCamera(tracks_found.pitch.pitch_rad).camera_from_upright_rotmat)
     lens_factor = 1.0 if scene is None else scene.lens_factor
     tracks = [one.track for one in made.people]
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
     found, seen_px, projected_px = (np.full((len(frames), len(tracks), 14, axes), np.nan) for axes in (3, 2, 2))
     for number, one in enumerate(made.people):
         at = np.searchsorted(frames, one.track.frames)
-        found[at, number], seen_px[at, number] = one.positions_m, one.track.keypoints_px
+        found[at, number], seen_px[at, number] = one.positions_m @ upright, one.track.keypoints_px
         lens, depth_m = one.track.lens, np.maximum(-one.positions_m[..., 2:], 1e-3)
         across = one.positions_m[..., :2] / depth_m * (1, -1)
         projected_px[at, number] = lens.principal_point_px + lens_factor * lens.focal_px * across

@@ -49,13 +49,16 @@ def seen_otherwise(searcher: Searcher, matched: Sequence[tuple[Track, Matches]])
 
 
 def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_given: bool) -> str:
-    """Return what tells that the camera of a scene is not where it was found, such as below the floor; or nothing."""
+    """Return what tells that the camera of a scene is not where it was found, such as just above the floor; or nothing.
+
+    One below the floor may be there, before a stage.
+    """
     is_odd = scene.lens_factor < _MIN_LENS and not is_lens_known
     if not is_odd and (not 0.0 <= scene.camera_height_m <= _MIN_HEIGHT_M or is_height_given):
         return ""
     return (
-        f"the camera would be {scene.camera_height_m:.2f} m above the floor, its focal length {scene.lens_factor:.2f} "
-        "of the assumed, as hardly any is: state its pitch, height or lens"
+        f"the camera would be {scene.height_in_words}, its focal length {scene.lens_factor:.2f} of the assumed, as "
+        "hardly any is: state its pitch, height or lens"
     )
 
 

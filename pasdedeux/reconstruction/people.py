@@ -75,7 +75,7 @@ class ReconstructedTracks:
         scene: Camera, sizes and root paths; None when only the baseline was asked for.
         doubts: What was stated that contradicts itself, and where the camera would be if that is below the floor.
         otherwise: What the image of somebody may show as well, by person id, see `otherwise`.
-        has_stature: Somebody's stature is stated, and nothing contradicts it.
+        has_stature: The stature of one of them is stated, and nothing contradicts it.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -106,6 +106,9 @@ def reconstruct_people(
     Camera, sizes and places of all are one estimate, see `scene`, from what the last method but the baseline made of
     the poses; `nearest`, the baseline, leaves everybody where their own size puts them.
 
+    Where the scene has a camera of quite another pitch than the poses were searched before, they are searched again
+    before that one, and what is nearer to the image counts.
+
     Args:
         searcher: Database made ready.
         tracks: Tracks of people whose identities are resolved.
@@ -117,9 +120,6 @@ def reconstruct_people(
         statures_m: Stature of people, by person id, where it is known; gives them their size, and the others with them.
         pitch: Estimate of the camera's pitch; that of the searcher counts as stated.
         on_step: Called when a track is matched, and when a method has made its motion.
-
-    Where the scene has a camera of quite another pitch than the poses were searched before, they are searched again
-    before that one, and what is nearer to the image counts.
     """
     pitch = pitch or PitchEstimate(0, searcher.database.camera.pitch_rad)
     once = partial(
@@ -179,11 +179,12 @@ def _reconstruct_people(
             one = hold_hips(reconstruct_track(own, track, method, options, matches=matches))
             tried[method] = (*tried.get(method, ()), one)
             on_step()
-    scene, doubts = None, list[str]()
+    scene, doubts, has_stature = None, list[str](), False
     fitted = [method for method in tried if method is not Method.NEAREST]
     if fitted:
         people = tried[fitted[-1]]
         known, doubts = _sizes_stated(people, camera, statures_m, camera_height_m)
+        has_stature = not doubts and not statures_m.keys().isdisjoint(one.track.person_id for one in people)
         couples = [(matches, one) for (_, matches), one in zip(matched, people, strict=True)]
         scene = estimate_scene(
             people,
@@ -197,8 +198,8 @@ def _reconstruct_people(
             otherwise = {one.track.person_id: odd for one in people} | otherwise
         if scene.camera_height_m < 0:
             doubts.append(
-                f"the camera would be {-scene.camera_height_m:.2f} m below the floor, as before a stage: if it was "
-                "not, state its height (--height, in a study camera_height_m)"
+                f"the camera would be {scene.height_in_words}, as before a stage: if it was not, state its height "
+                "(--height, in a study camera_height_m)"
             )
         if not pitch.is_given:
             # What poses and floor say of it is not independent: half of what they differ by is doubt.
@@ -225,7 +226,7 @@ def _reconstruct_people(
         scene,
         tuple(doubts),
         otherwise,
-        not doubts and not statures_m.keys().isdisjoint(track.person_id for track in tracks),
+        has_stature,
     )
 
 

@@ -132,6 +132,11 @@ class SceneEstimate:
     factors: tuple[Array, ...]
     place_deviation_m: Mapping[tuple[int, int], float]
 
+    @property
+    def height_in_words(self) -> str:
+        """Say how high the camera is."""
+        return f"{abs(self.camera_height_m):.2f} m {'above' if self.camera_height_m > 0 else 'below'} the floor"
+
     def placed(self, number: int, found: Reconstruction) -> Reconstruction:
         """Return the reconstruction of a person at its place and size, on the rays of this lens, pose kept."""
         length = np.linalg.norm(found.root_m, axis=-1)

@@ -307,10 +307,10 @@ def reconstruction_player(
     The middle of all people stays in the middle, so their places to each other show.
 
     Args:
-        found_m: The reconstruction (frame, person, 14, 3), camera axes, metres; NaN where a person is not there.
+        found_m: The reconstruction (frame, person, 14, 3), y up, metres; NaN where a person is not there.
         rate_hz: Frames per second.
         keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
-        truth_m: The true motion (frame, person, 14, 3), camera axes, where it is known.
+        truth_m: The true motion (frame, person, 14, 3), the same axes, where it is known.
         projected_px: Where the reconstruction is in the image (frame, person, 14, 2), drawn over its keypoints.
     """
     frames, shown_hz = shown_frames(len(found_m), rate_hz)

@@ -308,10 +308,10 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
 
 
 def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> str:
-    """Say of which people who are in no sequence a stature is stated; nothing where there are none."""
-    absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known))))
+    """Say of which people who are not there a stature is stated; nothing where there are none."""
+    absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known)))) or "none"
     whom = ", ".join(map(str, absent))
-    return f"a stature is stated for person {whom}, who is in no sequence; people: {people}" if absent else ""
+    return f"a stature is stated for person {whom}, who is not there; people: {people}" if absent else ""
 
 
 def _attachments(

@@ -223,8 +223,8 @@ def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
     assert sizes[1] > 1.15 * sizes[0]
 
 
-def put_projections(store: Store, take_id: str) -> Manifest:
-    """Commit a part of a projection database: the couples of a take."""
+def put_projections(store: Store, take_id: str, *, origin: str = "take") -> Manifest:
+    """Commit a part of a projection database: the couples of a take, or as if they were draws."""
     op14 = op14_from_working(pairs_of(take_id), PAIR17)
     poses = centre_and_face(retarget_proportions(op14.reshape(-1, 14, 3)))
     rows = np.arange(len(poses.poses_m))
@@ -237,8 +237,8 @@ def put_projections(store: Store, take_id: str) -> Manifest:
         "heading_rad": poses.heading_rad,
         "root_translation_m": poses.root_translation_m,
     }
-    facts = {"kind": "projections", "takes": [take_id], "rate_hz": 24.0, "pitches_deg": (10.0,)}
-    return put(store, "projections", take_id, {"projections": columns}, facts)
+    facts = {"kind": "projections", "origin": origin, "takes": [take_id], "rate_hz": 24.0, "pitches_deg": (10.0,)}
+    return put(store, "projections", f"{origin}-{take_id}", {"projections": columns}, facts)
 
 
 def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own_take(inputs: Any) -> None:
@@ -260,6 +260,12 @@ def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own
     np.testing.assert_array_equal(lifted["draws"]["fitted"], lifted["database"]["fitted"])
     assert np.isfinite(lifted["database"]["over_time"]).all()
     assert np.abs(lifted["draws"]["over_time"] - lifted["database"]["over_time"]).max() > 0.02
+    # Draws in the database are draws: so many as are here are lifted from themselves, and expected to err as such.  The
+    # pitches are those of the study, whatever of its database may be used.
+    for parts in ([put_projections(store, "two", origin="draw")], database[:1]):
+        (shard,) = lifting.plan(StageInputs({**filmed, "projections": parts}, seed=1), LiftingParameters())
+        assert shard.refs("projections") == ()
+        assert shard.options(lifting.LiftingShard).pitches_deg == (10.0,)
     # Random views are frames of many cameras.
     views = StageInputs({**given.manifests, "projections": database}, seed=1)
     assert not any(shard.refs("projections") for shard in lifting.plan(views, LiftingParameters()))

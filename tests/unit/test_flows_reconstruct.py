@@ -24,10 +24,12 @@ from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction import people
+from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.people import sized_by_stature
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
 from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Verdict
 from storage_schema import Store
@@ -103,6 +105,13 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     seen, *_, over = (figure["start"] for figure in scene["panels"][0]["figures"])
     apart = np.linalg.norm(values[:, seen + 14 : seen + 28] - values[:, over : over + 14], axis=-1)
     assert np.median(apart) < 0.05, "the result lies over the 2D poses that it was made from"
+    higher = []
+    for person, figure in zip((0, 1), scene["panels"][1]["figures"], strict=True):
+        made = read_npz((out / f"{video.name}_{person}.npz").read_bytes(), "motion")
+        there = [list(made["joint_names"]).index(HUMANOID_NAMES[name]) for name in SHARED]
+        shown = values[0, [figure["start"] + OP14.index(name) for name in SHARED], 1]
+        higher += (shown - made["positions_m"][0, there, 1]).tolist()
+    assert np.ptp(higher) < 0.01, "people stand upright on the page, on one floor, however the camera is pitched"
 
 
 def test_a_reconstruction_says_how_far_it_is(video: Path, store: Store, tmp_path: Path, monkeypatch: Any) -> None:
@@ -213,6 +222,8 @@ def test_bad_options_are_named(
 def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert run_command_line(["reconstruct", str(tmp_path), *reference(store), "--stature", "172"]) == 2
+    assert "stature '172' is none of" in capsys.readouterr().err, "before anything is read"
     assert run_command_line(["reconstruct", str(tmp_path), *reference(store)]) == 2
     assert "holds no files of 2D poses" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
@@ -419,7 +430,7 @@ def test_a_study_makes_of_the_same_files_what_the_command_makes(
     source = {"id": video.name, "path": video, "image_size_px": [1920, 1080], "statures_m": [[0, 1.75], [3, 1.6]]}
     read = ingest.STAGE.plan(StageInputs({}, seed=5), ingest.IngestParameters.model_validate({"annotations": [source]}))
     seen = [store.manifest(ingest.STAGE.run_shard(shard, store)) for shard in read]
-    of_nobody = "a stature is stated for person 3, who is in no sequence; people: 0, 1"
+    of_nobody = "a stature is stated for person 3, who is not there; people: 0, 1"
     assert output.err.count(of_nobody) == 1, "once, not for each person or sequence"
     assert of_nobody in judged(seen[0]).reason
     tables = {"annotations": seen, "projections": list(store.artifacts("projections"))}

@@ -177,7 +177,7 @@ def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(
         found = reconstruct_people(walkers[0], tracks, [Method.FIT], statures_m=stated)
         quality = judge_tracks(found)
         judged = quality.verdicts
-        assert found.has_stature == (not says or "who is not there" in says)
+        assert found.has_stature == (not says)
         assert set(judged) == {"person 0", "person 1", "place of 0 and 1"}
         unstated = judge_tracks(replace(found, has_stature=False))
         for one, other in ((quality.people[0], unstated.people[0]), (quality.places[0, 1], unstated.places[0, 1])):
@@ -307,6 +307,15 @@ def test_a_camera_that_looks_up_from_below_the_floor_is_found_and_said(walkers: 
     stated = reconstruct_people(walkers[0].pitched(0.0), [track], [Method.FIT], pitch=pitch, camera_height_m=1.0)
     assert stated.scene is not None
     assert stated.scene.camera_height_m > 0.0
+    # A stature contradicts no camera below the floor, and says nothing where its person could not be reconstructed.
+    unseen = replace(track, confidence=np.zeros((48, 14)), person_id=1)
+    for name, is_used in ((0, True), (1, False)):
+        tall = reconstruct_people(
+            walkers[0].pitched(pitch.pitch_rad), [track, unseen], [Method.FIT], pitch=pitch, statures_m={name: 1.8}
+        )
+        assert set(tall.skipped) == {1}
+        assert tall.doubts[0].endswith("state its height (--height, in a study camera_height_m)")
+        assert tall.has_stature is is_used
 
 
 def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_nearer_to_the_image(
@@ -341,6 +350,7 @@ def test_a_camera_as_hardly_any_is_is_a_doubt_where_it_was_not_stated() -> None:
     assert "the camera would be 0.30 m above the floor" in doubt_of_camera(low, **known)
     assert doubt_of_camera(low, is_lens_known=False, is_height_given=True) == ""
     assert "its focal length 0.30 of the assumed" in doubt_of_camera(wide, **known)
+    assert "1.50 m below the floor" in doubt_of_camera(replace(wide, camera_height_m=-1.5), **known)
     assert doubt_of_camera(wide, is_lens_known=True, is_height_given=False) == ""
 
 

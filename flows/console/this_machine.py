@@ -66,9 +66,8 @@ def _at_least(is_enough: bool, found: str) -> str:
 
 
 def _check_memory() -> str:
-    try:
-        total = memory_bytes()
-    except (ValueError, OSError):
+    total = memory_bytes()
+    if total is None:
         return "unknown"
     return _at_least(total >= _MIN_MEMORY_BYTES, f"{total / GIB:.1f} GB; 2 GB per worker is planned for")
 

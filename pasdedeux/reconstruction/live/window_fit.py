@@ -136,9 +136,7 @@ class WindowFit:
         """
         signs = trace_signs([one.step for one in self._waiting])
         window = list(islice(self._waiting, MAX_AHEAD + 1))
-        is_kept = np.array(
-            [one.sign is not None and bool((one.sign == signs[at]).all()) for at, one in enumerate(window)]
-        )
+        is_kept = np.array([bool((one.sign == signs[at]).all()) for at, one in enumerate(window)])
         followed_m = np.array([one.step.vectors_m[rank] for one, rank in zip(window, ranks, strict=False)])
         for at in np.flatnonzero(~is_kept):
             one = window[at]

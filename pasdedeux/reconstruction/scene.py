@@ -6,7 +6,8 @@ squares over the pitch, the camera's height, the focal length, the sizes, and th
 distance over its initial value:
 
 - l(t) = log size + log focal, as the person looks in the image;
-- the lowest part of everybody is on the floor, an ankle of who stands; nobody is below it, who leaps is let go of;
+- the lowest part of everybody is on the floor, an ankle of who stands; nobody is below it, who leaps is let go of; a
+  camera that looks up may be below the floor, as before a stage;
 - who is carried is not on the floor but on the other's body, all the time: that is tried for each of two people whose
   hands are seen on each other, and believed if it explains much more;
 - a foot that stands does not move in depth, and paths are smooth;

@@ -138,7 +138,10 @@ def bench(
 
 
 def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands."""
+    """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands.
+
+    Those of growth are there twice, to small and to full sizes.
+    """
     names = [module.name for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__)]
     modules = {name: importlib.import_module(f"pasdedeux.benchmarks.{name}") for name in names}
     found = {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}

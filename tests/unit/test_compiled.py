@@ -229,7 +229,7 @@ def test_a_lock_file_stays_open_until_who_it_is_locked_by_was_said(
     with (tmp_path / "scale.lock").open("w") as held, ThreadPoolExecutor(1) as pool:
         fcntl.flock(held, fcntl.LOCK_EX)
         closed = pool.submit(lock_once, tmp_path)
-        begun.wait(10.0)
+        assert begun.wait(60.0)
         fcntl.flock(held, fcntl.LOCK_UN)
         wait([closed], 0.1)
         may_read.set()

@@ -36,10 +36,12 @@ def usable_cores() -> int:
     return min([cores, *(max(1, math.ceil(quota / period)) for quota, period in quotas)])
 
 
-def memory_bytes() -> int:
-    """Return the memory of the machine, or of its container; OSError or ValueError where the system does not tell."""
+def memory_bytes() -> int | None:
+    """Return the memory of the machine, or of its container; None where the system does not tell."""
     limits = [*_group_limits("memory", "memory.max"), *_group_limits("memory", "memory.limit_in_bytes")]
-    return min([os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), *(limit for (limit,) in limits)])
+    with suppress(OSError, ValueError):
+        limits.append([os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")])
+    return min((limit for (limit,) in limits if limit > 0), default=None)
 
 
 def _group_limits(controller: str, *names: str) -> Iterator[list[int]]:
@@ -48,11 +50,10 @@ def _group_limits(controller: str, *names: str) -> Iterator[list[int]]:
     There are two versions: in the first, each controller has groups of its own, and -1 is no limit.
     """
     try:
-        lines = _GROUPS.read_text().splitlines()
+        lines = os.fsdecode(_GROUPS.read_bytes()).splitlines()
     except OSError:
         return
-    for line in lines:
-        _, controllers, group = line.split(":", 2)
+    for _, controllers, group in (line.split(":", 2) for line in lines if line.count(":") > 1):
         if controller in controllers.split(",") or not controllers:
             top = _GROUP_LIMITS / controllers
             folder = top / group.lstrip("/")
@@ -71,7 +72,8 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
     """
     cores = usable_cores()
     if asked is None:
-        return max(1, min(cores, memory_bytes() // worker_bytes))
+        memory = memory_bytes()
+        return cores if memory is None else max(1, min(cores, memory // worker_bytes))
     if asked > cores and not oversubscribe:
         raise InputError(
             f"--workers {asked} is more than the cores that may be used here ({cores}): workers compute all the time, "
@@ -81,15 +83,12 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
 
 
 def why_few(settings: ClusterSettings) -> str:
-    """Say why there are fewer local workers than cores, if it is for lack of memory; empty where it is not."""
-    try:
-        total = memory_bytes()
-    except (OSError, ValueError):
-        return ""
-    if not max(1, total // settings.memory_bytes) == settings.num_workers < usable_cores():
+    """Say that there is no memory for as many local workers as cores; empty where there is, or for more than these."""
+    memory = memory_bytes()
+    if memory is None or not max(1, memory // settings.memory_bytes) == settings.num_workers < usable_cores():
         return ""
     needed = f"{settings.memory_bytes / GIB:g} GB for each worker (--worker-memory)"
-    return f", for lack of memory: there are {total / GIB:.1f} GB, and {needed}"
+    return f"; there is memory for no more: {memory / GIB:.1f} GB, and {needed}"
 
 
 def cluster_settings(

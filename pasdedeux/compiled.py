@@ -157,7 +157,7 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
 
 
 def _wait_for(handle: int, name: str) -> None:
-    """Lock a file, and say once whose turn it is where that takes long: a process that is stopped waits for ever."""
+    """Lock a file, and say once who has locked it where that takes long: if that process is stopped, for ever."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -168,16 +168,17 @@ def _wait_for(handle: int, name: str) -> None:
             fcntl.flock(handle, fcntl.LOCK_EX)
         finally:
             patience.cancel()
+            patience.join()  # it may be reading the file, which is closed soon
     with suppress(OSError):  # a disk that is full
         os.ftruncate(handle, 0)
         os.pwrite(handle, str(os.getpid()).encode(), 0)
 
 
 def _say_who(handle: int, name: str) -> None:
-    process = os.pread(handle, 20, 0).decode() or "another process"
+    number = os.pread(handle, 20, 0).decode()
     _LOG.warning(
-        "waiting for process %s, which compiles %s; if it is stopped, continue it (`fg`, or `kill -CONT %s`) or end it",
-        *(process, name, process),
+        "waiting for %s, which compiles %s; if it is stopped, continue it (`fg`, or `kill -CONT`) or end it",
+        *(f"process {number}" if number else "another process", name),
     )
 
 

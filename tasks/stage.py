@@ -227,7 +227,7 @@ _KEPT: list[Callable[[], None]] = []
 
 
 def kept(count: int = 1) -> Callable[[F], F]:
-    """Return a decorator: what a worker's last calls with other arguments gave is kept from shard to shard of a stage.
+    """Return a decorator: a worker keeps what the last `count` calls that differ gave, from shard to shard of a stage.
 
     For what many shards make ready alike; until `forget_kept`.
     """

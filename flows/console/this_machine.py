@@ -66,9 +66,8 @@ def _at_least(is_enough: bool, found: str) -> str:
 
 
 def _check_memory() -> str:
-    try:
-        total = memory_bytes()
-    except (ValueError, OSError):
+    total = memory_bytes()
+    if total is None:
         return "unknown"
     return _at_least(total >= _MIN_MEMORY_BYTES, f"{total / GIB:.1f} GB; 2 GB per worker is planned for")
 
@@ -139,7 +138,10 @@ def bench(
 
 
 def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands."""
+    """Return the benchmarks of every stage with a module of its name in `pasdedeux.benchmarks`, and of commands.
+
+    Those of growth are there twice, to small and to full sizes.
+    """
     names = [module.name for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__)]
     modules = {name: importlib.import_module(f"pasdedeux.benchmarks.{name}") for name in names}
     found = {name: module.BENCHMARKS for name, module in modules.items() if hasattr(module, "BENCHMARKS")}

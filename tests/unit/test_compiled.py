@@ -6,9 +6,9 @@ import fcntl
 import importlib.util
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
-from threading import Barrier
+from threading import Barrier, Event
 from typing import Any
 
 import numba
@@ -189,8 +189,9 @@ def test_two_versions_of_numba_keep_their_code_beside_each_other(
     assert hits == [0, 0, 1, 1]
 
 
+@pytest.mark.parametrize(("holder", "named"), [("4711", "process 4711"), ("", "another process")])
 def test_who_waits_long_for_another_process_says_for_which(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, holder: str, named: str
 ) -> None:
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(compiling, "_PATIENCE_S", 0.02)
@@ -199,7 +200,7 @@ def test_who_waits_long_for_another_process_says_for_which(
     assert lock.read_text() == str(os.getpid())
     with lock.open("r+") as held, ThreadPoolExecutor(1) as pool:
         fcntl.flock(held, fcntl.LOCK_EX)
-        lock.write_text("4711")
+        lock.write_text(holder)
         answer = pool.submit(kernel(tmp_path), 4.0)
         try:
             wait_until(lambda: bool(caplog.messages), "a message")
@@ -207,6 +208,35 @@ def test_who_waits_long_for_another_process_says_for_which(
             fcntl.flock(held, fcntl.LOCK_UN)
         assert answer.result() == 8.0
     assert caplog.messages == [
-        "waiting for process 4711, which compiles scaling.scale; if it is stopped, continue it (`fg`, or "
-        "`kill -CONT 4711`) or end it"
+        f"waiting for {named}, which compiles scaling.scale; if it is stopped, continue it (`fg`, or `kill -CONT`) or "
+        "end it"
     ]
+
+
+def test_a_lock_file_stays_open_until_who_it_is_locked_by_was_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the number of a process would be read from whatever file was opened next."""
+    begun, may_read, sizes = Event(), Event(), list[int]()
+
+    def say(handle: int, _: str) -> None:
+        begun.set()
+        may_read.wait()
+        sizes.append(os.fstat(handle).st_size)
+
+    monkeypatch.setattr(compiling, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(compiling, "_say_who", say)
+    with (tmp_path / "scale.lock").open("w") as held, ThreadPoolExecutor(1) as pool:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        closed = pool.submit(lock_once, tmp_path)
+        assert begun.wait(60.0)
+        fcntl.flock(held, fcntl.LOCK_UN)
+        wait([closed], 0.1)
+        may_read.set()
+        closed.result()
+    assert len(sizes) == 1
+
+
+def lock_once(folder: Path) -> None:
+    with compiling._alone(str(folder), "scale"):
+        pass

@@ -450,7 +450,7 @@ def test_kernels_are_kept_where_there_is_a_folder_with_room(monkeypatch: pytest.
     ("groups", "limits"),
     [
         ("0::/a/b\n", {"a/memory.max": "3221225472", "a/b/memory.max": "max", "a/b/cpu.max": "150000 100000"}),
-        ("0::/\n", {"memory.max": "3221225472", "cpu.max": "150000 100000"}),
+        ("\n0\n0::/\xff\n", {"memory.max": "3221225472", "cpu.max": "150000 100000"}),
         (
             "5:memory:/a/b\n4:cpu,cpuacct:/a\n0::/\n",
             {
@@ -471,12 +471,24 @@ def test_workers_keep_to_the_limits_of_a_container(
     monkeypatch.setattr("flows.machine._GROUPS", tmp_path / "cgroup")
     monkeypatch.setattr("flows.machine._GROUP_LIMITS", tmp_path)
     assert (usable_cores(), cluster_settings(None).num_workers, why_few(cluster_settings(None))) == (8, 8, "")
-    (tmp_path / "cgroup").write_text(groups)
+    (tmp_path / "cgroup").write_text(groups, encoding="latin-1")
     for name, limit in limits.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(limit + "\n")
     assert (usable_cores(), memory_bytes()) == (2, 3 * GIB)
     assert cluster_settings(None).num_workers == 1
     said = why_few(cluster_settings(None))
-    assert said == ", for lack of memory: there are 3.0 GB, and 2 GB for each worker (--worker-memory)"
+    assert said == "; there is memory for no more: 3.0 GB, and 2 GB for each worker (--worker-memory)"
     assert why_few(cluster_settings(None, 1.5)) == ""
+
+
+def test_where_the_system_does_not_tell_its_memory_there_is_a_worker_for_each_core(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(name: str) -> int:
+        raise ValueError(f"unrecognized configuration name: {name}")
+
+    monkeypatch.setattr("os.sysconf", refuse)
+    monkeypatch.setattr("flows.machine._GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr("flows.machine.usable_cores", lambda: 8)
+    assert (memory_bytes(), cluster_settings(None).num_workers, why_few(ClusterSettings(3))) == (None, 8, "")

@@ -43,7 +43,7 @@ from tasks.stage import (
     stream,
 )
 
-LIFTING = StageName("lifting", 12)
+LIFTING = StageName("lifting", 13)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15

@@ -152,7 +152,7 @@ def reconstruct_video(
         tracks = _tracks(resolved, sequence.sequence_id, person_ids)
         if not tracks:
             raise InputError("no frame shows enough joints of a person")
-        stated = dict(video.statures_m) | _statures(statures, [one.person_id for one in tracks])
+        stated = _statures(statures, [one.person_id for one in tracks]) | named_m
         step = Steps(listener, 1 + 2 * len(tracks))
         pitch = choose_camera(databases, tracks)
         step()

@@ -425,9 +425,11 @@ def test_a_study_makes_of_the_same_files_what_the_command_makes(
 ) -> None:
     stated = ["image_size_px=[1920, 1080]", "statures_m=[[0, 1.75], [3, 1.6]]"]
     command = ["reconstruct", str(video), *reference(store), "--out", str(tmp_path)]
-    assert run_command_line([*command, *(word for one in stated for word in ("--set", one))]) == 0
+    # Of whom nothing else is stated, the person is 1.65 m tall.
+    assert run_command_line([*command, "--stature", "1.65", *(word for one in stated for word in ("--set", one))]) == 0
     output = capsys.readouterr()
-    source = {"id": video.name, "path": video, "image_size_px": [1920, 1080], "statures_m": [[0, 1.75], [3, 1.6]]}
+    source = {"id": video.name, "path": video, "image_size_px": [1920, 1080]}
+    source["statures_m"] = [[0, 1.75], [1, 1.65], [3, 1.6]]
     read = ingest.STAGE.plan(StageInputs({}, seed=5), ingest.IngestParameters.model_validate({"annotations": [source]}))
     seen = [store.manifest(ingest.STAGE.run_shard(shard, store)) for shard in read]
     of_nobody = "a stature is stated for person 3, who is not there; people: 0, 1"

@@ -16,6 +16,9 @@ distance over its initial value:
 - pairs of the database that look like both say how far apart in depth people stand who are seen so;
 - sizes are people's, the lens is a common one, and the pitch is near the one whose poses fit the image best.
 
+Pairs and touches are believed, but no place is called well known for their sake: pairs tell of the couples that the
+database holds, a hand before the other's image need not be on it, and where they are wrong they are so all the time.
+
 Errors of poses last: frames near each other in time count as one, in every term that poses enter.
 Robust terms are weighed anew in each step of the solver: who stands is decided with everything else.
 """
@@ -119,8 +122,8 @@ class SceneEstimate:
         lens_factor: Focal length over the assumed one.
         sizes: Size of each person over the initial one (person,).
         factors: Distance of each person's mid-hip from the camera over the initial one, (frame,) each.
-        place_deviation_m: Standard deviation of the vector from one mid-hip to the other, likewise, by the numbers of
-            two people who are in a frame together; root mean square over frames.
+        place_deviation_m: Standard deviation of the vector from one mid-hip to the other, as floor, sizes and image
+            leave it, by the numbers of two people who are in a frame together; root mean square over frames.
     """
 
     pitch_rad: float
@@ -235,6 +238,13 @@ class _Problem:
         for both, hands in self.touching.items():
             if hands.any(axis=(1, 2)).mean() > _HELD_SHARE:
                 yield from (both, both[::-1])
+
+    def go_on_apart(self, x: Array) -> bool:
+        """Go on from here without what pairs and touches say; tell whether they say anything."""
+        is_said = bool(self.pairs) or any(hands.any() for hands in self.touching.values())
+        self.start, self.pairs = x, ()
+        self.touching = {both: np.zeros_like(hands) for both, hands in self.touching.items()}
+        return is_said
 
     def _still(self, one: Reconstruction) -> Array:
         """Return how much each foot stands by the image alone (frame, foot)."""
@@ -504,24 +514,24 @@ def estimate_scene(
         solutions.append(solve(problem, robust=_ROBUST))
     number = len(sides) - 1 if solutions[-1].cost + _OTHER_SIDE_COST < solutions[0].cost else 0
     problem.side, solution = sides[number], solutions[number]
-    tried = []
+    tried = {problem.carried: solution}
     for carried in problem.may_carry():
         problem.carried = carried
-        tried.append(solve(problem, robust=_ROBUST))
-    best = min(tried, key=lambda one: one.cost, default=solution)
-    if best.cost + _CARRIED_COST < solution.cost:
-        solution = best
-    x, variance_of = solution.x, solution.variance_of
+        tried[carried] = solve(problem, robust=_ROBUST)
+    problem.carried = min(tried, key=lambda one: tried[one].cost - (_CARRIED_COST if one is None else 0.0))
+    solution = tried[problem.carried]
+    x = solution.x
+    apart = solve(problem, robust=_ROBUST) if problem.go_on_apart(x) else solution
     return SceneEstimate(
         float(x[_PITCH]),
-        float(np.sqrt(variance_of(np.eye(len(x))[_PITCH]))),
+        float(np.sqrt(solution.variance_of(np.eye(len(x))[_PITCH]))),
         float(problem.pitch_off_rad(x)[0]),
         problem.height_m(x),
         float(np.exp(x[_LENS])),
         np.exp(x[_SIZES : _SIZES + len(people)]),
         tuple(np.exp(x[start:stop]) for start, stop in pairwise(problem.starts)),
         {
-            (first, second): float(np.sqrt(np.mean([sum(map(variance_of, one)) for one in weights])))
-            for first, second, weights in problem.places_between(x)
+            (first, second): float(np.sqrt(np.mean([sum(map(apart.variance_of, one)) for one in weights])))
+            for first, second, weights in problem.places_between(apart.x)
         },
     )

@@ -111,6 +111,23 @@ def test_one_floor_and_sizes_of_people_put_both_in_their_place_to_each_other(nam
         )
 
 
+def test_a_hand_before_the_image_of_who_stands_farther_away_makes_no_place_well_known() -> None:
+    world = duet_couple("hug", duration_s=6.0, rate_hz=RATE_HZ)
+    camera = look_at_camera(
+        mid_hip(world).mean(axis=(0, 1)), distance_m=6.0, yaw_rad=2.0, pitch_rad=0.0, focal_px=1400.0
+    )
+    truth = (world - camera.position_m) @ camera.camera_from_world_rotmat.T
+    for behind_m in (0.0, 1.5):
+        truth[:, 1, :, 2] -= behind_m
+        # The lens is not known, and a fifth longer than the assumed.
+        seen = truth - (1.0 - 1.0 / 1.2) * mid_hip(truth)[:, :, None]
+        people = [reconstruction(seen[:, n], rate_hz=RATE_HZ, person_id=n) for n in (0, 1)]
+        scene, found = solved(people, 0.0)
+        assert place_error(found, truth) < 2.0 * scene.place_deviation_m[0, 1]
+    # How large both look sets them apart, the hands draw them together, and it can be either.
+    assert place_error(found, truth) > 1.0
+
+
 def test_who_is_held_up_is_not_put_on_the_floor() -> None:
     scene, found = solved_duet("lift")
     up = np.array([0.0, np.cos(scene.pitch_rad), np.sin(scene.pitch_rad)])

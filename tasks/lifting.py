@@ -1,4 +1,7 @@
-"""Stage `lifting`: annotations lifted to 3D by the draws that look like them, completed, and the pairs between them."""
+"""Stage `lifting`: annotations lifted to 3D by the draws that look like them, completed, and the pairs between them.
+
+Frames of a video are lifted together as well, by takes of the projection database where there are any.
+"""
 
 from __future__ import annotations
 

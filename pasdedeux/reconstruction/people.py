@@ -107,7 +107,8 @@ def reconstruct_people(
     the poses; `nearest`, the baseline, leaves everybody where their own size puts them.
 
     Where the scene has a camera of quite another pitch than the poses were searched before, they are searched again
-    before that one, and what is nearer to the image counts.
+    before that one, and what is nearer to the image counts.  The first pitch stays what poses say: with that of the
+    first scene, floor and sizes would count twice.
 
     Args:
         searcher: Database made ready.
@@ -138,7 +139,7 @@ def reconstruct_people(
     pitch_rad = float(np.clip(pitch.pitch_rad + found.scene.pitch_off_rad, *_PITCHES_RAD))
     if abs(pitch_rad - pitch.pitch_rad) < _OTHER_PITCH_RAD:
         return found
-    again = once(searcher.pitched(pitch_rad), pitch=replace(pitch, pitch_rad=pitch_rad), on_step=lambda: None)
+    again = once(searcher.pitched(pitch_rad), pitch=pitch, on_step=lambda: None)
     return min(found, again, key=_distance_m)
 
 

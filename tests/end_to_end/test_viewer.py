@@ -185,15 +185,21 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
     (client,) = viewer.server.get_clients().values()
     before, hand = editor.pose, np.array(editor._hand.position)
 
+    # On the page: a browser that draws slowly draws fewer pixels, and says that its camera has those.
+    box = tab.run(
+        "(() => { const b = document.querySelector('canvas').getBoundingClientRect(); "
+        "return [b.x, b.y, b.width, b.height]; })()"
+    )
+    corner, size = np.array(box[:2]), np.array(box[2:])
+
     def look() -> None:
         client.camera.position, client.camera.look_at = hand + np.array([0.0, 0.3, 2.0]), hand
 
     def seen(point: Array) -> Array:
         turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
         own = turn.inv().apply(point - client.camera.position)
-        focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2)
-        middle = [client.camera.image_width / 2, client.camera.image_height / 2]
-        return np.asarray(middle + focal * own[:2] / own[2])
+        focal = size[1] / 2 / np.tan(client.camera.fov / 2)
+        return np.asarray(corner + size / 2 + focal * own[:2] / own[2])
 
     def pull() -> None:
         tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))

@@ -11,7 +11,7 @@ from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.film.filling import FilledPoints, fill_points, shorten_limbs
 from pasdedeux.film.tracking import TRACKED_SIZE_PX, Image, Tracks, track_points
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.resolution import resolve_people
 from pasdedeux.skeletons import OP14
@@ -155,13 +155,24 @@ def correct_keypoint(
         corrected.rows(is_near).given(), images(first, last + 1), first, last + 1 - first, is_key=is_key
     )
     assert part.frames.status is not None
-    rows = np.flatnonzero(is_near & np.isin(frames.frame, part.frames.frame))
-    own = np.searchsorted(part.frames.frame, frames.frame[rows])
-    px[rows, keypoint] = part.frames.keypoints_px[own, keypoint]
-    confidence[rows, keypoint] = part.frames.confidence[own, keypoint]
-    status[rows, keypoint] = part.frames.status[own, keypoint]
-    doubt[rows] = part.doubt[own]
-    return AnnotatedShot(replace(frames, keypoints_px=px, confidence=confidence, status=status), doubt)
+    # Only this keypoint is taken from the part: it is lost where the part has none, and a frame in which nothing else
+    # of the person is seen gains or loses its row with it.
+    near = np.flatnonzero(is_near)
+    px[near, keypoint], confidence[near, keypoint], status[near, keypoint] = np.nan, 0.0, KeypointStatus.MISSING
+    is_gained = ~np.isin(part.frames.frame, frames.frame[near])
+    rows, again = near[np.isin(frames.frame[near], part.frames.frame)], part.frames.rows(~is_gained)
+    assert again.status is not None
+    px[rows, keypoint], confidence[rows, keypoint] = again.keypoints_px[:, keypoint], again.confidence[:, keypoint]
+    status[rows, keypoint] = again.status[:, keypoint]
+    doubt[rows] = part.doubt[~is_gained]
+    kept = replace(frames, keypoints_px=px, confidence=confidence, status=status)
+    gained = part.frames.rows(is_gained)
+    is_keypoint = np.arange(px.shape[1]) == keypoint
+    joined = join_frames([kept, replace(gained, confidence=np.where(is_keypoint, gained.confidence, 0.0))])
+    person, number = (np.concatenate([getattr(kept, key), getattr(gained, key)]) for key in ("person_id", "frame"))
+    order = np.lexsort([person, number])
+    is_seen = np.asarray((joined.confidence > 0).any(axis=1))
+    return AnnotatedShot(joined.rows(is_seen), np.concatenate([doubt, part.doubt[is_gained]])[order][is_seen])
 
 
 def _rows(given: AnnotatedFrames, filled: FilledPoints, first_frame: int, people: Integers) -> AnnotatedShot:

@@ -11,7 +11,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pasdedeux.errors import InputError
-from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, frames_to_correct, with_identities
+from pasdedeux.film.annotating import (
+    AnnotatedShot,
+    annotate_shot,
+    correct_keypoint,
+    frames_to_correct,
+    with_identities,
+)
 from pasdedeux.film.drawing import contact_sheet, draw_people
 from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
@@ -221,6 +227,44 @@ def test_joints_of_a_key_frame_that_were_only_tracked_are_tracked_anew_and_not_h
     others = np.arange(17) != WRIST
     assert (status[:16, :, others] > KeypointStatus.MISSING).all()
     assert (status[7][:, others] < KeypointStatus.DETECTED).all()
+
+
+def corrected_wrist(film: Film, shot: AnnotatedShot, frame: int) -> AnnotatedFrames:
+    place = film.px[frame, 1, WRIST]
+    corrected = correct_keypoint(shot, frame, 1, WRIST, place, lambda *at: iter(film.images[slice(*at)]), is_key=True)
+    assert len(corrected.doubt) == corrected.frames.num_rows
+    return corrected.frames
+
+
+def test_a_corrected_keypoint_brings_a_person_into_frames_that_had_nothing_of_them(waltz: Film) -> None:
+    shot = annotated(waltz, keys_of(waltz))
+    is_kept = (shot.frames.person_id == 0) | ~np.isin(shot.frames.frame, range(5, 10))
+    shot = AnnotatedShot(shot.frames.rows(is_kept), shot.doubt[is_kept])
+    px, status = by_frame(waltz, corrected_wrist(waltz, shot, 3))
+    assert (status[5:10, 1, WRIST] > KeypointStatus.MISSING).all()
+    assert (status[5:10, 1, np.arange(17) != WRIST] == KeypointStatus.MISSING).all()
+    chosen = np.zeros(status.shape, dtype=bool)
+    chosen[5:10, 1, WRIST] = True
+    assert error_of(waltz, px, chosen) < 0.03
+    assert (status[5:10, 0] > KeypointStatus.MISSING).all()
+
+
+def test_a_corrected_keypoint_leaves_no_old_track_in_frames_that_the_new_one_does_not_reach(waltz: Film) -> None:
+    shot = annotated(waltz, keys_of(waltz))
+    frames = shot.frames
+    is_late = (frames.frame > 20) & (frames.person_id == 1)
+    is_wrist = np.arange(17) == WRIST
+    assert frames.status is not None
+    old = replace(
+        frames,
+        confidence=np.where(is_late[:, None] & ~is_wrist, 0.0, frames.confidence),
+        status=np.where(is_late[:, None], KeypointStatus.TRACKED, frames.status),
+    )
+    corrected = corrected_wrist(waltz, AnnotatedShot(old, shot.doubt), 18)
+    of_person = corrected.frame[corrected.person_id == 1]
+    assert of_person.max() < 40  # a track with one known end is believed for 0.3 s, 9 frames
+    assert set(range(19)) <= set(of_person.tolist())
+    assert corrected.frame[corrected.person_id == 0].max() == len(waltz.images) - 1
 
 
 def test_key_frames_of_which_nothing_was_annotated_are_refused(waltz: Film) -> None:

@@ -16,13 +16,12 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.detections import (
     MAX_CONFIDENCE,
     Detection,
-    Place,
     image_size,
     join_detections,
     known_footage,
-    places_of_names,
 )
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 

@@ -20,8 +20,8 @@ from pasdedeux.formats.annotated_frames import (
     get_keypoint_layout,
     layout_of_names,
 )
-from pasdedeux.formats.detections import Place, places_of_names
 from pasdedeux.formats.file_format import AnnotationFormat
+from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
 from pasdedeux.skeletons.layouts import KeypointLayout
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, count, takewhile
+from itertools import chain, count
 from typing import Any
 
 import numpy as np
@@ -18,18 +18,14 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError, NobodyError
 from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
-from pasdedeux.formats.text import MAX_COUNT
+from pasdedeux.formats.image_names import Place
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT, KeypointLayout
 
 MAX_CONFIDENCE = 10.0
 """Confidences are heights of a heat map: about 1 at most, but not exactly."""
 
-_NAME = re.compile(r"(?P<front>.*?)(?P<number>\d{1,18})(?:[_-][A-Za-z_-]*)?(?:\.[A-Za-z0-9]{1,5})?")
 _SIZE_KEYS = (("width", "height"), ("image_width", "image_height"), ("frame_width", "frame_height"))
 _RATE_KEYS = ("rate_hz", "fps", "frame_rate", "frameRate")
-
-Place = tuple[str, int]
-"""Name of a video or camera, empty where there is one only, and frame."""
 
 
 @dataclass(frozen=True)
@@ -167,46 +163,6 @@ def _sequence_names(sequence_id: str, videos: Collection[str]) -> dict[str, str]
         counted = (f"{plain}_{number}" for number in count(2))
         names[video] = next(name for name in chain([plain], counted) if name not in names.values())
     return names
-
-
-def number_in_name(name: str) -> tuple[str, int | None]:
-    """Return what stands in front of the last number of an image's or a frame's file name, and that number.
-
-    >>> number_in_name("cam1_000000000012_keypoints.json")
-    ('cam1', 12)
-    >>> number_in_name("notes.json")
-    ('notes.json', None)
-    """
-    found = _NAME.fullmatch(name.replace("\\", "/").rpartition("/")[2])
-    return (found["front"].rstrip(" _-."), int(found["number"])) if found else (name, None)
-
-
-def places_of_names(names: Iterable[str]) -> dict[str, Place]:
-    """Return video and frame of each image by its name: `cam1_0012.jpg` and `cam1/0012.jpg` are frame 12 of cam1.
-
-    Folders that all names share say nothing.  A single video has no name.  Names of which one
-    has no number, or whose videos would mostly have one frame, are single images: frames of one sequence, in the order
-    of the names.
-    """
-    folders = {name: name.replace("\\", "/").split("/")[:-1] for name in dict.fromkeys(names)}
-    shared = len(list(takewhile(lambda parts: len(set(parts)) == 1, zip(*folders.values(), strict=False))))
-    parsed = {}
-    for name, parts in folders.items():
-        front, number = number_in_name(name)
-        parsed[name] = ("/".join(filter(None, [*parts[shared:], front])), number)
-    fronts = {front for front, _ in parsed.values()}
-    is_stills = any(number is None or number > MAX_COUNT for _, number in parsed.values())
-    if is_stills or (len(fronts) > 1 and 2 * len(fronts) > len(parsed)):
-        return {name: ("", index) for index, name in enumerate(sorted(parsed))}
-    places: dict[str, Place] = {}
-    taken: dict[Place, str] = {}
-    for name, (front, number) in parsed.items():
-        place = (front if len(fronts) > 1 else "", int(number or 0))
-        if place in taken:
-            raise FormatError(f"'{taken[place][:60]}' and '{name[:60]}' are both frame {place[1]} by their names")
-        taken[place] = name
-        places[name] = place
-    return places
 
 
 def known_footage(content: object) -> Footage:

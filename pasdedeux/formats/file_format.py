@@ -13,7 +13,8 @@ from functools import cached_property
 
 from pasdedeux.errors import FormatError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import Detection, join_detections, places_of_names
+from pasdedeux.formats.detections import Detection, join_detections
+from pasdedeux.formats.image_names import places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.skeletons.layouts import KeypointLayout

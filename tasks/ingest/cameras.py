@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats.detections import Footage, number_in_name, places_of_names
+from pasdedeux.formats.detections import Footage
+from pasdedeux.formats.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
 from tasks.ingest.sources import load_file
 

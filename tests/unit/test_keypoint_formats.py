@@ -13,9 +13,9 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.annotation_npz import read_annotation_npz
 from pasdedeux.formats.coco import read_coco
-from pasdedeux.formats.detections import Footage, places_of_names
+from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.mediapipe import read_mediapipe
-from pasdedeux.formats.openpose import OPENPOSE, openpose_frame_number
+from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
@@ -131,28 +131,6 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
     np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
     with pytest.raises(InputError, match="world landmarks"):
         read_annotations(kind, shares(shift=0.4), source_id="s", stated=Footage((400, 320)))
-
-
-def test_frame_numbers_come_from_file_names() -> None:
-    assert openpose_frame_number("walk_000000000012_keypoints.json") == 12
-    assert openpose_frame_number("7.json") == 7
-    assert openpose_frame_number("blaze_walk.00012.json") == 12
-    assert openpose_frame_number("notes.json") is None
-
-
-def test_names_of_images_tell_cameras_and_frames() -> None:
-    one_camera = places_of_names(["cam/GX01_0010.jpg", "cam/GX01_0009.jpg"])
-    assert one_camera == {"cam/GX01_0010.jpg": ("", 10), "cam/GX01_0009.jpg": ("", 9)}
-    names = [f"cam{camera}_{frame:04d}.png" for camera in (1, 2) for frame in range(3)]
-    assert places_of_names(names)["cam2_0001.png"] == ("cam2", 1)
-    folders = [f"data/cam{camera}/{frame:05d}.jpg" for camera in (1, 2) for frame in (3, 4)]
-    assert [places_of_names(folders)[name] for name in folders] == [("cam1", 3), ("cam1", 4), ("cam2", 3), ("cam2", 4)]
-    deeper = [f"{day}/{camera}_{frame}.jpg" for day in ("mon", "tue") for camera in "ab" for frame in range(3)]
-    assert places_of_names(deeper)["tue/b_2.jpg"] == ("tue/b", 2)
-    stills = places_of_names(["garden.jpg", "beach7.jpg", "hall3.jpg"])
-    assert stills == {"beach7.jpg": ("", 0), "garden.jpg": ("", 1), "hall3.jpg": ("", 2)}
-    with pytest.raises(FormatError, match=r"'a_1.jpg' and 'a_01.jpg' are both frame 1"):
-        places_of_names(["a_1.jpg", "a_01.jpg", "a_2.jpg"])
 
 
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)

@@ -1,0 +1,244 @@
+"""Videos and frames by the names of images and of files of frames: the counter is the number that varies.
+
+Digits of a name are split from its text.  Names of one template, which is their text, are compared number by number:
+those that stay the same belong to the template, that which varies counts frames, and others tell cameras.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, takewhile
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.text import MAX_COUNT
+
+Place = tuple[str, int]
+"""Name of a video or camera, empty where there is one only, and frame."""
+
+STILLS_STEP = 1000
+"""Distance of the numbers that single photographs get: so far apart, nobody takes them for frames of a video."""
+_MAX_MEDIAN_GAP = 20
+"""Photographs are numbered more sparsely than this, and not evenly."""
+_MIN_FRAMES = 5
+"""Of so many numbered names in one template, a name without a number is no photograph beside others."""
+_NUMBER = re.compile(r"\d{1,3}(?:[,']\d{3})+(?!\d)|\d+")
+_GROUPED = re.compile(r"\d{1,3}(?:[,'_. ]\d{3})+(?!\d)|\d+")
+"""Numbers with thousands apart: with points, blanks and underscores only where names have one template for it."""
+_SUFFIX = re.compile(r"\.(?=[0-9]*[A-Za-z])[A-Za-z0-9]{1,5}$")
+_ROBOFLOW = re.compile(r"\.rf\.[0-9A-Za-z]+")
+_HEX = re.compile(r"[0-9a-f]{6,}", re.IGNORECASE)
+_WORD = re.compile(r"[0-9A-Za-z]+")
+_CAMERA = re.compile(r"(?:cam|camera|view|kinect)[\W_]*$", re.IGNORECASE)
+_FRAME = re.compile(r"(?<![A-Za-z])(?:frames?|frm|fr|f)[\W_]*$", re.IGNORECASE)
+_DATE = re.compile(r"(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:[0-2]\d|3[01])")
+
+
+@dataclass(frozen=True)
+class _Name:
+    """A name, the folder that tells its video, its texts and the numbers between them."""
+
+    name: str
+    folder: str
+    texts: tuple[str, ...]
+    numbers: tuple[str, ...]
+
+    @property
+    def template(self) -> tuple[str, ...]:
+        return tuple(text.lower() for text in self.texts)
+
+    def value(self, slot: int) -> int:
+        return int(re.sub(r"\D", "", self.numbers[slot]))
+
+    def video(self, counter: int) -> tuple[str, str, str]:
+        """Return folder and what stands in front of the counter and after it."""
+        words = [word for pair in zip(self.texts, (*self.numbers, ""), strict=True) for word in pair]
+        return self.folder, "".join(words[: 2 * counter + 1]), "".join(words[2 * counter + 2 :])
+
+
+def number_in_name(name: str) -> tuple[str, int | None]:
+    """Return what stands in front of the frame's number in the name of a single file, and that number.
+
+    >>> number_in_name("cam1_000000000012_keypoints.json")
+    ('cam1', 12)
+    >>> number_in_name("notes.json")
+    ('notes.json', None)
+    """
+    (parsed,) = _parse({name: ""}, _NUMBER)
+    if not parsed.numbers:
+        return name, None
+    counter = _only_slot(parsed)
+    return parsed.video(counter)[1].rstrip(" _-.("), parsed.value(counter)
+
+
+def places_of_names(names: Iterable[str]) -> dict[str, Place]:
+    """Return video and frame of each image by its name: `cam1_0012.jpg` and `cam1/0012.jpg` are frame 12 of cam1.
+
+    Folders that all names share say nothing.  A single video has no name.  Names without numbers, with dates, with
+    numbers that are few and far between, or of videos that would mostly have one frame, are single photographs:
+    frames of one sequence, in the order of their names, `STILLS_STEP` apart.
+
+    Raises:
+        FormatError: Two names are of one frame, or several numbers may be the frame's.
+    """
+    parts = {name: name.replace("\\", "/").split("/")[:-1] for name in dict.fromkeys(names)}
+    shared = len(list(takewhile(lambda level: len(set(level)) == 1, zip(*parts.values(), strict=False))))
+    folders = {name: "/".join(folder[shared:]) for name, folder in parts.items()}
+    parsed = _parse(folders, _NUMBER)
+    if len({one.template for one in parsed}) > 1:
+        grouped = _parse(folders, _GROUPED)
+        parsed = grouped if len({one.template for one in grouped}) == 1 else parsed
+    templates: dict[tuple[str, ...], list[_Name]] = {}
+    for one in parsed:
+        templates.setdefault(one.template, []).append(one)
+    bare = next((one for one in parsed if not one.numbers), None)
+    largest = max(map(len, templates.values()), default=0)
+    if bare and largest >= max(_MIN_FRAMES, len(parsed) / 2) and len(templates[bare.template]) < largest:
+        raise FormatError(f"'{bare.name[:60]}' has no number, and most other names are numbered: take it away")
+    if bare or any(_are_photographs(alike) for alike in templates.values()):
+        return _stills(parsed)
+    videos = {one.name: ("", "", "") for one in parsed}
+    frames = dict.fromkeys(videos, 0)
+    for alike in templates.values():
+        counter, cameras = _counter(alike)
+        first = alike[0].numbers
+        for one in alike:
+            told = tuple((one.numbers if slot in cameras else first)[slot] for slot in range(len(first)))
+            videos[one.name], frames[one.name] = replace(one, numbers=told).video(counter), one.value(counter)
+    if max(frames.values(), default=0) > MAX_COUNT or 2 * len(set(videos.values())) > max(2, len(frames)):
+        return _stills(parsed)
+    if len(set(videos.values())) == 1 and _is_sparse(parsed, sorted(frames.values())):
+        return _stills(parsed)
+    return _placed(videos, frames)
+
+
+def _placed(videos: Mapping[str, tuple[str, str, str]], frames: Mapping[str, int]) -> dict[str, Place]:
+    """Return the places, of which no two are the same; what follows all counters alike is no part of a name."""
+    is_alone, has_ends = len(set(videos.values())) == 1, len({after for *_, after in videos.values()}) > 1
+    taken: dict[Place, str] = {}
+    for name, (folder, before, after) in videos.items():
+        words = (before.strip(" _-.("), after.strip(" _-.)") if has_ends else "")
+        video = "/".join(filter(None, (folder, "_".join(filter(None, words)))))
+        place = ("" if is_alone else video, frames[name])
+        if place in taken:
+            raise FormatError(f"'{taken[place][:60]}' and '{name[:60]}' are both frame {place[1]} by their names")
+        taken[place] = name
+    return {name: place for place, name in taken.items()}
+
+
+def _parse(folders: Mapping[str, str], number: re.Pattern[str]) -> list[_Name]:
+    """Return the names split into texts and numbers, without suffixes and random words."""
+    stems = {}
+    for name in folders:
+        base = name.replace("\\", "/").rpartition("/")[2]
+        stems[name] = _ROBOFLOW.sub("", _SUFFIX.sub("", base))
+    words = [_WORD.findall(stem) for stem in stems.values()]
+    columns = list(zip(*words, strict=True)) if len(set(map(len, words))) == 1 else []
+    random = {place for place, column in enumerate(columns) if _is_random(column)}
+    parsed = []
+    for name, stem in stems.items():
+        place = -1
+
+        def plain(match: re.Match[str]) -> str:
+            nonlocal place
+            place += 1
+            return "" if place in random else match[0]
+
+        stem = _WORD.sub(plain, stem) if random else stem
+        parsed.append(_Name(name, folders[name], tuple(number.split(stem)), tuple(number.findall(stem))))
+    return parsed
+
+
+def _is_random(words: Sequence[str]) -> bool:
+    """Tell whether words at one place of all names are digests: hexadecimal, of one length and no template."""
+    if not all(_HEX.fullmatch(word) for word in words) or len({len(word) for word in words}) > 1:
+        return False
+    mixed = [len(re.findall(r"\d+|\D+", word)) for word in words]
+    if len(words) == 1:
+        return len(words[0]) >= 8 and mixed[0] > 3
+    return (
+        2 * sum(parts > 2 for parts in mixed) >= len(words) and len({re.sub(r"\d+", "#", word) for word in words}) > 1
+    )
+
+
+def _only_slot(one: _Name) -> int:
+    """Return the number that counts in a name alone: that of a frame, else the last one that is no `@2x`."""
+    slots = range(len(one.numbers))
+    framed = [slot for slot in slots if _FRAME.search(one.texts[slot])]
+    usual = [slot for slot in slots if not one.texts[slot].endswith("@")]
+    return (framed or usual or [*slots])[-1]
+
+
+def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
+    """Return which number of names of one template counts frames, and which others tell cameras.
+
+    Raises:
+        FormatError: Several may be it.
+    """
+    texts, slots = alike[0].texts, range(len(alike[0].numbers))
+    values = [[one.value(slot) for one in alike] for slot in slots]
+    spelled = [{one.numbers[slot] for one in alike} for slot in slots]
+    varying = [slot for slot in slots if len(spelled[slot]) > 1]
+    if not varying:
+        return _only_slot(alike[0]), []
+    others = [slot for slot in slots if not _CAMERA.search(texts[slot])]
+    left = [slot for slot in others if slot in varying] or others or varying
+    counters = [slot for slot in left if _FRAME.search(texts[slot])] or left
+
+    def follows(slot: int, counter: int) -> bool:
+        """Tell whether a number grows with a counter that is another in each name, as time does."""
+        if slot not in others or len(set(values[counter])) < len(alike):
+            return False
+        return all(a[1] <= b[1] for a, b in pairwise(sorted(zip(values[counter], values[slot], strict=True))))
+
+    def with_cameras(counter: int) -> tuple[int, list[int]]:
+        return counter, [slot for slot in varying if slot != counter and not follows(slot, counter)]
+
+    if len(counters) == 1:
+        return with_cameras(counters[0])
+    if all(a + 1 == b and texts[b] == "." and not texts[a][-1:].isalpha() for a, b in pairwise(counters)):
+        raise FormatError(f"{_shown(alike)} have times in their names, not the numbers of frames: number them")
+    even = [slot for slot in counters if len(alike) > 2 and _has_steps_of_1(values[slot])]
+    if len(even) == 1 and all(follows(slot, even[0]) for slot in counters):
+        return with_cameras(even[0])
+    are_plain = all(len(set(values[slot])) == len(spelled[slot]) < len(alike) for slot in counters[:-1])
+    by_count = sorted(counters, key=lambda slot: len(spelled[slot]))
+    padded = [slot for slot in counters if any(re.match("0.", number) for number in spelled[slot])]
+    most = by_count[-1]
+    if are_plain and (len(spelled[most]) >= 2 * len(spelled[by_count[-2]]) or padded == [most]):
+        return with_cameras(most)
+    raise FormatError(f"{_shown(alike)} have several numbers that may be the frame's: name them CAMERA_FRAME")
+
+
+def _has_steps_of_1(values: Sequence[int]) -> bool:
+    return len(set(values)) == len(values) == max(values) - min(values) + 1
+
+
+def _shown(alike: Sequence[_Name]) -> str:
+    return " and ".join(f"'{one.name[:60]}'" for one in alike[:2])
+
+
+def _are_photographs(alike: Sequence[_Name]) -> bool:
+    """Tell whether names of one template have several days as numbers."""
+    slots = range(len(alike[0].numbers))
+    return any(
+        all(_DATE.fullmatch(one.numbers[slot]) for one in alike) and len({one.numbers[slot] for one in alike}) > 1
+        for slot in slots
+    )
+
+
+def _is_sparse(parsed: Sequence[_Name], frames: Sequence[int]) -> bool:
+    """Tell whether numbers of one video, which names do not call frames, lie far apart and unevenly."""
+    gaps = [later - earlier for earlier, later in pairwise(frames)]
+    is_called_frame = any(_FRAME.search(text) for text in parsed[0].texts)
+    is_even = not gaps or (min(gaps) > 1 and not any(gap % min(gaps) for gap in gaps))
+    return not is_even and not is_called_frame and sorted(gaps)[len(gaps) // 2] > _MAX_MEDIAN_GAP
+
+
+def _stills(parsed: Sequence[_Name]) -> dict[str, Place]:
+    def natural(one: _Name) -> tuple[str, tuple[str, ...], tuple[int, ...], str]:
+        return one.folder, one.template, tuple(map(one.value, range(len(one.numbers)))), one.name
+
+    ranks = {one.name: rank for rank, one in enumerate(sorted(parsed, key=natural))}
+    return {one.name: ("", STILLS_STEP * ranks[one.name]) for one in parsed}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from storage_schema.errors import CorruptArtifact, MissingArtifact
-from storage_schema.manifest import ArtifactRef, Manifest
+from storage_schema.manifest import ArtifactRef, Identity, Manifest
 from storage_schema.store_reader import StoreReader
 
 
@@ -82,6 +82,25 @@ def has_lineage(store: StoreReader, refs: Iterable[ArtifactRef], known: set[tupl
         found.add(step.ref.place)
     known |= found
     return True
+
+
+def held_out(store: StoreReader, refs: Iterable[ArtifactRef]) -> set[Identity]:
+    """Return the artifacts that are held out, or that were computed from one that is: what nothing may learn from.
+
+    A missing ancestor is taken for one that is not held out.
+    """
+    manifests = {step.ref.identity: step.manifest for step in walk_stored(store, refs)}
+    is_held: dict[Identity, bool] = {}
+
+    def judge(identity: Identity) -> bool:
+        if identity not in is_held:
+            manifest = manifests[identity]
+            is_held[identity] = manifest is not None and (
+                bool(manifest.facts.get("is_held_out")) or any(judge(ref.identity) for ref in manifest.inputs)
+            )
+        return is_held[identity]
+
+    return {identity for identity in manifests if judge(identity)}
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:

@@ -7,13 +7,13 @@ store: `croissant.json` (MLCommons Croissant 1.0), and a `README.md` whose head 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
 from storage_schema.columns import Column
-from storage_schema.manifest import Manifest
+from storage_schema.manifest import Identity, Manifest
 from storage_schema.tables import TABLES
 
 if TYPE_CHECKING:
@@ -60,15 +60,25 @@ _CONTEXT = {
 _PARQUET = "application/x-parquet"
 
 
-def describe_dataset(dataset: Dataset, manifests: Sequence[Manifest]) -> dict[str, bytes]:
-    """Return both files by name, for these artifacts of a dataset."""
+def describe_dataset(
+    dataset: Dataset, manifests: Sequence[Manifest], held_out: Collection[Identity]
+) -> dict[str, bytes]:
+    """Return both files by name, for these artifacts of a dataset.
+
+    Artifacts that are held out, or that were computed from some that are, stand in the split `test`, all others in
+    `train`.
+    """
+    place_of = {one.ref: f"../../{one.ref.stage}/{one.ref.key[:2]}/{one.ref.key}" for one in manifests}
+    test = {place_of[one.ref] for one in manifests if one.ref.identity in held_out}
     files = {
-        table: {
-            f"../../{one.ref.stage}/{one.ref.key[:2]}/{one.ref.key}/{table}.parquet": one.tables[table] for one in own
-        }
+        table: {f"{place_of[one.ref]}/{table}.parquet": one.tables[table] for one in own}
         for table in sorted({name for one in manifests for name in one.tables})
         if (own := [one for one in manifests if table in one.tables])
     }
+
+    def is_test(place: str) -> bool:
+        return place.rpartition("/")[0] in test
+
     places = {place: f"{table}-{number}" for table, own in files.items() for number, place in enumerate(own)}
     objects = [
         {
@@ -111,7 +121,8 @@ def describe_dataset(dataset: Dataset, manifests: Sequence[Manifest]) -> dict[st
         "recordSet": [_record_set(table) for table in files],
     }
     head = "".join(
-        f"- config_name: {table}\n  data_files:\n" + "".join(f"  - {json.dumps(place)}\n" for place in own)
+        f"- config_name: {table}\n  data_files:\n{_split('train', [place for place in own if not is_test(place)])}"
+        f"{_split('test', [place for place in own if is_test(place)])}"
         for table, own in files.items()
     )
     rows = "".join(
@@ -124,6 +135,12 @@ def describe_dataset(dataset: Dataset, manifests: Sequence[Manifest]) -> dict[st
         f"Credit: {'; '.join(thanks)}\n\n| table | rows | |\n|---|---|---|\n{rows}"
     )
     return {CROISSANT_FILE: json.dumps(described, indent=1).encode(), README_FILE: text.encode()}
+
+
+def _split(name: str, places: Sequence[str]) -> str:
+    """Return the lines of a split in the head of the page; none where it has no files."""
+    files = "".join(f"    - {json.dumps(place)}\n" for place in places)
+    return f"  - split: {name}\n    path:\n{files}" if places else ""
 
 
 def _record_set(table: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 
-from storage_schema.ancestry import find_manifest
+from storage_schema.ancestry import find_manifest, held_out
 from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.croissant import describe_dataset
 from storage_schema.datasets import Dataset, add_dataset, check_names, datasets_with, digest_of, next_version
@@ -106,13 +106,15 @@ def create_dataset(
         raise StorageError(f"dataset '{name}': a dataset needs at least one artifact")
     sources = source_credits(store, *refs)
     digest = digest_of(refs, sources)
+    manifests = [store.manifest(ref) for ref in dict.fromkeys(refs)]
+    test = held_out(store, refs)
     store.prepare()
     while True:
         chosen = version or next_version(store, name)
         path = store.root / "datasets" / f"{name}@{chosen}"
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
         dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
-        described = describe_dataset(dataset, [store.manifest(ref) for ref in dict.fromkeys(refs)])
+        described = describe_dataset(dataset, manifests, test)
         if add_dataset(store, dataset, {**described, **(attachments or {})}):
             return dataset
         if version is not None:

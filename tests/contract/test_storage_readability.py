@@ -174,15 +174,33 @@ def test_pandas_polars_and_duckdb_load_a_published_version_from_its_folder(publi
         assert len(found) == NUM_ROWS + 20
 
 
-def test_the_library_datasets_loads_a_published_version_from_its_folder(published: Dataset, tmp_path: Path) -> None:
+def test_the_library_datasets_keeps_what_is_held_out_and_all_made_from_it_out_of_train(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    counts = {"waltz": 7, "hug": 11, "judo": 13}
+    takes = {
+        name: commit_rows(store, "takes", count, stage="ingest", partition=name, facts={"is_held_out": name == "hug"})
+        for name, count in counts.items()
+    }
+    variants = [
+        commit_rows(store, "variant_quality", count, stage="augmentation", partition=name, inputs=(takes[name],))
+        for name, count in (("waltz", 17), ("hug", 19), ("judo", 23))
+    ]
+    grandchild = commit_rows(store, "variant_quality", 29, stage="generation", inputs=(variants[1],))
+    only_test = commit_rows(store, "scores", 5, inputs=(grandchild, variants[0]))
+    published = create_dataset(store, "toys", [*takes.values(), *variants, grandchild, only_test])
     script = (
         "import sys, datasets\n"
-        f"for table in {READ}:\n"
-        "    found = datasets.load_dataset(sys.argv[1], table, split='train')\n"
-        "    print(table, found.num_rows, *found.column_names)\n"
+        "for table in ('takes', 'variant_quality', 'scores'):\n"
+        "    found = datasets.load_dataset(sys.argv[1], table)\n"
+        "    print(table, *(f'{split}={rows.num_rows}' for split, rows in sorted(found.items())))\n"
+        "    print(*next(iter(found.values())).column_names)\n"
     )
-    offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(tmp_path)}
+    offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache")}
     command = [sys.executable, "-c", script, str(published.path)]
     done = subprocess.run(command, env=os.environ | offline, capture_output=True, text=True, check=True, timeout=300)
-    for line, table, count in zip(done.stdout.splitlines(), READ, (NUM_ROWS, NUM_ROWS + 20), strict=True):
-        assert line.split() == [table, str(count), *(column.name for column in TABLES[table].columns)]
+    lines = done.stdout.splitlines()
+    assert lines[::2] == ["takes test=11 train=20", "variant_quality test=48 train=40", "scores test=5"]
+    names = [
+        " ".join(column.name for column in TABLES[table].columns) for table in ("takes", "variant_quality", "scores")
+    ]
+    assert lines[1::2] == names

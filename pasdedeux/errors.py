@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from numbers import Integral
 
 
 class PasdedeuxError(Exception):
@@ -26,6 +27,13 @@ def check_positive(value: float, what: str) -> None:
     """Refuse a number that is not positive or not finite."""
     if not 0 < value < float("inf"):
         raise InputError(f"{what} is {value}, it must be positive")
+
+
+def check_whole(value: object, what: str, *, minimum: int) -> None:
+    """Refuse what is no whole number, or a smaller one than the minimum."""
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_whole or value < minimum:  # type: ignore[operator]
+        raise InputError(f"{what} is {value!r}; it must be a whole number, {minimum} or more")
 
 
 @contextmanager

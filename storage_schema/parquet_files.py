@@ -137,6 +137,8 @@ def _path(column: Column) -> str:
 
 def _wanted(table: Table, columns: Sequence[str] | None) -> list[str]:
     known = [column.name for column in table.columns]
+    if isinstance(columns, str):
+        raise SchemaError(f"columns are a list of names, such as ['{columns}'], not a text")
     if columns is None:
         return known
     unknown = [name for name in columns if name not in known]

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation import Source, UserContact
+from pasdedeux.errors import check_whole
+from pasdedeux.people.names import person_name
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store
 from tasks.augmentation import batch_of
@@ -84,12 +85,12 @@ class ContactRows:
         is_body = self.person[:, 1] >= 0
         partners = zip(is_body, self.person[:, 1], self.bone[:, 1], self.share[:, 1].tolist(), strict=True)
         second = [
-            (ascii_uppercase[person], BODY22.joint_names[bone], share) if body else (None, self.objects[bone], None)
+            (person_name(person), BODY22.joint_names[bone], share) if body else (None, self.objects[bone], None)
             for body, person, bone, share in partners
         ]
         return {
             "frame": self.frame,
-            "person": [ascii_uppercase[one] for one in self.person[:, 0]],
+            "person": [person_name(person) for person in self.person[:, 0]],
             "bone": [BODY22.joint_names[one] for one in self.bone[:, 0]],
             "share": self.share[:, 0],
             "point_m": self.points_m[:, 0],
@@ -104,7 +105,13 @@ class ContactRows:
         }
 
     def matrix(self, first: int, stop: int) -> npt.NDArray[np.float32]:
-        """Return the weights between the bones of A and those of B in these frames, (frame, 22, 22)."""
+        """Return the weights between the bones of A and those of B in these frames, (frame, 22, 22).
+
+        Raises:
+            InputError: The frames are no whole numbers of 0 or more, or the last comes before the first.
+        """
+        check_whole(first, "first", minimum=0)
+        check_whole(stop, "stop", minimum=int(first))
         found = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
         order = np.argsort(self.person, axis=1)
         bone, person = (np.take_along_axis(one, order, axis=1) for one in (self.bone, self.person))

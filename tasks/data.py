@@ -14,17 +14,17 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
-from string import ascii_uppercase
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation import Source
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, check_whole
 from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.report import render
 from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store, TableData, iter_rows, open_table, parse_reference, resolve
@@ -135,7 +135,7 @@ class Clip:
 
         num_frames, num_people, num_joints = self.positions_m.shape[:3]
         index = pd.MultiIndex.from_product(
-            [range(num_frames), list(ascii_uppercase[:num_people]), self.joints], names=["frame", "person", "joint"]
+            [range(num_frames), person_names(num_people), self.joints], names=["frame", "person", "joint"]
         )
         rows = pd.DataFrame(self.positions_m.reshape(-1, 3), index=index, columns=["x_m", "y_m", "z_m"])
         rows.insert(0, "time_s", np.repeat(np.arange(num_frames) / self.rate_hz, num_people * num_joints))
@@ -251,7 +251,15 @@ class Data:
         return self.pairs(f"draws:{where}")
 
     def pairs(self, reference: str, *, count: int | None = None) -> Pairs:
-        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread."""
+        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread.
+
+        Raises:
+            InputError: The table has no pairs, or the count is no whole number of 1 or more.
+        """
+        if (table := parse_reference(reference).table) not in _OF_PAIRS:
+            raise InputError(f"'{reference}': '{table}' has no pairs; tables that have some: {', '.join(_OF_PAIRS)}")
+        if count is not None:
+            check_whole(count, "count", minimum=1)
         left_out = self.left_out(reference)
         names = IDENTITY[parse_reference(reference).table] if left_out else ()
         total = sum(rows.stop - rows.start for _, rows in find_rows(parse_reference(reference), self.store))
@@ -304,6 +312,7 @@ class Data:
 
 
 SplitName = Literal["train", "validation", "test"]
+GroupName = Literal["take", "interaction"]
 
 
 class PairDataset:
@@ -326,7 +335,8 @@ class PairDataset:
             sides of takes stay.
 
     Raises:
-        InputError: The reference is not of variants, nothing is on this side, or the file holds no choices.
+        InputError: The reference is not of variants, another argument is not allowed, no window is on this side (says
+            why), or the file holds no choices.
     """
 
     def __init__(
@@ -337,7 +347,7 @@ class PairDataset:
         *,
         store: Store | str | Path = "store",
         stride: int | None = None,
-        by: Literal["take", "interaction"] = "take",
+        by: GroupName = "take",
         seed: int = 0,
         curation: str | Path | None = None,
     ) -> None:
@@ -346,10 +356,13 @@ class PairDataset:
             raise InputError(
                 f"'{reference}' is not of variants: name them as variants:study or variants:dataset@version"
             )
-        if split not in SplitName.__args__ or window < 1:  # type: ignore[attr-defined]
-            raise InputError(
-                f"split '{split}', window {window}: a split is train, validation or test, a window 1 or more"
-            )
+        for name, value, allowed in (("split", split, SplitName), ("by", by, GroupName)):
+            if value not in get_args(allowed):
+                raise InputError(f"{name} is {value!r}; it must be one of {', '.join(get_args(allowed))}")
+        check_whole(window, "window", minimum=1)
+        check_whole(seed, "seed", minimum=0)
+        step = max(1, window // 2) if stride is None else stride
+        check_whole(step, "stride", minimum=1)
         data = Data(store, curation)
         left_out = data.left_out(reference)
         clips = [one for one in data.all_variants(reference) if one.verdict != "fail"]
@@ -357,19 +370,14 @@ class PairDataset:
         self.window = window
         self._read: dict[int, npt.NDArray[np.float64]] = {}
         self._clips = [one for one in clips if sides.get(one.take.ref) == split and one.identity not in left_out]
-        step = stride or max(1, window // 2)
-        lengths = [TakeFacts.of(one.take).num_frames for one in self._clips]
-        pairs = [TakeFacts.of(one.take).num_persons == 2 for one in self._clips]
         self._items = [
             (number, start)
-            for number, (length, is_pair) in enumerate(zip(lengths, pairs, strict=True))
-            for start in range(0, (length - window + 1) if is_pair else 0, step)
+            for number, clip in enumerate(self._clips)
+            if _is_of_pair(clip)
+            for start in range(0, _num_frames(clip) - window + 1, step)
         ]
         if not self._items:
-            raise InputError(
-                f"'{reference}': no variant of two people, long enough for {window} frames, is on the side {split} "
-                f"({len(self._clips)} of {len(clips)} variants are, split by {by})"
-            )
+            raise InputError(f"'{reference}': {_why_no_window(clips, self._clips, window, split, by)}")
 
     def __len__(self) -> int:
         return len(self._items)
@@ -390,6 +398,27 @@ class PairDataset:
             "name": clip.name,
             "start": start,
         }
+
+
+def _is_of_pair(clip: Clip) -> bool:
+    return TakeFacts.of(clip.take).num_persons == 2
+
+
+def _num_frames(clip: Clip) -> int:
+    return TakeFacts.of(clip.take).num_frames
+
+
+def _why_no_window(clips: Sequence[Clip], on_side: Sequence[Clip], window: int, split: str, by: str) -> str:
+    """Return why the variants of a side have no window of so many frames."""
+    if not clips:
+        return "every variant failed"
+    if not on_side:
+        return f"none of the {len(clips)} variants is on the side {split}, split by {by}"
+    lengths = [_num_frames(clip) for clip in on_side if _is_of_pair(clip)]
+    whose = f"the {len(on_side)} variants on the side {split}"
+    if not lengths:
+        return f"none of {whose} is of two people"
+    return f"the longest of {whose} has {max(lengths)} frames, fewer than the window of {window}"
 
 
 def _sides(takes: Sequence[Manifest], seed: int, *, is_by_take: bool) -> dict[ArtifactRef, SplitName]:

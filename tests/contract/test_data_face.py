@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import math
 import pickle
+import re
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,7 +18,7 @@ from flows.exports import export_reference
 from pasdedeux.augmentation import UserContact
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
-from storage_schema import ShardRecord, Store, UnknownReference, record_latest
+from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, open_table, record_latest
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
@@ -131,7 +133,7 @@ def test_no_take_stands_on_two_sides_and_held_out_ones_test(store: Store, by: An
         try:
             found = PairDataset("variants:toy", 10, split, store=store.root, by=by)
         except InputError as error:
-            assert "0 of 8 variants are" in str(error)  # noqa: PT017 - a side may be empty
+            assert "none of the 8 variants is on the side" in str(error)  # noqa: PT017 - a side may be empty
             continue
         sides[split] = {one.source.name for one in found._clips if one.source is not None}
     assert sides["test"] == {HELD_OUT}
@@ -167,13 +169,46 @@ def test_torch_loads_batches_with_workers(store: Store) -> None:
 def test_what_holds_no_windows_is_said(store: Store) -> None:
     with pytest.raises(InputError, match="'poses:toy' is not of variants"):
         PairDataset("poses:toy", store=store.root)
-    with pytest.raises(InputError, match="long enough for 60 frames, is on the side train"):
+    with pytest.raises(InputError, match="4 variants on the side train has 30 frames, fewer than the window of 60"):
         PairDataset("variants:toy", store=store.root)
-    with pytest.raises(InputError, match="a split is train, validation or test"):
-        PairDataset("variants:toy", 10, "dev", store=store.root)  # type: ignore[arg-type]
     with pytest.raises(UnknownReference, match="study 'salsa' has not run"):
         Data(store).takes("salsa")
     assert all(TakeFacts.of(one.take).rate_hz == 15 for one in Data(store).takes("toy"))
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("window", (0, -1, 2.5, "30", True, None, math.nan)),
+        ("stride", (0, -5, 1.5, "5", True)),
+        ("seed", (-1, 0.5, None)),
+        ("split", ("dev", None, 3)),
+        ("by", ("frame", None)),
+    ],
+)
+def test_an_argument_that_is_not_allowed_is_named_and_nothing_else(
+    store: Store, name: str, values: tuple[Any, ...]
+) -> None:
+    for value in values:
+        with pytest.raises(InputError, match=f"^{name} is {re.escape(repr(value))}; it must be"):
+            PairDataset("variants:toy", **{"window": 10, "store": store.root, name: value})
+    assert len(PairDataset("variants:toy", np.int64(10), store=store.root, stride=np.int64(5))) == 20  # type: ignore[arg-type]
+
+
+def test_every_face_names_the_argument_that_is_wrong(store: Store) -> None:
+    data = Data(store)
+    for count in (0, -3, 1.5):
+        with pytest.raises(InputError, match=r"^count is "):
+            data.pairs("draws:toy", count=count)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="'poses' has no pairs; tables that have some: draws"):
+        data.pairs("poses:toy")
+    contacts = data.takes("toy")[0].contacts
+    for frames, name in (((-1, 5), "first"), ((5, 2), "stop"), ((0, 1.5), "stop")):
+        with pytest.raises(InputError, match=f"^{name} is "):
+            contacts.matrix(*frames)  # type: ignore[arg-type]
+    for read in (data.table, lambda *args: open_table(args[0], store, columns=args[1])):
+        with pytest.raises(SchemaError, match="columns are a list of names"):
+            read("poses:toy", "pair17_m")
 
 
 def test_the_lines_of_the_readme_run(

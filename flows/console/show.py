@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from string import ascii_uppercase
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ from flows.console.display import counted, format_table
 from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, export_selection
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
+from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import WORKING_SKELETONS
 from pasdedeux.verdict import Level
 from storage_schema import (
@@ -259,7 +259,7 @@ def _type_words(column: Any) -> str:
 def joint_lines(values: npt.NDArray[np.floating], joints: str, *, unit: str) -> list[str]:
     """Return a table of people (*batch, joint, 2 or 3) of the working skeleton of this name; "-" where NaN."""
     people = values.reshape(-1, *values.shape[-2:])
-    header = [f"{letter} {axis}" for letter in ascii_uppercase[: len(people)] for axis in "xyz"[: people.shape[-1]]]
+    header = [f"{letter} {axis}" for letter in person_names(len(people)) for axis in "xyz"[: people.shape[-1]]]
     decimals = 1 if unit == "px" else 3
     rows = [
         (name, *(f"{value:.{decimals}f}" if np.isfinite(value) else "-" for value in people[:, joint].ravel()))

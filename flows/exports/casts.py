@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.own_skeleton import OwnSkeleton
 from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.kinematics import Motion, bone_lengths
+from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT, body_height_m
 from pasdedeux.projections.camera import DatabaseCamera
@@ -127,9 +127,9 @@ class Cast:
     make_rigs: Callable[[RestPose], list[Rig]] | None = field(default=None, repr=False)
 
     @property
-    def letters(self) -> str:
-        """Return the letters of the people."""
-        return ascii_uppercase[: self.positions_m.shape[1]]
+    def letters(self) -> list[str]:
+        """Return the names of the people."""
+        return person_names(self.positions_m.shape[1])
 
     @cached_property
     def statures_m(self) -> Array:
@@ -276,7 +276,7 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
             both = zip(motions, heights.tolist(), strict=True)
             return [Rig(one, bone_radii(one, height_m, _BODY22_NAMES)) for one, height_m in both]
 
-        who = ", ".join(f"{letter} is person {one}" for letter, one in zip(ascii_uppercase, ids, strict=False))
+        who = ", ".join(f"{letter} is person {one}" for letter, one in zip(person_names(len(ids)), ids, strict=True))
         yield Cast(
             (sequence_id, method, *clip),
             BODY22,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from string import ascii_uppercase
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, standing, with_end_sites
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.people.names import person_name
 from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Store
 
@@ -72,7 +72,7 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
             np.asarray(take["body22_weight"], dtype=np.float64).reshape(BODY22.num_joints, joints),
             np.asarray(take["body22_offset_m"], dtype=np.float64).reshape(BODY22.num_joints, joints, 3),
         )
-        letter = ascii_uppercase[int(take["person"])]
+        letter = person_name(int(take["person"]))
         own = OwnSkeleton(motion, body)
         unit, layout, up_axis = float(take["metres_per_unit"]), str(take["layout"]), str(take["up_axis"])
         people.append(Person(str(take["take_id"]), letter, own, unit, layout, up_axis))

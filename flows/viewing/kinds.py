@@ -18,6 +18,7 @@ from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.evaluation.shown_figures import plain
 from pasdedeux.evaluation.verdicts import verdict_words
+from pasdedeux.people.names import person_name
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
@@ -140,7 +141,7 @@ def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) ->
         best = index.search(image, num_neighbours=_NUM_NEAREST)
         for row, yaw, distance_m in zip(best.row, best.yaw_index, best.distance_m, strict=True):
             if np.isfinite(distance_m):
-                title = f"{'ABCDEFGHIJ'[person]}: {takes[row]} frame {frames[row]}, {100 * distance_m:.1f} cm"
+                title = f"{person_name(person)}: {takes[row]} frame {frames[row]}, {100 * distance_m:.1f} cm"
                 alone = np.full((person + 1, OP14.num_joints, 2), np.nan)  # in the colour of this person
                 alone[person] = database.project(row, row + 1)[0, yaw]
                 flats.append(_image_of(alone, title, OP14))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from string import ascii_uppercase
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+from pasdedeux.people.names import person_name, person_names
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
 
@@ -91,7 +91,7 @@ def persons_of(who: str, num_people: int) -> list[int]:
     >>> persons_of("CA", 3), persons_of("AB", 1), persons_of("all", 2)
     ([0, 2], [0], [0, 1])
     """
-    letters = ascii_uppercase[:num_people]
+    letters = person_names(num_people)
     return [person for person, letter in enumerate(letters) if who == EVERYBODY or letter in who]
 
 
@@ -115,7 +115,7 @@ def check_bone_scales(
     if is_bad.any():
         at = tuple(int(i) for i in np.argwhere(is_bad)[0])
         raise InputError(
-            f"{what}: the scale of person {ascii_uppercase[at[-2]]}'s bone '{skeleton.joint_names[at[-1]]}' is "
+            f"{what}: the scale of person {person_name(at[-2])}'s bone '{skeleton.joint_names[at[-1]]}' is "
             f"{bone_scale[at]:g}; allowed are {_SMALLEST_SCALE:g} to {_LARGEST_SCALE:g}"
         )
 
@@ -125,7 +125,7 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
 
     A take without the persons named has none.
     """
-    letters = ("".join(ascii_uppercase[one] for one in persons_of(who, num_people)) for who in settings.persons)
+    letters = ("".join(map(person_name, persons_of(who, num_people))) for who in settings.persons)
     persons, scales = list(dict.fromkeys(filter(None, letters))), settings.scales
     made = {
         "uniform": lambda: uniform_variations(scales, persons, num_people),
@@ -180,7 +180,7 @@ def scale_axes(bone_scale: Array) -> dict[str, Array]:
     {'B arms': array([0.8, 1.2])}
     """
     axes: dict[str, Array] = {}
-    for letter, own in zip(ascii_uppercase, np.moveaxis(bone_scale, 1, 0), strict=False):
+    for letter, own in zip(person_names(bone_scale.shape[1]), np.moveaxis(bone_scale, 1, 0), strict=True):
         parts = {f"person {letter}": list(BODY22.joint_names[1:])}
         if _differ(own[:, 1:]):
             parts = {}

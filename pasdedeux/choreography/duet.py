@@ -6,7 +6,6 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from string import ascii_uppercase
 from typing import ClassVar, Self
 
 import numpy as np
@@ -19,6 +18,7 @@ from pasdedeux.choreography.figure import Figure
 from pasdedeux.choreography.geometry import SIDES
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
+from pasdedeux.people.names import person_name
 from pasdedeux.settings import Settings
 
 _NUM_VARIED = 5
@@ -209,8 +209,8 @@ class Duet:
                         joint_b=b.bone,
                         share_a=a.fraction,
                         share_b=b.fraction,
-                        person_a=ascii_uppercase[a.person],
-                        person_b=ascii_uppercase[b.person],
+                        person_a=person_name(a.person),
+                        person_b=person_name(b.person),
                         start_frame=first,
                         stop_frame=stop,
                     )

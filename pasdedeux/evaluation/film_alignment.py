@@ -15,6 +15,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
+from pasdedeux.people.names import person_name
 from pasdedeux.reconstruction.tracks import Lens, Track
 
 MAX_RESIDUAL = 0.05
@@ -56,7 +57,7 @@ class FilmAlignment:
 
     def in_words(self) -> str:
         """Say it."""
-        people = ", ".join(f"person {name} is {chr(ord('A') + at)}" for at, name in enumerate(self.person_ids))
+        people = ", ".join(f"person {name} is {person_name(at)}" for at, name in enumerate(self.person_ids))
         return (
             f"Film and take: {people}; the film's time 0 is {self.offset_s:.3f} s of the take, and a second "
             f"of it {self.rate:.4f} s; keypoints are {100 * self.residual:.1f} % of people's height from its joints, "

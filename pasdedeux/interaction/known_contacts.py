@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from string import ascii_uppercase
 from typing import Annotated
 
 from pydantic import Field, ValidationError, field_validator, model_validator
@@ -11,6 +10,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.text import Lines
 from pasdedeux.interaction.objects import FLOOR, MovingObjects
+from pasdedeux.people.names import person_index, person_names
 from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import BODY22, Skeleton
 
@@ -61,8 +61,8 @@ class UserContact(Settings):
     @property
     def persons(self) -> tuple[int, ...]:
         """Numbers of the people, one where something is touched."""
-        letters = self.person_a if self.object else self.person_a + self.person_b
-        return tuple(map(ascii_uppercase.index, letters))
+        names = [self.person_a] if self.object else [self.person_a, self.person_b]
+        return tuple(map(person_index, names))
 
     def bones(self, skeleton: Skeleton, objects: MovingObjects | None) -> tuple[int, int]:
         """Return the child joints of the two bones, the joints of all people numbered through; -1, ... for objects."""
@@ -93,7 +93,7 @@ def check_contacts(
         other = contact.object or f"{contact.person_b}'s {contact.joint_b}"
         what = f"{name}: contact of {contact.person_a}'s {contact.joint_a} and {other}"
         if max(contact.persons) >= num_people:
-            raise InputError(f"{what}, but the people are {', '.join(ascii_uppercase[:num_people])}")
+            raise InputError(f"{what}, but the people are {', '.join(person_names(num_people))}")
         if contact.object and contact.object not in things:
             raise InputError(f"{what}, but what there is to be touched is {', '.join(things)}")
         if contact.stop_frame > num_frames:

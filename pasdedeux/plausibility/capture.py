@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from string import ascii_uppercase
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from pasdedeux.interaction.floor import StandingSettings, find_standing
 from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.people.names import person_name
 from pasdedeux.plausibility.capsules import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -173,7 +173,7 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
     shared = [Complaint(Level.WARN, apart, is_of_take=True)] if apart else []
     found = [shared + person.complaints(limits) for person in people]
     everybody = [
-        one if one.is_of_take or len(people) == 1 else replace(one, text=f"{ascii_uppercase[person]}: {one.text}")
+        one if one.is_of_take or len(people) == 1 else replace(one, text=f"{person_name(person)}: {one.text}")
         for person, own in enumerate(found)
         for one in own
     ]

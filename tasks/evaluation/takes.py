@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import cycle
-from string import ascii_uppercase
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.evaluation.pictures import COLOUR_NAMES, Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction.surfaces import closest_joint_distance
+from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
@@ -40,7 +40,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     frames, shown_hz = shown_frames(len(people), rate_hz)
     player = pack_player([people_panel(take_id, BODY22, people[frames])], rate_hz=shown_hz)
     held_out = ", held out" if facts.is_held_out else ""
-    coloured = zip(ascii_uppercase[: people.shape[1]], cycle(COLOUR_NAMES), strict=False)
+    coloured = zip(person_names(people.shape[1]), cycle(COLOUR_NAMES), strict=False)
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
     caption = f"Take {take_id}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
     picture = Picture(f"take-{take_id}.player.json", caption, player)

@@ -1,0 +1,46 @@
+"""People are named A to Z, then AA, AB, ..., wherever a person is named."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+
+from flows.console.show import joint_lines
+from pasdedeux.people.names import person_index, person_name, person_names
+
+ROOT = Path(__file__).parents[2]
+OWNER = "pasdedeux/people/names.py"
+
+
+def test_names_are_letters_each_once_and_sort_by_length_then_letter() -> None:
+    names = person_names(1000)
+    assert (names[0], names[25], names[26], names[51], names[52], names[701], names[702]) == (
+        "A", "Z", "AA", "AZ", "BA", "ZZ", "AAA",
+    )  # fmt: skip
+    assert sorted(set(names), key=lambda name: (len(name), name)) == names
+    assert [person_name(index) for index in range(1000)] == names
+    assert [person_index(name) for name in names] == list(range(1000))
+
+
+def test_a_crowd_of_thirty_has_a_column_each() -> None:
+    people = np.arange(30 * 14 * 2, dtype=np.float64).reshape(30, 14, 2)
+    header, first, *_ = (re.split(r"\s{2,}", line.strip()) for line in joint_lines(people, "op14", unit="px"))
+    assert [word for word in header if word.endswith(" x")] == [f"{name} x" for name in person_names(30)]
+    assert len(first) == 1 + 30 * 2
+
+
+def test_no_other_module_makes_names_of_people_from_letters() -> None:
+    for package in ("pasdedeux", "storage_schema", "tasks", "flows"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            used = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+            used |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
+            letters = any(
+                isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("ABCD")
+                for node in ast.walk(tree)
+            )
+            is_allowed = path.relative_to(ROOT).as_posix() in (OWNER, "flows/console/retargeting.py")
+            assert is_allowed or not (letters or "ascii_uppercase" in used), path

@@ -28,15 +28,14 @@ from pasdedeux.formats.annotated_frames import (
     AnnotatedFrames,
     KeypointStatus,
     get_keypoint_layout,
-    layout_of_names,
 )
-from pasdedeux.formats.detections import MAX_CONFIDENCE
+from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange, number_people
 from pasdedeux.formats.file_format import AnnotationFormat
-from pasdedeux.formats.text import Lines, parse_integer, parse_number, shorten
+from pasdedeux.formats.text import MISSING, Lines, parse_integer, parse_number, shorten
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence", "status")
-_NEEDED = ("frame", "person", "joint", "x", "y")
+_NEEDED = ("frame", "joint", "x", "y")
 
 
 def read_annotation_csv(
@@ -50,7 +49,7 @@ def read_annotation_csv(
         layout: Layout of the keypoints; "auto" takes the one the file states or the only one that has all its joints.
     """
     size = rate_hz = focal_px = None
-    people: dict[tuple[str, int, int], dict[str, tuple[float, float, float, float]]] = {}
+    people: dict[tuple[str, int, int | str], dict[str, tuple[float, float, float, float]]] = {}
     with Lines(data, "annotation table") as lines:
         for key, value in lines.notes():
             match key:
@@ -66,37 +65,39 @@ def read_annotation_csv(
                 case "focal_px":
                     focal_px = parse_number(value, "the focal length", *FOCAL_PX)
         for row in lines.table(_NEEDED, COLUMNS)[1]:
-            frame, person = (parse_integer(row[name], name) for name in ("frame", "person"))
+            frame, word = parse_integer(row["frame"], "frame"), row.get("person", "0")
+            person = word if any(map(str.isalpha, word)) else parse_integer(word, "person")
             joints = people.setdefault((row.get("sequence") or sequence_id, frame, person), {})
             if row["joint"] in joints:
                 raise FormatError(f"'{shorten(row['joint'])}' twice for person {person} in frame {frame}")
-            x, y = (math.nan if row[axis].lower() in ("", "nan") else parse_number(row[axis], axis) for axis in "xy")
+            x, y = (math.nan if row[axis].lower() in MISSING else parse_number(row[axis], axis) for axis in "xy")
             confidence = parse_number(row.get("confidence", "1") or "0", "confidence", 0, MAX_CONFIDENCE)
             joints[row["joint"]] = (x, y, confidence, _status_of(row["status"]) if "status" in row else math.nan)
     if not people:
         raise FormatError("this annotation table has no rows")
-    joint_names = {name for joints in people.values() for name in joints}
-    known = get_keypoint_layout(layout_of_names(joint_names) if layout == "auto" else layout)
-    unknown = sorted(joint_names - set(known.keypoint_names))
-    if unknown:
-        names = ", ".join(known.keypoint_names)
-        raise FormatError(f"joint '{shorten(unknown[0])}' is not in the layout '{known.name}'; known: {names}")
-    table = np.tile([math.nan, math.nan, 0.0, 0.0], (len(people), known.num_keypoints, 1))
-    for points, joints in zip(table, people.values(), strict=True):
-        for name, point in joints.items():
-            points[known.keypoint_names.index(name)] = point
-    sequences, frames, persons = zip(*people, strict=True)
+    names = tuple(dict.fromkeys(name for joints in people.values() for name in joints))
+    missing = (math.nan, math.nan, 0.0, float(KeypointStatus.MISSING))
+    detections = []
+    for (sequence, frame, person), joints in people.items():
+        table = np.array([joints.get(name, missing) for name in names])
+        status = None if np.isnan(table[:, 3]).any() else tuple(table[:, 3].astype(int).tolist())
+        detections.append(Detection((sequence, frame), person, table[:, :3], f"frame {frame}", status, names))
+    arranged = arrange(detections, layout, is_strict=True)
+    numbers, has_identities, remarks = number_people(detections)
+    sequences = tuple(one.place[0] for one in detections)
     return AnnotatedFrames.of(
-        known,
+        arranged.layout,
         sequence_id=sequences,
-        frame=np.array(frames, dtype=np.int64),
-        person_id=np.array(persons, dtype=np.int64),
-        keypoints_px=table[..., :2],
-        confidence=table[..., 2],
+        frame=np.array([one.place[1] for one in detections], dtype=np.int64),
+        person_id=np.array(numbers, dtype=np.int64),
+        keypoints_px=arranged.table[..., :2],
+        confidence=arranged.table[..., 2],
         image_size_px=dict.fromkeys(sequences, size) if size else {},
         rate_hz=rate_hz,
         focal_px=dict.fromkeys(sequences, focal_px) if focal_px else {},
-        status=None if np.isnan(table[..., 3]).any() else table[..., 3].astype(np.int64),
+        has_identities=has_identities,
+        status=arranged.status,
+        remarks=(*arranged.remarks, *remarks),
     )
 
 
@@ -119,9 +120,9 @@ def write_annotation_csv(frames: AnnotatedFrames) -> str:
 
 ANNOTATION_CSV = AnnotationFormat(
     name="annotation_csv",
-    recognised_by="CSV with the columns frame, person, joint, x, y",
+    recognised_by="CSV with the columns frame, joint, x, y",
     suffixes=(".csv",),
-    recognises=lambda start: set(_NEEDED) <= {cell.strip().lower() for cell in start.first_row.split(",")},
+    recognises=lambda start: set(_NEEDED) <= set(start.columns),
     read_file=read_annotation_csv,
 )
 """Our CSV: it may state layout, image size and rate."""

@@ -1,7 +1,7 @@
 """Our own npz of 2D annotations, for programs.
 
-`keypoints_px` (row, K, 2), `confidence` (row, K), `frame` (row,), `person` (row,), `layout` (text), and optionally
-`sequence` (row,) of texts, `image_size_px` (2,), `rate_hz`, `focal_px`.
+`keypoints_px` (row, K, 2), `confidence` (row, K), `frame` (row,), `person` (row,), `layout` (text) or `joint_names`
+(K,) in any order, and optionally `sequence` (row,) of texts, `image_size_px` (2,), `rate_hz`, `focal_px`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import FOCAL_PX, MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
-from pasdedeux.formats.detections import MAX_CONFIDENCE
+from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.npz import get_array, read_npz
 from pasdedeux.formats.text import MAX_COUNT, MAX_MAGNITUDE, check_range
@@ -22,11 +22,11 @@ def read_annotation_npz(
 ) -> AnnotatedFrames:
     """Read our npz of 2D annotations."""
     arrays = read_npz(data, "annotation archive")
-    if layout == "auto":
+    names = tuple(map(str, get_array(arrays, "joint_names", "U", (None,)))) if "joint_names" in arrays else None
+    if layout == "auto" and names is None:
         layout = str(get_array(arrays, "layout", "U", ()).item())
     frame = get_array(arrays, "frame", "iu", (None,))
-    known = get_keypoint_layout(layout)
-    rows, num_keypoints = len(frame), known.num_keypoints
+    rows, num_keypoints = len(frame), len(names) if names else get_keypoint_layout(layout).num_keypoints
     person = get_array(arrays, "person", "iu", (rows,))
     keypoints = get_array(arrays, "keypoints_px", "fiu", (rows, num_keypoints, 2)).astype(np.float64)
     confidence = get_array(arrays, "confidence", "fiu", (rows, num_keypoints)).astype(np.float64)
@@ -53,16 +53,22 @@ def read_annotation_npz(
         rate_hz = check_range(float(get_array(arrays, "rate_hz", "fiu", ())), "'rate_hz'", *RATE_HZ)
     if "focal_px" in arrays:
         focal_px = check_range(float(get_array(arrays, "focal_px", "fiu", ())), "'focal_px'", *FOCAL_PX)
+    table = np.concatenate([keypoints, confidence[..., None]], axis=-1)
+    places = zip(sequence, frame.tolist(), person.tolist(), table, strict=True)
+    arranged = arrange(
+        [Detection((name, at), number, one, f"frame {at}", None, names) for name, at, number, one in places], layout
+    )
     return AnnotatedFrames.of(
-        known,
+        arranged.layout,
         sequence_id=sequence,
         frame=frame.astype(np.int64),
         person_id=person.astype(np.int64),
-        keypoints_px=keypoints,
-        confidence=confidence,
+        keypoints_px=arranged.table[..., :2],
+        confidence=arranged.table[..., 2],
         image_size_px=dict.fromkeys(sequence, size) if size else {},
         rate_hz=rate_hz,
         focal_px=dict.fromkeys(sequence, focal_px) if focal_px else {},
+        remarks=arranged.remarks,
     )
 
 

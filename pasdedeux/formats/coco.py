@@ -23,7 +23,7 @@ from pasdedeux.formats.detections import (
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
+from pasdedeux.skeletons.layouts import KeypointLayout
 
 _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 """COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible."""
@@ -63,7 +63,7 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
         raise InputError("this file holds nobody: no image of it has keypoints")
     places, sizes = _places_of_images(named.get("images")) if is_annotations else (_places_of_ids(items), {})
     footage = known_footage(content)
-    layout = _layout_named(named) if layout == "auto" else layout
+    categories = _names_of_categories(named)
     if footage.image_size_px:
         sizes = sizes or {video: footage.image_size_px for video, _ in places.values()}
     detections = []
@@ -78,18 +78,27 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
             if not np.isin(table[:, 2], [0, 1, 2]).all():
                 raise FormatError(f"{item.where}: a visibility is none of 0, 1, 2")
             table[:, 2] = _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)]
-        detections.append(Detection(places[item.image], _person_number(item.content), table, item.where, status))
+        names = _names_of(item.content, categories, len(table))
+        detections.append(Detection(places[item.image], _person_id(item.content), table, item.where, status, names))
     return join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, rate_hz=footage.rate_hz)
 
 
-def _layout_named(content: dict[str, Any]) -> str:
-    """Return the layout whose keypoints the categories name in its order, "auto" where they name those of none."""
+def _names_of_categories(content: dict[str, Any]) -> dict[Any, tuple[str, ...]]:
+    """Return the names of keypoints by the category that has them."""
     categories = content.get("categories")
-    listed = (
-        [one.get("keypoints") for one in categories if isinstance(one, dict)] if isinstance(categories, list) else []
-    )
-    named = {tuple(map(str, names)) for names in listed if isinstance(names, list)}
-    return next((one.name for one in KEYPOINT_LAYOUTS.values() if named == {one.keypoint_names}), "auto")
+    named = [one for one in categories if isinstance(one, dict)] if isinstance(categories, list) else []
+    return {
+        one["id"]: tuple(map(str, one["keypoints"]))
+        for one in named
+        if isinstance(one.get("keypoints"), list) and isinstance(one.get("id"), int | str) and one["keypoints"]
+    }
+
+
+def _names_of(person: dict[str, Any], categories: dict[Any, tuple[str, ...]], count: int) -> tuple[str, ...] | None:
+    """Return the names of a person's keypoints, None where no category gives so many."""
+    category = person.get("category_id")
+    fitting = [names for number, names in categories.items() if category in (number, None) or len(categories) == 1]
+    return next((names for names in fitting if len(names) == count), None)
 
 
 def read_image_results(data: bytes) -> list[Detection]:
@@ -108,7 +117,7 @@ def read_image_results(data: bytes) -> list[Detection]:
         if not isinstance(person, dict) or not isinstance(person.get("keypoints", []), list | dict):
             raise FormatError(f"{where} is no object with 'keypoints'")
         if person.get("keypoints"):
-            found.append(Detection(("", 0), _person_number(person), _keypoint_table(person, where), where))
+            found.append(Detection(("", 0), _person_id(person), _keypoint_table(person, where), where))
     return found
 
 
@@ -227,14 +236,14 @@ def _keypoint_table(content: dict[str, Any], where: str) -> Array:
     return parse_triples(numbers, f"{where}: 'keypoints'")
 
 
-def _person_number(content: dict[str, Any]) -> int | None:
-    """Return the number of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
+def _person_id(content: dict[str, Any]) -> int | str | None:
+    """Return the number or name of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
     value = next((content[key] for key in _ID_KEYS if content.get(key) is not None), None)
     while isinstance(value, list):
         value = value[0] if value else None
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    return value if _is_count(value) else None
+    return value if _is_count(value) or (isinstance(value, str) and value) else None
 
 
 def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:

@@ -7,6 +7,7 @@ that are `outside` are missing, occluded ones have half the confidence.  Labels 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -18,8 +19,8 @@ from pasdedeux.formats.annotated_frames import (
     AnnotatedFrames,
     KeypointStatus,
     get_keypoint_layout,
-    layout_of_names,
 )
+from pasdedeux.formats.detections import Detection, join_detections
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
@@ -37,10 +38,9 @@ def read_cvat(
     """Read the skeletons of CVAT for video or for images.
 
     Raises:
-        FormatError: It is no XML, declares entities, which no tool writes, or names a joint that no layout has.
+        FormatError: It is no XML, declares entities, which no tool writes, or names joints of no layout.
     """
     root = parse_xml(data, "CVAT file")
-    own_names = frozenset() if isinstance(layout, str) else frozenset(layout.keypoint_names)
     if root.tag != "annotations":
         raise FormatError(f"this CVAT file begins with <{shorten(root.tag)}>, not <annotations>")
     rows: dict[tuple[str, int, int], dict[str, Point]] = {}
@@ -49,7 +49,7 @@ def read_cvat(
         person = parse_integer(track.get("id", str(index)), f"track {index}: id")
         for skeleton in track.iterfind("skeleton"):
             frame = parse_integer(skeleton.get("frame", ""), f"track {index}: frame")
-            _add(rows, ("", frame, person), skeleton, own_names, is_key=skeleton.get("keyframe", "1") == "1")
+            _add(rows, ("", frame, person), skeleton, is_key=skeleton.get("keyframe", "1") == "1")
     images = list(root.iterfind("image"))
     has_numbers = True
     places = _places(images)
@@ -59,7 +59,7 @@ def read_cvat(
         is_numbered = len(set(groups)) == len(groups) and all(groups)
         has_numbers &= is_numbered or len(people) < 2
         for order, skeleton in enumerate(people):
-            _add(rows, (*place, groups[order] if is_numbered else order), skeleton, own_names, is_key=True)
+            _add(rows, (*place, groups[order] if is_numbered else order), skeleton, is_key=True)
         if image.get("width") and image.get("height"):
             sizes[place[0]] = _size(image.get("width", ""), image.get("height", ""), f"frame {place[1]}")
     stated = root.find("meta//original_size")
@@ -67,29 +67,15 @@ def read_cvat(
         sizes[""] = _size(stated.findtext("width", ""), stated.findtext("height", ""), "annotation 0: original_size")
     if not rows:
         raise FormatError("this CVAT file is empty: it holds no skeletons")
-    known = get_keypoint_layout(
-        layout_of_names({name for points in rows.values() for name in points}) if layout == "auto" else layout
-    )
-    table = np.tile([np.nan, np.nan, 0.0, 0.0], (len(rows), known.num_keypoints, 1))
-    for own, ((_, frame, _), points) in zip(table, rows.items(), strict=True):
-        for name, point in points.items():
-            if name not in known.keypoint_names:
-                names = ", ".join(known.keypoint_names)
-                raise FormatError(f"frame {frame}: joint '{shorten(name)}' is not in '{known.name}'; known: {names}")
-            own[known.keypoint_names.index(name)] = point
-    videos, frames, persons = zip(*rows, strict=True)
-    sequences = {video: f"{sequence_id}.{video}" if video else sequence_id for video in videos}
-    return AnnotatedFrames.of(
-        known,
-        sequence_id=tuple(sequences[video] for video in videos),
-        frame=np.array(frames, dtype=np.int64),
-        person_id=np.array(persons, dtype=np.int64),
-        keypoints_px=table[..., :2],
-        confidence=table[..., 2],
-        status=table[..., 3].astype(np.int64),
-        image_size_px={sequences[video]: size for video, size in sizes.items() if video in sequences},
-        has_identities=has_numbers,
-    )
+    names = tuple(dict.fromkeys(name for points in rows.values() for name in points))
+    missing = (np.nan, np.nan, 0.0, KeypointStatus.MISSING)
+    detections = []
+    for (video, frame, person), points in rows.items():
+        table = np.array([points.get(name, missing) for name in names])
+        status = tuple(table[:, 3].astype(int).tolist())
+        detections.append(Detection((video, frame), person, table[:, :3], f"frame {frame}", status, names))
+    found = join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, is_strict=True)
+    return replace(found, has_identities=has_numbers)
 
 
 def write_cvat(frames: AnnotatedFrames) -> str:
@@ -141,7 +127,6 @@ def _add(
     rows: dict[tuple[str, int, int], dict[str, Point]],
     key: tuple[str, int, int],
     skeleton: ElementTree.Element,
-    own_names: frozenset[str],
     *,
     is_key: bool,
 ) -> None:
@@ -150,8 +135,7 @@ def _add(
         raise FormatError(f"{where}: person {key[2]} appears twice")
     points: dict[str, Point] = {}
     for point in skeleton.iterfind("points"):
-        label = point.get("label", "")
-        name = label if label in own_names else "_".join(label.lower().replace("-", " ").split())
+        name = point.get("label", "")
         words = point.get("points", "").split(",")
         if len(words) != 2:
             raise FormatError(f"{where}: '{shorten(name)}' has no place x,y")

@@ -17,10 +17,30 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError, NobodyError
-from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.annotated_frames import (
+    CLEARLY_SHORTER,
+    MAX_IMAGE_PX,
+    MAX_STRETCH,
+    RATE_HZ,
+    AnnotatedFrames,
+    get_keypoint_layout,
+    stretch,
+)
 from pasdedeux.formats.image_names import Place
-from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT, KeypointLayout
+from pasdedeux.formats.text import shorten
+from pasdedeux.skeletons.layouts import (
+    KEYPOINT_LAYOUTS,
+    LAYOUTS_OF_COUNT,
+    USUAL_LAYOUTS,
+    KeypointLayout,
+    is_joint,
+    layout_of_names,
+)
 
+MIN_NAMED = 6
+"""Joints whose names must be known for a layout to be told by names."""
+_MAX_LISTED = 12
+"""Names that a message lists."""
 MAX_CONFIDENCE = 10.0
 """Confidences are heights of a heat map: about 1 at most, but not exactly."""
 
@@ -34,17 +54,40 @@ class Detection:
 
     Args:
         place: Video and frame.
-        person_id: Number that the file gives the person, None where it gives none.
+        person_id: Number or name that the file gives the person, None where it gives none.
         table: (K, 3) x, y and confidence; a row with NaN or confidence 0 is not detected.
         where: The place in the file, for messages.
         status: Where its keypoints come from (K,), `KeypointStatus`; None where the file does not say.
+        names: Names of its keypoints (K,) as the file spells them, None where it names none.
     """
 
     place: Place
-    person_id: int | None
+    person_id: int | str | None
     table: npt.NDArray[np.float64]
     where: str
     status: tuple[int, ...] | None = None
+    names: tuple[str, ...] | None = None
+
+
+class OtherLayoutError(InputError):
+    """Keypoints are not as many as the layout asked for has."""
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """Detections in the order of one layout.
+
+    Args:
+        layout: The layout.
+        table: (row, K, 3) x, y and confidence; NaN and 0 where missing.
+        status: (row, K) of `KeypointStatus`; None where not all say.
+        remarks: What a user should know, in words: names of joints that were left out.
+    """
+
+    layout: KeypointLayout
+    table: npt.NDArray[np.float64]
+    status: npt.NDArray[np.int64] | None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,46 +123,39 @@ def join_detections(
     sizes_px: Mapping[str, tuple[int, int]] | None = None,
     rate_hz: float | None = None,
     skipped: Sequence[str] = (),
+    may_be_cut: bool = False,
+    is_strict: bool = False,
 ) -> AnnotatedFrames:
-    """Return detections as annotations: the layout by the number of keypoints, people by the file's numbers.
+    """Return detections as annotations: the layout by names or the number of keypoints, people by the file's numbers.
 
     People are numbered by their order in the frame in a video where somebody has no number, or two have the same.
 
     Args:
         detections: In any order.
         sequence_id: Name of the sequence; names of videos come after it.
-        layout: Layout asked for; of several with as many keypoints it is the one.
+        layout: Layout asked for; of several with as many keypoints it is the one.  "auto" is as `arrange` says.
         sizes_px: Image size by video, where it is known.
         rate_hz: Frames per second, where the file says.
         skipped: Files that were skipped.
+        may_be_cut: As `arrange` has it.
+        is_strict: As `arrange` has it.
     """
     if not detections:
         raise NobodyError(f"sequence '{sequence_id}': nobody was detected in any frame")
-    counts = {len(one.table): one.where for one in reversed(detections)}
-    if len(counts) > 1:
-        (first, there), (second, here) = sorted(counts.items())[:2]
-        raise FormatError(f"{there} has {first} keypoints and {here} has {second}: a source has one layout")
-    (count,) = counts
-    known = LAYOUT_OF_COUNT.get(count)
-    asked = known if layout == "auto" else get_keypoint_layout(layout)
-    if asked is None or (known is None and asked.num_keypoints != count):
-        names = ", ".join(f"{number} ({one.name})" for number, one in sorted(LAYOUT_OF_COUNT.items()))
-        raise FormatError(f"{detections[0].where} has {count} keypoints; known numbers of keypoints: {names}")
-    if known is not None and known is not asked and asked.num_keypoints != count:
-        raise InputError(
-            f"sequence '{sequence_id}': the layout '{asked.name}' is asked for, but the files have {count} keypoints: "
-            f"'{known.name}'"
-        )
-    table = np.stack([one.table[: asked.num_keypoints] for one in detections])
+    try:
+        arranged = arrange(detections, layout, may_be_cut=may_be_cut, is_strict=is_strict)
+    except OtherLayoutError as error:
+        raise InputError(f"sequence '{sequence_id}': {error}") from None
+    table = arranged.table
     confidence = np.nan_to_num(table[..., 2])
     if (confidence < 0).any() or (confidence > MAX_CONFIDENCE).any():
         row = int(np.flatnonzero(((confidence < 0) | (confidence > MAX_CONFIDENCE)).any(axis=1))[0])
         raise FormatError(f"{detections[row].where}: a confidence lies outside 0..{MAX_CONFIDENCE:g}")
-    people, has_identities = _people(detections)
+    people, has_identities, remarks = number_people(detections)
     names_of = _sequence_names(sequence_id, {one.place[0] for one in detections})
     is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)
     return AnnotatedFrames.of(
-        asked,
+        arranged.layout,
         sequence_id=tuple(names_of[one.place[0]] for one in detections),
         frame=np.array([one.place[1] for one in detections], dtype=np.int64),
         person_id=np.array(people, dtype=np.int64),
@@ -129,26 +165,170 @@ def join_detections(
         rate_hz=rate_hz,
         has_identities=has_identities,
         skipped=tuple(skipped),
-        status=_statuses(detections, asked.num_keypoints),
+        status=arranged.status,
+        remarks=(*arranged.remarks, *remarks),
     )
 
 
-def _statuses(detections: Sequence[Detection], num_keypoints: int) -> npt.NDArray[np.int64] | None:
-    """Return where keypoints come from (row, K), None where a detection does not say."""
-    stated = [one.status for one in detections if one.status is not None and len(one.status) >= num_keypoints]
-    return None if len(stated) < len(detections) else np.array([one[:num_keypoints] for one in stated], dtype=np.int64)
+def arrange(
+    detections: Sequence[Detection],
+    layout: str | KeypointLayout = "auto",
+    *,
+    may_be_cut: bool = False,
+    is_strict: bool = False,
+) -> Arranged:
+    """Return keypoints in the order of their layout.
+
+    Where the file names them, each goes where its name says, whatever their order; names that the layout lacks are
+    left out, and it is said.  Of numbers alone, their count tells the layout; where it fits several, that which makes
+    people of them.
+
+    Args:
+        detections: In any order.
+        layout: Layout asked for, or "auto".
+        may_be_cut: Whether keypoints may be the first of MediaPipe's landmarks.
+        is_strict: Whether a name that is none of a joint is refused, where people annotate by hand.
+
+    Raises:
+        FormatError: No layout, or none that is known, has these names or this count; or several have it.
+        OtherLayoutError: The layout asked for has another count.
+    """
+    named = {one.names: one for one in detections if one.names is not None and not _are_numbers(one.names)}
+    if not named:
+        return _of_numbers(detections, layout, may_be_cut=may_be_cut)
+    unnamed = next((one for one in detections if one.names not in named), None)
+    if unnamed:
+        raise FormatError(f"{unnamed.where}: its keypoints have no names, and those of others have")
+    all_names = max(named, key=lambda names: len(names or ())) or ()
+    known = layout_of_names(all_names) if layout == "auto" else get_keypoint_layout(layout)
+    num_named = known.num_named(all_names)
+    if num_named == 0 and layout != "auto" and len(all_names) == known.num_keypoints:
+        return _of_numbers(detections, layout, may_be_cut=may_be_cut)
+    if layout == "auto" and num_named < MIN_NAMED:
+        raise FormatError(
+            f"the layout is unclear: {num_named} of the joints {_listed(all_names)} are known; state it (layout; in "
+            "our CSV a line '# layout: NAME'), or give a layout_file"
+        )
+    table = np.tile([np.nan, np.nan, 0.0], (len(detections), known.num_keypoints, 1))
+    status = np.zeros(table.shape[:2], dtype=np.int64)
+    places = {names: known.find_keypoints(names) for names in named if names is not None}
+    used = {name for names, found in places.items() for name in (names[at] for at in found if at is not None)}
+    left_out = [name for name in dict.fromkeys(name for names in places for name in names) if name not in used]
+    strange = [name for name in left_out if is_strict and not is_joint(name)]
+    if layout == "auto" and strange:
+        raise FormatError(
+            f"the layout is unclear: no layout has {_listed(strange)}, and '{known.name}' has the others; rename or "
+            "delete what is no joint, or give a layout_file"
+        )
+    if left_out and layout != "auto" and known not in LAYOUTS_OF_COUNT.get(len(all_names), ()):
+        names = ", ".join(known.keypoint_names)
+        raise FormatError(
+            f"{detections[0].where}: joint '{shorten(left_out[0])}' is not in the layout '{known.name}'; known: {names}"
+        )
+    for row, one in enumerate(detections):
+        found = places[one.names or ()]
+        columns = [column for column, at in enumerate(found) if at is not None]
+        order = [at for at in found if at is not None]
+        table[row, columns] = one.table[order]
+        if one.status is not None:
+            status[row, columns] = np.array(one.status)[order]
+    has_status = all(one.status is not None for one in detections)
+    remarks = (f"joints left out that '{known.name}' lacks: {_listed(left_out)}",) if left_out else ()
+    return Arranged(known, table, status if has_status else None, remarks)
 
 
-def _people(detections: Sequence[Detection]) -> tuple[list[int], bool]:
-    """Return a number for each detection, the file's in videos where everybody has an own one; and whether all do."""
+def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *, may_be_cut: bool) -> Arranged:
+    """Return keypoints whose order is that of a layout."""
+    counts = {len(one.table): one.where for one in reversed(detections)}
+    if len(counts) > 1:
+        (first, there), (second, here) = sorted(counts.items())[:2]
+        raise FormatError(f"{there} has {first} keypoints and {here} has {second}: a source has one layout")
+    (count,) = counts
+    table = np.stack([one.table for one in detections])
+    known = LAYOUTS_OF_COUNT.get(count, ())
+    landmarks = KEYPOINT_LAYOUTS["mediapipe33"]
+    is_cut = may_be_cut and MIN_NAMED < count < landmarks.num_keypoints
+    asked = get_keypoint_layout(layout) if layout != "auto" else None
+    if asked is None and (known or is_cut):
+        asked = _most_like_people((*known, landmarks) if is_cut else known, table, is_cut=is_cut)
+    is_fitting = asked is not None and (
+        asked in known or asked.num_keypoints == count or (is_cut and asked is landmarks)
+    )
+    if asked is None or not (known or is_fitting):
+        names = ", ".join(f"{number} ({_either(some)})" for number, some in LAYOUTS_OF_COUNT.items())
+        raise FormatError(f"{detections[0].where} has {count} keypoints; known numbers of keypoints: {names}")
+    if not is_fitting:
+        raise OtherLayoutError(
+            f"the layout '{asked.name}' is asked for, but the files have {count} keypoints: {_either(known, mark=True)}"
+        )
+    missing = np.tile([np.nan, np.nan, 0.0], (len(table), max(0, asked.num_keypoints - count), 1))
+    table = np.concatenate([table[:, : asked.num_keypoints], missing], axis=1)
+    statuses = [(*one.status, *[0] * missing.shape[1])[: asked.num_keypoints] for one in detections if one.status]
+    return Arranged(asked, table, np.array(statuses) if len(statuses) == len(detections) else None)
+
+
+def _most_like_people(
+    layouts: Sequence[KeypointLayout], table: npt.NDArray[np.float64], *, is_cut: bool
+) -> KeypointLayout:
+    """Return the layout in whose order keypoints (row, K, 3) have clearly the shortest segments of a body.
+
+    Raises:
+        FormatError: There is none, and no usual one among them.
+    """
+    if len(layouts) == 1:
+        return layouts[0]
+    points, confidence = table[..., :2], np.nan_to_num(table[..., 2])
+    confidence = np.where((points != 0).any(axis=-1), confidence, 0.0)
+    lengths = {one.name: stretch(one.name, points, confidence) for one in layouts}
+    told = sorted((lengths[one.name], one.name) for one in layouts if np.isfinite(lengths[one.name]))
+    if told and told[0][0] <= MAX_STRETCH and all(told[0][0] < CLEARLY_SHORTER * length for length, _ in told[1:]):
+        return KEYPOINT_LAYOUTS[told[0][1]]
+    usual = [one for one in layouts if one.name in USUAL_LAYOUTS and not is_cut]
+    if usual:
+        return usual[0]
+    raise FormatError(
+        f"{table.shape[1]} keypoints without names may be {_either(layouts, mark=True)}: say which (layout)"
+    )
+
+
+def _either(layouts: Sequence[KeypointLayout], *, mark: bool = False) -> str:
+    return " or ".join(f"'{one.name}'" if mark else one.name for one in layouts)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(f"'{shorten(name)}'" for name in names[:_MAX_LISTED]) + more
+
+
+def _are_numbers(names: Sequence[str]) -> bool:
+    """Tell whether names say no more than an order, as `0` or `point-3`, counted up."""
+    numbers = [re.search(r"\d+$", name.strip()) for name in names]
+    values = [int(number[0]) for number in numbers if number]
+    fronts = {name.strip()[: number.start()] for name, number in zip(names, numbers, strict=True) if number}
+    return (
+        len(values) == len(names) > 1 and len(fronts) == 1 and values == list(range(values[0], values[0] + len(values)))
+    )
+
+
+def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tuple[str, ...]]:
+    """Return a number for each detection, the file's in videos where everybody has one; whether all do; what to say.
+
+    People who have names are numbered in the order of these.
+    """
+    names = sorted({one.person_id for one in detections if isinstance(one.person_id, str)})
+    if any(isinstance(one.person_id, int) for one in detections) and names:
+        names = sorted({str(one.person_id) for one in detections if one.person_id is not None})
     named = Counter((one.place, one.person_id) for one in detections)
     anew = {one.place[0] for one in detections if one.person_id is None or named[one.place, one.person_id] > 1}
     seen: Counter[Place] = Counter()
     ids = []
     for one in detections:
-        ids.append(seen[one.place] if one.place[0] in anew or one.person_id is None else one.person_id)
+        is_anew = one.place[0] in anew or one.person_id is None
+        told = names.index(str(one.person_id)) if names and not is_anew else one.person_id
+        ids.append(seen[one.place] if is_anew else int(told or 0))
         seen[one.place] += 1
-    return ids, not anew
+    said = ", ".join(f"{number} is '{shorten(name)}'" for number, name in enumerate(names[:_MAX_LISTED]))
+    return ids, not anew, (f"people: {said}",) if names and not anew else ()
 
 
 def _sequence_names(sequence_id: str, videos: Collection[str]) -> dict[str, str]:

@@ -17,6 +17,7 @@ from pasdedeux.formats.detections import Detection, join_detections
 from pasdedeux.formats.image_names import places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.text import find_delimiter, wide_encoding
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 _LOOKED_AT_BYTES = 200_000
@@ -43,13 +44,21 @@ class FileStart:
         """The first 200 kB as text, without leading blanks; empty for an npz archive."""
         if is_npz(self._data):
             return ""
-        return self._data[:_LOOKED_AT_BYTES].decode("utf-8-sig", errors="replace").lstrip()
+        start = self._data[:_LOOKED_AT_BYTES]
+        wide = wide_encoding(start)
+        return start.decode(wide or "utf-8-sig", errors="replace").removeprefix("\ufeff").lstrip()
 
     @cached_property
     def first_row(self) -> str:
         """The first line that is neither empty nor a comment (#)."""
         lines = (line.strip() for line in self.text.splitlines())
         return next((line for line in lines if line and not line.startswith("#")), "")
+
+    @cached_property
+    def columns(self) -> list[str]:
+        """The cells of the first row as columns of a table, in lower case."""
+        cells = self.first_row.split(find_delimiter(self.first_row))
+        return [cell.strip().strip('"').lower() for cell in cells]
 
     @property
     def is_json(self) -> bool:

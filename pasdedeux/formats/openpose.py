@@ -9,7 +9,7 @@ from pasdedeux.formats.detections import Detection
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.image_names import number_in_name
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
-from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
+from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT
 
 MAX_PEOPLE = 1000
 
@@ -31,8 +31,10 @@ def read_people(data: bytes | str) -> list[Detection]:
             raise FormatError(f"{where} has no list 'pose_keypoints_2d'")
         if not numbers:
             continue
-        if len(numbers) % 3 or len(numbers) // 3 not in LAYOUT_OF_COUNT:
-            counts = ", ".join(f"{3 * count} ({layout.name})" for count, layout in sorted(LAYOUT_OF_COUNT.items()))
+        if len(numbers) % 3 or len(numbers) // 3 not in LAYOUTS_OF_COUNT:
+            counts = ", ".join(
+                f"{3 * count} ({' or '.join(one.name for one in some)})" for count, some in LAYOUTS_OF_COUNT.items()
+            )
             raise FormatError(f"{where} has {len(numbers)} values in 'pose_keypoints_2d'; allowed: {counts}")
         table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")
         found.append(Detection(("", 0), _person_id(named, index), table, where))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -18,7 +19,13 @@ MAX_MAGNITUDE = 1e7
 MAX_COUNT = 1_000_000_000
 """Greatest frame number, person number or count that a file may hold."""
 
+MISSING = frozenset({"", "nan", "null", "none", "na", "n/a"})
+"""How tables write that there is no number, in lower case."""
+
 _MAX_TOKEN_SHOWN = 40
+_LOOKED_AT_LETTERS = 40
+_DELIMITERS = ",;\t"
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 N = TypeVar("N", int, float)
 
@@ -113,14 +120,22 @@ class Lines:
     def _rows(self) -> Iterator[list[str]]:
         """Yield the cells of the lines left that are not blank."""
         last = self.number
+        delimiter = find_delimiter(next((text for text in self._texts[last:] if text.strip()), ""))
         try:
-            for cells in csv.reader(self, strict=True):
+            for cells in csv.reader(self, strict=True, delimiter=delimiter):
                 last, row = self.number, [cell.strip() for cell in cells]
+                if delimiter != ",":
+                    row = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row]
                 if any(row):
                     yield row
         except csv.Error as error:
             self.number = last + 1  # where the row begins; a quote that is not closed runs to the end
             raise FormatError(f"this is not valid CSV: {error}") from None
+
+
+def find_delimiter(header: str) -> str:
+    """Return what separates the columns of a table by its first line: a comma, a semicolon or a tab."""
+    return max(_DELIMITERS, key=header.count)
 
 
 def _fitting(values: list[str], columns: Sequence[str]) -> list[str]:
@@ -130,12 +145,13 @@ def _fitting(values: list[str], columns: Sequence[str]) -> list[str]:
 
 
 def decode(data: bytes | str, what: str) -> str:
-    """Return the text of `data`: UTF-8 with or without a byte order mark, else Latin-1."""
+    """Return the text of `data`: UTF-8 or UTF-16 with or without a byte order mark, else Latin-1."""
     if isinstance(data, str):
         text = data
     else:
+        wide = wide_encoding(data)
         try:
-            text = data.decode("utf-8-sig")
+            text = data.decode(wide or "utf-8-sig").removeprefix("\ufeff")
         except UnicodeDecodeError:
             text = data.decode("latin-1")
     if not text.strip():
@@ -143,6 +159,17 @@ def decode(data: bytes | str, what: str) -> str:
     if "\0" in text:
         raise FormatError(f"this is not a {what}: it holds binary data (a zero byte)")
     return text
+
+
+def wide_encoding(data: bytes) -> str:
+    """Return the UTF-16 encoding that a text begins with, empty of any other."""
+    start = data[: 2 * _LOOKED_AT_LETTERS]
+    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    for encoding, zeros, letters in (("utf-16-le", start[1::2], start[::2]), ("utf-16-be", start[::2], start[1::2])):
+        if zeros and letters.isascii() and not any(zeros) and all(letters):
+            return encoding
+    return ""
 
 
 def shorten(token: object) -> str:
@@ -187,7 +214,8 @@ def parse_numbers(tokens: Sequence[str], what: str, count: int) -> list[float]:
 
 
 def parse_triples(numbers: list[Any], what: str) -> npt.NDArray[np.float64]:
-    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN is how some write "not detected"."""
+    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN and null mean "not detected"."""
+    numbers = [math.nan if n is None else n for n in numbers]
     if not all(isinstance(n, int | float) and not isinstance(n, bool) and not abs(n) > MAX_MAGNITUDE for n in numbers):
         raise FormatError(f"{what} holds a value that is no number or absurdly large")
     return np.array(numbers, dtype=np.float64).reshape(-1, 3)

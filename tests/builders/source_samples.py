@@ -202,6 +202,7 @@ _PERSON_PX = {
     "right_hip": (88, 190), "right_knee": (84, 248), "right_ankle": (82, 302),
     "left_big_toe": (126, 312), "left_small_toe": (132, 310), "left_heel": (116, 308),
     "right_big_toe": (74, 314), "right_small_toe": (68, 312), "right_heel": (84, 310),
+    "upper_neck": (100, 78), "belly": (100, 140),
     "head_top": (100, 38), "mouth_left": (104, 66), "mouth_right": (96, 66),
     "left_eye_inner": (103, 55), "left_eye_outer": (108, 55), "right_eye_inner": (97, 55), "right_eye_outer": (92, 55),
     "left_pinky": (156, 92), "left_index": (152, 90), "left_thumb": (148, 92),

@@ -17,7 +17,7 @@ from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.mediapipe import read_mediapipe
 from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
-from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT
+from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
 from tests.builders.source_samples import (
     coco_text,
@@ -81,7 +81,7 @@ def test_an_openpose_frame_without_people_is_a_frame() -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ('{"people": [{"pose_keypoints_2d": [1, 2, 3]}]}', r"3 values .*; allowed: 51 \(coco17\), 54"),
+        ('{"people": [{"pose_keypoints_2d": [1, 2, 3]}]}', r"3 values .*; allowed: 42 .*, 54 \(coco18\)"),
         ('{"people": [{"pose_keypoints_2d": "x"}]}', "no list 'pose_keypoints_2d'"),
         ('{"people": 1}', "no list 'people'"),
         ('{"people": [', "line 1"),
@@ -138,7 +138,7 @@ def test_people_in_the_right_layout_are_accepted(layout: str) -> None:
     check_anatomy(rows_of(layout, np.stack([person_px(layout, seed) for seed in range(10)])))
 
 
-@pytest.mark.parametrize("layout", [layout.name for layout in LAYOUT_OF_COUNT.values()])
+@pytest.mark.parametrize("layout", sorted({layout.name for some in LAYOUTS_OF_COUNT.values() for layout in some}))
 def test_noise_missing_joints_and_junk_do_not_make_people_of_another_layout(layout: str) -> None:
     """Whatever a detector adds to the right keypoints, they stay right: what is measured are medians."""
     rng = np.random.default_rng(7)
@@ -147,7 +147,8 @@ def test_noise_missing_joints_and_junk_do_not_make_people_of_another_layout(layo
         px += rng.normal(0.0, noise_px, px.shape)
         px[rng.random(px.shape[:2]) < missing] = np.nan
         for row in px:
-            row[rng.choice(len(row), junk, replace=False)] = rng.uniform(0.0, 1500.0, (junk, 2))
+            spoilt = junk * len(row) // 17
+            row[rng.choice(len(row), spoilt, replace=False)] = rng.uniform(0.0, 1500.0, (spoilt, 2))
         check_anatomy(rows_of(layout, px))
 
 
@@ -273,7 +274,7 @@ def test_whole_body_results_are_read_without_face_and_hands() -> None:
 
 
 def test_unknown_numbers_of_keypoints_are_named_with_the_layouts_there_are() -> None:
-    with pytest.raises(FormatError, match=r"annotation 0 has 21 keypoints; known numbers of keypoints: 17 \(coco17\)"):
+    with pytest.raises(FormatError, match=r"annotation 0 has 21 keypoints; known numbers of .*: 14 \(crowdpose14 or "):
         read_coco(json.dumps([{"image_id": 0, "keypoints": [1.0] * 63}]), sequence_id="r")
 
 

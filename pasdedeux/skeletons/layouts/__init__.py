@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pasdedeux.skeletons.layouts.keypoints import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT, KeypointLayout
+from pasdedeux.skeletons.layouts.joint_names import is_joint
+from pasdedeux.skeletons.layouts.keypoints import (
+    FEET4,
+    KEYPOINT_LAYOUTS,
+    LAYOUTS_OF_COUNT,
+    USUAL_LAYOUTS,
+    KeypointLayout,
+    layout_of_names,
+)
 from pasdedeux.skeletons.layouts.layout import Layout
 from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
 
@@ -12,11 +20,14 @@ __all__ = [
     "FEET4",
     "KEYPOINT_LAYOUTS",
     "LAYOUTS",
-    "LAYOUT_OF_COUNT",
+    "LAYOUTS_OF_COUNT",
+    "USUAL_LAYOUTS",
     "KeypointLayout",
     "Layout",
     "find_layout",
+    "is_joint",
     "joints_missing",
+    "layout_of_names",
 ]
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import resources
+from typing import Any
 
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
+from pasdedeux.skeletons.layouts.joint_names import find_keypoints
 from pasdedeux.skeletons.mapping import Weights
-from pasdedeux.skeletons.skeleton import ARM, LEG, by_joint, by_side
+from pasdedeux.skeletons.skeleton import ARM, LEG, by_side
 from pasdedeux.skeletons.working import OP14, PAIR17, WORKING_SKELETONS
 
 Recipe = tuple[Weights, ...]
@@ -22,6 +26,8 @@ FEET4 = by_side("left", "heel", "toe")
 """What `feet4` gives of feet: the back of the heel and body22's toe, the ball of the foot."""
 _BALL_OF_FOOT = 0.73
 """Position of the ball between the heel and the tip of the big toe: a usual proportion, not measured here."""
+_EAR_ABOVE_CHIN, _EAR_ABOVE_NECK = 0.4, 0.55
+"""Height of ears and nose between the upper neck, or the base of the neck, and the crown: usual proportions, too."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +47,27 @@ class KeypointLayout:
         keypoint_names: Keypoints in the detector's order.
         recipes: For pair17, op14 and feet4, for each joint its weighted means of keypoints, best first; none for a
             joint that the layout does not have.
+        also: Other names that files in this order have for keypoints.
     """
 
     name: str
     keypoint_names: tuple[str, ...]
     recipes: Mapping[str, Mapping[str, Recipe]] = field(repr=False)
+    also: Mapping[str, Sequence[str]] = field(default_factory=dict, repr=False)
 
     @property
     def num_keypoints(self) -> int:
         """Number of keypoints."""
         return len(self.keypoint_names)
+
+    def find_keypoints(self, names: Sequence[str]) -> list[int | None]:
+        """Return for each keypoint which of the names is its, None where none is."""
+        return find_keypoints(self.keypoint_names, names, self.also)
+
+    def num_named(self, names: Sequence[str], *, is_strict: bool = False) -> int:
+        """Return how many keypoints have a name, where strict without the words of the layout's own data set."""
+        found = find_keypoints(self.keypoint_names, names, {} if is_strict else self.also)
+        return sum(place is not None for place in found)
 
     def derive(self, skeleton_name: str, positions: Array, confidence: Array) -> Keypoints:
         """Derive the joints of pair17 or op14, or the points of `FEET4`, from keypoints.
@@ -105,67 +122,39 @@ def _mix(low: Weights, low_weight: float, high: Weights, high_weight: float) -> 
     }
 
 
-def _detector(name: str, keypoint_names: tuple[str, ...]) -> KeypointLayout:
-    """Describe a detector that reports limbs, nose, eyes, ears, and perhaps neck, middle of the hips and feet."""
+def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
+    """Return a layout with limbs, something of the head, and perhaps neck, middle of the hips and feet."""
+    names = tuple(told["keypoints"].split())
     # The middle of both hips is what the 3D layouts call pelvis; a keypoint of that name serves when a hip is hidden.
-    pelvis: Recipe = (_MID_HIP, {"mid_hip": 1.0}) if "mid_hip" in keypoint_names else (_MID_HIP,)
-    neck: Recipe = ({"neck": 1.0}, _MID_SHOULDER) if "neck" in keypoint_names else (_MID_SHOULDER,)
+    pelvis: Recipe = (_MID_HIP, {"mid_hip": 1.0}) if "mid_hip" in names else (_MID_HIP,)
+    neck: Recipe = ({"neck": 1.0}, _MID_SHOULDER) if "neck" in names else (_MID_SHOULDER,)
 
     def between(fraction: float) -> Recipe:
         return tuple(_mix(low, 1.0 - fraction, high, fraction) for low in pelvis for high in neck)
 
     trunk = {"pelvis": pelvis, "spine": between(1.0 / 3.0), "chest": between(2.0 / 3.0), "neck": neck}
+    # Data sets without a face mark the base of the neck; op14's neck is the middle of the shoulders.
+    op14_neck = neck if "nose" in names else (_MID_SHOULDER, *neck[:-1])
+    nose: Recipe = ({"nose": 1.0},)
+    if "nose" not in names:
+        end, share = ("upper_neck", _EAR_ABOVE_CHIN) if "upper_neck" in names else ("neck", _EAR_ABOVE_NECK)
+        nose = ({end: 1.0 - share, "head_top": share},)
+    ears: Recipe = ({"left_ear": 0.5, "right_ear": 0.5},) if "left_ear" in names else ()
     feet: dict[str, Recipe] = {}
-    for side in ("left", "right") if "left_heel" in keypoint_names else ():
+    for side in ("left", "right") if "left_heel" in names else ():
         heel, tip = f"{side}_heel", f"{side}_big_toe"
         feet |= {heel: ({heel: 1.0},), f"{side}_toe": ({heel: 1.0 - _BALL_OF_FOOT, tip: _BALL_OF_FOOT},)}
     return KeypointLayout(
         name,
-        keypoint_names,
+        names,
         {
-            PAIR17.name: _own(_LIMBS) | trunk | {"head": ({"left_ear": 0.5, "right_ear": 0.5}, {"nose": 1.0})},
-            OP14.name: {**_own(_LIMBS), "neck": neck, "head": ({"nose": 1.0},)},
+            PAIR17.name: _own(_LIMBS) | trunk | {"head": (*ears, *nose)},
+            OP14.name: {**_own(_LIMBS), "neck": op14_neck, "head": nose},
             "feet4": feet,
         },
+        told.get("also", {}),
     )
 
-
-_FEET = by_side("left", "big_toe", "small_toe", "heel")
-
-COCO18 = _detector(
-    "coco18", ("nose", "neck", *by_side("right", *ARM), *by_side("right", *LEG), *by_joint("right", "eye", "ear"))
-)
-"""OpenPose's COCO model."""
-
-BODY25 = _detector(
-    "body25",
-    (
-        *("nose", "neck", *by_side("right", *ARM), "mid_hip", *by_side("right", *LEG)),
-        *(*by_joint("right", "eye", "ear"), *_FEET),
-    ),
-)
-"""OpenPose's BODY_25 model."""
-
-COCO17 = _detector("coco17", ("nose", *by_joint("left", "eye", "ear", *ARM, *LEG)))
-"""The COCO keypoint annotations."""
-
-COCO23 = _detector("coco23", (*COCO17.keypoint_names, *_FEET))
-"""COCO-WholeBody without face and hands: the first 23 of its 133 keypoints."""
-
-HALPE26 = _detector(
-    "halpe26",
-    (*COCO17.keypoint_names, "head_top", "neck", "mid_hip", *by_joint("left", "big_toe", "small_toe", "heel")),
-)
-"""The 26 body keypoints of Halpe Full-Body, the first of its 136; its "head" is the crown, its "hip" the middle."""
-
-MEDIAPIPE33 = _detector(
-    "mediapipe33",
-    (
-        *("nose", *by_side("left", "eye_inner", "eye", "eye_outer"), *by_joint("left", "ear")),
-        *("mouth_left", "mouth_right", *by_joint("left", *ARM, "pinky", "index", "thumb", *LEG, "heel", "big_toe")),
-    ),
-)
-"""MediaPipe's (BlazePose's) landmarks; what it calls foot index is the tip of the big toe here."""
 
 _PAIR17_2D = KeypointLayout(
     "pair17",
@@ -189,12 +178,39 @@ _OP14_2D = KeypointLayout(
     },
 )
 
+_TOLD = tomllib.loads(resources.files(__package__).joinpath("keypoints.toml").read_text(encoding="utf-8"))
 KEYPOINT_LAYOUTS: dict[str, KeypointLayout] = {
-    layout.name: layout for layout in (COCO18, BODY25, COCO17, COCO23, HALPE26, MEDIAPIPE33, _PAIR17_2D, _OP14_2D)
+    **{name: _layout(name, told) for name, told in _TOLD.items()},
+    **{layout.name: layout for layout in (_PAIR17_2D, _OP14_2D)},
 }
-LAYOUT_OF_COUNT: dict[int, KeypointLayout] = {
-    **{layout.num_keypoints: layout for layout in (COCO17, COCO18, COCO23, BODY25, HALPE26, MEDIAPIPE33)},
-    133: COCO23,
-    136: HALPE26,
-}
-"""The layout that detectors mean by a number of keypoints; of more keypoints than it has, its first ones."""
+"""Every layout of 2D keypoints by its name: a new one is a table of `keypoints.toml`."""
+
+
+def _by_count() -> dict[int, tuple[KeypointLayout, ...]]:
+    found: dict[int, list[KeypointLayout]] = {}
+    for layout in KEYPOINT_LAYOUTS.values():
+        told = _TOLD.get(layout.name, {})
+        for count in () if told.get("named_only") else (layout.num_keypoints, *told.get("first_of", ())):
+            found.setdefault(count, []).append(layout)
+    return {count: tuple(found[count]) for count in sorted(found)}
+
+
+LAYOUTS_OF_COUNT: dict[int, tuple[KeypointLayout, ...]] = _by_count()
+"""The layouts that detectors may mean by a number of keypoints; of more keypoints than they have, their first ones."""
+USUAL_LAYOUTS = frozenset({"coco17", "coco18", "coco23", "body25", "halpe26", "mediapipe33"})
+"""Layouts that a number of keypoints means where nothing speaks against it."""
+
+
+def layout_of_names(names: Sequence[str]) -> KeypointLayout:
+    """Return the layout in whose order the names of joints are, else that which has most of them.
+
+    Of several a usual one, and the smallest, is taken; a keypoint means the same in all layouts.
+    """
+    in_order = list(range(len(names)))
+
+    def fits(layout: KeypointLayout) -> tuple[bool, int, int, bool, int]:
+        is_ordered = layout.num_keypoints == len(names) and layout.find_keypoints(names) == in_order
+        counts = layout.num_named(names), layout.num_named(names, is_strict=True)
+        return is_ordered, *counts, layout.name in USUAL_LAYOUTS, -layout.num_keypoints
+
+    return max(KEYPOINT_LAYOUTS.values(), key=fits)

@@ -27,6 +27,12 @@ MAX_ABSENT_S = 1.5
 """After this time unseen a person who comes back is a new one."""
 _DUPLICATE = 0.06
 """Two detections of a frame nearer than this are one person seen twice."""
+_FRAGMENT = 0.1
+"""A detection is part of a person where its joints lie this near, on average, to where the person's are expected."""
+_MAX_COMMON = 2
+"""Parts of a person have at most so many joints in common, such as the hips, and those in one place."""
+_FRAGMENT_MEMORY_S = 0.5
+"""A track unseen for longer than this is no part of a person who is seen whole."""
 _GHOST_S = 0.25
 """Tracks seen for less than this are dropped, when the sequence is four times as long."""
 MIN_JOINTS = 3
@@ -44,7 +50,7 @@ class FollowedRows:
         track_id: Person of each row (row,), counted from 0 by first appearance; -1 for dropped rows.
         keypoints_px: (row, joint, 2); rows that a doubled person was merged into hold the mean of both.
         confidence: (row, joint).
-        twin: Row that a doubled detection was merged into (row,); -1 for all others.
+        twin: Row that a doubled detection, or another part of a person, was merged into (row,); -1 for all others.
     """
 
     track_id: Integers
@@ -54,7 +60,7 @@ class FollowedRows:
 
     @property
     def num_merged(self) -> int:
-        """Doubled detections that were merged into others."""
+        """Doubled detections and parts of people that were merged into others."""
         return int(np.count_nonzero(self.twin >= 0))
 
     @property
@@ -98,6 +104,8 @@ class Follower:
     def __init__(self) -> None:
         self._people: list[_Person] = []
         self._num_tracks = 0
+        self.part_of: dict[int, int] = {}
+        """Tracks that turned out to be a part of a person, such as the legs alone, with the track of that person."""
 
     def step(
         self, time_s: float, keypoints_px: Array, confidence: Array, given_id: Integers | None = None
@@ -109,7 +117,7 @@ class Follower:
             keypoints_px: Detections (detection, 14, 2), NaN where not seen.
             confidence: (detection, 14), 0 where not seen.
             given_id: Person of each detection (detection,) as the source numbers them, where it does over time; then
-                every detection with a joint is a person of its own.
+                every detection with a joint is a person of its own, or a part of one.
         """
         points, seen, trust, size = clean_detections(
             np.asarray(keypoints_px, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
@@ -142,6 +150,8 @@ class Follower:
                 continue
             twin = _twin(index, matched, points, is_seen, size) if given_id is None else None
             if twin is None:
+                twin = _other_part(index, matched, time_s, points, is_seen)
+            if twin is None:
                 self._num_tracks += 1
                 matched[index] = _Person(
                     self._num_tracks - 1,
@@ -158,12 +168,25 @@ class Follower:
                 trust[twin] = np.maximum(trust[twin], trust[index])
                 is_seen = trust > 0
                 twins[index] = twin
+        self._join_parts(matched, time_s, points, is_seen)
         for index, person in matched.items():
             track_id[index] = person.track_id
             _update(person, time_s, points[index], trust[index], float(size[index]))
             if given_id is not None:
                 person.given_id = int(given_id[index])
         return FollowedRows(track_id, points, seen, twins)
+
+    def _join_parts(self, matched: dict[int, _Person], time_s: float, points: Array, is_seen: Flags) -> None:
+        """End the tracks that are parts of a person who is seen whole in this frame."""
+        tracked = {person.track_id for person in matched.values()}
+        for index, person in matched.items():
+            for other in [one for one in self._people if one.track_id not in tracked]:
+                is_recent = time_s - other.last_time_s <= _FRAGMENT_MEMORY_S
+                parts = [(one.place_px, one.is_known) for one in (person, other)]
+                is_part = _are_parts(*parts[0], *parts[1], person.size_px)
+                if is_recent and is_part and _fits(other, time_s, points[index], is_seen[index]):
+                    self.part_of[other.track_id] = person.track_id
+                    self._people.remove(other)
 
     def _costs(self, time_s: float, points: Array, trust: Array, size: Array) -> tuple[Array, Array]:
         """Return the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
@@ -203,6 +226,8 @@ def follow_people(
         )
         track_id[rows], points[rows], seen[rows] = found.track_id, found.keypoints_px, found.confidence
         twin[rows] = np.where(found.twin >= 0, rows[found.twin], -1)
+    for part, whole in reversed(follower.part_of.items()):
+        track_id, twin, points, seen = _joined_rows(frame, track_id, twin, points, seen, part, whole)
     if given_id is None:
         track_id[_ghosts(frame, track_id, rate_hz)] = -1
     kept = [int(one) for one in dict.fromkeys(track_id[np.argsort(frame, kind="stable")].tolist()) if one >= 0]
@@ -243,6 +268,48 @@ def _twin(index: int, matched: dict[int, _Person], points: Array, is_seen: Flags
         if float(np.median(apart)) < _DUPLICATE * float(size[other]):
             return other
     return None
+
+
+def _fits(person: _Person, time_s: float, points: Array, is_seen: Flags) -> bool:
+    """Tell whether some joints (joint, 2) are where those of the person are expected; three must be known at least."""
+    both = person.is_known & is_seen
+    if both.sum() < MIN_JOINTS:
+        return False
+    apart = np.linalg.norm(points[both] - person.predict(time_s)[both], axis=-1)
+    return float(np.mean(apart)) < _FRAGMENT * person.size_px
+
+
+def _other_part(index: int, matched: dict[int, _Person], time_s: float, points: Array, is_seen: Flags) -> int | None:
+    """Return the matched detection that shows another part of the person that this one shows; None without one."""
+    for other, person in matched.items():
+        is_part = _are_parts(points[index], is_seen[index], points[other], is_seen[other], person.size_px)
+        if is_part and person.last_time_s < time_s and _fits(person, time_s, points[index], is_seen[index]):
+            return other
+    return None
+
+
+def _are_parts(points: Array, is_seen: Flags, others: Array, is_other_seen: Flags, size_px: float) -> bool:
+    """Tell whether two sets of joints (joint, 2) can be parts of one body of this size."""
+    both = is_seen & is_other_seen
+    apart = np.linalg.norm(points[both] - others[both], axis=-1)
+    return int(both.sum()) <= _MAX_COMMON and bool((apart < _DUPLICATE * size_px).all())
+
+
+def _joined_rows(
+    frame: Integers, track_id: Integers, twin: Integers, points: Array, seen: Array, part: int, whole: int
+) -> tuple[Integers, Integers, Array, Array]:
+    """Return tracks, twins, keypoints and confidences with the rows of one track joined to those of another."""
+    row_of = {int(frame[row]): int(row) for row in np.flatnonzero(track_id == whole)}
+    for row in np.flatnonzero(track_id == part).tolist():
+        other = row_of.get(int(frame[row]))
+        if other is None:
+            track_id[row] = whole
+            continue
+        both = np.array([other, row])
+        points[other], seen[other] = mean_of_two(points[both], seen[both])
+        track_id[row], twin[row] = -1, other
+        twin[twin == row] = other
+    return track_id, twin, points, seen
 
 
 def _update(person: _Person, time_s: float, points: Array, trust: Array, size_px: float) -> None:

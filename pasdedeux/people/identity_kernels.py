@@ -18,6 +18,8 @@ GATE = 0.25
 """Mean joint distance from the prediction beyond which a detection is somebody else."""
 _SIZE_COST = 0.2
 """Cost of a size that is e times the one before."""
+_NEW_COST = 0.05
+"""Cost of a detection none of whose joints the person had before: each part of a split body keeps its track."""
 _PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
 """Alpha-beta filter of a joint: near the critically damped pair beta = alpha^2 / (2 - alpha), a little slower."""
 
@@ -92,7 +94,8 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
     Joints count by the trust (n, j) in them, 0 for those not seen.
 
     A single joint that is far off is a detector's fault and not another person: it counts three gates at most.  Where
-    the two have too few joints in common only the place of the whole tells.
+    the two have too few joints in common only the place of the whole tells.  Joints that the person never had cost a
+    little.
     """
     cost = np.empty(points.shape[0])
     own = np.zeros(2)
@@ -120,7 +123,7 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
             cost[at] = total / weight
         else:
             cost[at] = np.hypot(centre[0] - own[0], centre[1] - own[1]) / own_size
-        cost[at] += _SIZE_COST * abs(np.log(size[at] / own_size))
+        cost[at] += _SIZE_COST * abs(np.log(size[at] / own_size)) + _NEW_COST * (1.0 - both / num_seen)
     return cost
 
 

@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.broken import find_breaks, join_breaks
 from pasdedeux.people.decisions import Decision, decide, spans_of
-from pasdedeux.people.identity import FollowedRows, follow_people, mean_of_two
+from pasdedeux.people.identity import follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
 from pasdedeux.people.repair import repair_rows
 from pasdedeux.people.video import MAX_REPAIR_GAP_S, typical_gap_s, why_no_video, why_not_followed
@@ -49,7 +49,7 @@ class SequencePeople:
         num_people: People in it.
         pairs: Who is whose partner; none chosen here where people have a number within one image only.
         why_not_followed: Why it is no video, whose people could be followed; empty where it is one.
-        num_merged_rows: Doubled detections that were merged.
+        num_merged_rows: Doubled detections, and parts of people, that were merged.
         num_ghost_rows: Detections that were dropped.
         num_repaired_joints: Joints of op14 that were put right or masked.
         num_renamed_rows: Detections that are not who the source says they are.
@@ -76,7 +76,7 @@ class SequencePeople:
             words.append(self.why_not_followed)
         counts = (
             (self.num_renamed_rows, "detections are somebody else than the source says"),
-            (self.num_merged_rows, "doubled detections merged"),
+            (self.num_merged_rows, "doubled or split detections merged"),
             (self.num_ghost_rows, "detections dropped"),
             (self.num_repaired_joints, "joints repaired or masked"),
         )
@@ -231,11 +231,14 @@ def resolve_sequence(
     merged = ghosts = repaired = renamed = 0
     if is_followed and not reason:
         followed = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
-        rows, merged, ghosts = _merged(rows, followed), followed.num_merged, followed.num_ghosts
+        is_person = followed.track_id >= 0
+        rows = _merged(replace(rows, person_id=followed.track_id), followed.twin).chosen(is_person[followed.twin < 0])
+        merged, ghosts = followed.num_merged, followed.num_ghosts
     elif settings.identities == "auto" and not reason:
-        person_id = _checked(rows, op14, rate_hz)
-        renamed = int(np.count_nonzero(person_id != rows.person_id))
-        rows = replace(rows, person_id=person_id)
+        followed = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id)
+        person_id = _names_of(rows, followed.track_id)
+        renamed = int(np.count_nonzero((person_id != rows.person_id) & (followed.twin < 0)))
+        rows, merged = _merged(replace(rows, person_id=person_id), followed.twin), followed.num_merged
     has_numbers = has_identities or not reason
     joined: list[Decision] = []
     if settings.identities != "given" and not reason:
@@ -260,25 +263,21 @@ def resolve_sequence(
     return ResolvedSequence(rows, op14, partner, found)
 
 
-def _merged(rows: SequenceRows, followed: FollowedRows) -> SequenceRows:
-    """Return the rows of those who are people, as the persons they are."""
+def _merged(rows: SequenceRows, twin: Integers) -> SequenceRows:
+    """Return the rows without those that are merged into others, their twins (row,); -1 for rows that have none."""
     keypoints_px, confidence = rows.keypoints_px.copy(), rows.confidence.copy()
-    for row in np.flatnonzero(followed.twin >= 0):
-        both = np.array([followed.twin[row], row])
+    for row in np.flatnonzero(twin >= 0):
+        both = np.array([twin[row], row])
         keypoints_px[both[0]], confidence[both[0]] = mean_of_two(keypoints_px[both], confidence[both])
-    people = replace(rows, person_id=followed.track_id, keypoints_px=keypoints_px, confidence=confidence)
-    return people.chosen(followed.track_id >= 0)
+    return replace(rows, keypoints_px=keypoints_px, confidence=confidence).chosen(twin < 0)
 
 
-def _checked(rows: SequenceRows, op14: Keypoints, rate_hz: float) -> Integers:
+def _names_of(rows: SequenceRows, track_id: Integers) -> Integers:
     """Return who each row is (row,), where the source numbers people over time but may take them for each other.
 
-    People are followed with the numbers as evidence; who is followed gets the number given most often to them, and one
-    number is given to several only where they are not there together: so a person who comes back keeps the number.
+    Tracks (row,) were followed with the numbers as evidence.  A track gets the number that its rows have most often.
+    Several tracks get one number only where they are not there together: a person who comes back keeps it.
     """
-    track_id = follow_people(
-        rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id
-    ).track_id
     is_followed = track_id >= 0
     votes, counts = np.unique(np.stack([track_id, rows.person_id])[:, is_followed], axis=1, return_counts=True)
     taken = set(zip(rows.person_id[~is_followed].tolist(), rows.frame[~is_followed].tolist(), strict=True))

@@ -173,7 +173,9 @@ def test_costs_and_updates_of_one_person_are_what_their_formulas_say() -> None:
         both = seen[at] & known
         apart = np.minimum(np.linalg.norm(points[at] - predicted, axis=-1) / 310.0, 0.75)
         way = np.average(apart[both], weights=trust[at, both])
-        assert cost[at] == pytest.approx(way + 0.2 * abs(np.log(size[at] / 310.0)))
+        is_new = seen[at] & ~known
+        expected = way + 0.2 * abs(np.log(size[at] / 310.0)) + 0.05 * is_new.sum() / seen[at].sum()
+        assert cost[at] == pytest.approx(expected)
     new_place, new_speed, new_known = place.copy(), speed.copy(), known.copy()
     update_joints(new_place, new_speed, new_known, predicted, points[0], trust[0], 0.04, 0.8)
     off = np.where((seen[0] & known)[:, None], trust[0][:, None] * (points[0] - predicted), 0.0)

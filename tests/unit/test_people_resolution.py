@@ -228,6 +228,59 @@ def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -
     assert choose_pairs(frame[far], ids[far], px[far], seen[far]) == []
 
 
+LEGS = frozenset(OP14.indices([f"{side}_{joint}" for side in ("left", "right") for joint in ("knee", "ankle")]))
+HIPS = frozenset(OP14.indices(["left_hip", "right_hip"]))
+SIDE = frozenset(joint for joint, name in enumerate(OP14.joint_names) if name.startswith("left"))
+EVERYTHING = frozenset(range(OP14.num_joints))
+PARTS = {
+    "legs": (LEGS | HIPS, EVERYTHING - LEGS - HIPS),
+    "hips in both": (LEGS | HIPS, EVERYTHING - LEGS),
+    "shanks": (LEGS, EVERYTHING - LEGS),
+    "sides": (SIDE, EVERYTHING - SIDE),
+}
+
+
+def only(seen: Detections, rows: np.ndarray, joints: frozenset[int]) -> np.ndarray:
+    """Return confidences in which only these joints of these rows are seen."""
+    confidence = seen.confidence.copy()
+    confidence[np.ix_(rows, sorted(EVERYTHING - joints))] = 0.0
+    return confidence
+
+
+@pytest.mark.parametrize(("first", "has_identities"), [(0, False), (0, True), (45, False), (91, True)])
+@pytest.mark.parametrize("parts", PARTS)
+def test_a_person_split_into_two_detections_is_one(parts: str, first: int, has_identities: bool) -> None:
+    seen, (some, others) = dance(), PARTS[parts]
+    rows = np.flatnonzero((seen.true_id == 0) & (seen.frame >= first) & (seen.frame < first + 30))
+    confidence = np.concatenate([only(seen, rows, others), only(seen, rows, some)[rows]])
+    split = Detections(
+        np.concatenate([seen.frame, seen.frame[rows]]),
+        np.concatenate([seen.true_id, np.full(len(rows), 7)]),
+        np.concatenate([seen.keypoints_px, seen.keypoints_px[rows]]),
+        confidence,
+        seen.rate_hz,
+    )
+    resolved = resolve_people(rows_of(split, has_identities=has_identities), PeopleSettings(has_repair=False))
+    assert resolved.sequences[0].num_people == 2
+    assert resolved.sequences[0].num_merged_rows == len(rows)
+    assert (resolved.frames.confidence > 0).sum() == (seen.confidence > 0).sum()
+    assert len(people_in(resolved, seen)) == 2
+
+
+@pytest.mark.parametrize("hidden", [range(40, 60), range(40, 100), range(60)])
+@pytest.mark.parametrize("part", ["legs", "sides"])
+def test_two_people_of_whom_one_was_hidden_are_never_joined(part: str, hidden: range) -> None:
+    couple = duet_couple("hug", duration_s=4.0)
+    seen = film(np.random.default_rng(1), couple, noise_px=2.0, yaw_rad=0.3)
+    again = range(hidden.stop, hidden.stop + 12)
+    is_again, is_second = np.isin(seen.frame, again), seen.true_id == 1
+    some, others = PARTS[part]
+    confidence = only(seen, np.flatnonzero(is_again & is_second), some)
+    confidence = only(replace(seen, confidence=confidence), np.flatnonzero(is_again & ~is_second), others)
+    there = replace(seen, confidence=confidence).rows(~is_second | ~np.isin(seen.frame, hidden))
+    assert resolve_people(rows_of(there)).sequences[0].num_merged_rows == 0
+
+
 def test_without_a_rate_or_anybody_the_reason_is_named() -> None:
     seen = rows_of(dance())
     with pytest.raises(InputError, match="frame rate"):

@@ -35,6 +35,7 @@ from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.learning.model import VariantRequest
 from pasdedeux.learning.registry import Weights, read_weights
 from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.layouts import resolve_layout
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
 from tasks.data import LOOK, player_page
@@ -43,7 +44,7 @@ from tasks.facts import ModelFacts, TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.shard_parameters import TakeParameters
-from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
+from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, load_file
 from tasks.stage import StageInputs, verdict_of
 from tasks.takes import read_take
 
@@ -132,7 +133,7 @@ def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
             raise InputError("an AMC file holds no body; give its ASF file")
         else:
             return read_body(path.name, data)
-        layout = layout_named("auto", rest.skeleton.joint_names, {})
+        layout = resolve_layout("auto", rest.skeleton, rest.rest_offsets)
         known = known_source(path.name, layout.name, stated_hz=rest.rate_hz)
         unit_m = rest.metres_per_unit or next(units_m, None) or known.metres_per_unit
         if unit_m is None:

@@ -78,7 +78,7 @@ def guess_up_axis(source: SourceMotion) -> AxisGuess:
     positions, _ = forward_kinematics(
         source.skeleton, source.rest_offsets, source.root_translation[::step], source.local_unitquat[::step]
     )
-    layout = find_layout(source.skeleton.joint_names)
+    layout = find_layout(source.skeleton, source.rest_offsets)
     if layout is None:
         # The root sits between legs and trunk; the leaves farthest from it on either side are head and feet.
         ends = [j for j in range(source.skeleton.num_joints) if not source.skeleton.children(j)]
@@ -126,7 +126,7 @@ def guess_unit(source: SourceMotion) -> UnitGuess:
 
 def guess_motion(source: SourceMotion) -> MotionGuess:
     """Return estimates of everything that a motion file may not state."""
-    layout = find_layout(source.skeleton.joint_names)
+    layout = find_layout(source.skeleton, source.rest_offsets)
     return MotionGuess(
         layout=layout.name if layout else None,
         up=guess_up_axis(source),
@@ -137,7 +137,7 @@ def guess_motion(source: SourceMotion) -> MotionGuess:
 
 def _body_height(source: SourceMotion) -> float:
     """Return the stature in file units by the chain ankle, hip, neck, ear; else the extent of the rest pose."""
-    layout = find_layout(source.skeleton.joint_names)
+    layout = find_layout(source.skeleton, source.rest_offsets)
     num_joints = source.skeleton.num_joints
     rest, _ = forward_kinematics(source.skeleton, source.rest_offsets, np.zeros(3), identity_unitquat(num_joints))
     if layout is None:

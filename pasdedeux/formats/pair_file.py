@@ -149,7 +149,7 @@ def _posed(name: str, data: bytes | str, frame: int, metres_per_unit: float) -> 
     names = motion.skeleton.joint_names
     if set(PAIR17.joint_names) <= set(names):
         return np.asarray(motion.world()[0][0, [names.index(joint) for joint in PAIR17.joint_names]])
-    layout = find_layout(names)
+    layout = find_layout(motion.skeleton, motion.rest_offsets_m)
     if layout is None:
         missing = ", ".join(joint for joint in PAIR17.joint_names if joint not in names)
         raise FormatError(f"person {name}: its joints fit no known layout, and of {PAIR17.name} it lacks {missing}")

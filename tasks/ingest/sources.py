@@ -15,7 +15,7 @@ from pasdedeux.formats.guess import UnitGuess, guess_unit
 from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
 from pasdedeux.formats.working_poses import check_layout
-from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
+from pasdedeux.skeletons.layouts import resolve_layout
 from storage_schema import SourceCredit
 from tasks.ingest.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
 from tasks.ingest.parameters import CommonOptions, PersonOptions
@@ -95,31 +95,6 @@ def own_layout_of(path: Path | None) -> str | None:
     return text
 
 
-def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str, Tables]) -> Layout:
-    """Return the layout of a study for these joints: "auto" tells it from them; the study's mappings are applied.
-
-    Raises:
-        InputError: No known layout fits, or the name is neither known nor one of the study's mappings.
-    """
-    if name == "auto":
-        layout = find_layout(joint_names)
-        if layout is None:
-            shown = ", ".join(joint_names[:12]) + (", ..." if len(joint_names) > 12 else "")
-            near = joints_missing(joint_names)
-            hint = f"; the nearest is {near[0].name}, which also needs {', '.join(near[1])}" if near else ""
-            raise InputError(
-                f"its joints fit none of the known layouts ({', '.join(LAYOUTS)}){hint}; joints: {shown}; "
-                "name a layout, or write one under [ingest.mappings]"
-            )
-    elif name in LAYOUTS:
-        layout = LAYOUTS[name]
-    elif name in mappings:
-        layout = Layout(name=name, meaning="of the study", signature=frozenset(), tables={})
-    else:
-        raise InputError(f"layout '{name}' is not known; known: {', '.join([*LAYOUTS, *mappings])}")
-    return layout.with_tables(mappings[layout.name]) if layout.name in mappings else layout
-
-
 def find_person(
     path: Path, take: CommonOptions, person: PersonOptions, mappings: Mapping[str, Tables], *, number: int = 0
 ) -> PersonSource:
@@ -135,7 +110,7 @@ def find_person(
         companion = find_companion(path, kind, person.skeleton)
         head = _head(kind.name, loaded.file, companion, number)
         layout_name = person.layout or take.layout
-        layout = layout_named(layout_name, head.rest.skeleton.joint_names, mappings)
+        layout = resolve_layout(layout_name, head.rest.skeleton, head.rest.rest_offsets, mappings)
         is_fetched = was_fetched(path, loaded.file.sha256)
         known = known_source(path.name, layout.name, stated_hz=head.rest.rate_hz, is_fetched=is_fetched)
         rate = person.rate_hz or take.rate_hz or known.rate_hz or head.rest.rate_hz

@@ -24,12 +24,12 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.plausibility.capture import JudgedCapture, PersonCapture, check_capture, judge_capture
 from pasdedeux.projections.sources import resample_positions
-from pasdedeux.skeletons.layouts import LAYOUTS, Layout
+from pasdedeux.skeletons.layouts import LAYOUTS, Layout, resolve_layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import TakeFacts
 from tasks.ingest.shard_parameters import DuetParameters, PersonParameters, TakeParameters
-from tasks.ingest.sources import layout_named, read_again
+from tasks.ingest.sources import read_again
 from tasks.stage import Shard, SourceFile, commit
 
 SURE = 0.6
@@ -89,7 +89,7 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
             translation_m=source.translation_m,
             yaw_rad=float(np.deg2rad(source.yaw_deg)),
         )
-        layout = layout_named(source.layout, motion.skeleton.joint_names, parameters.mappings)
+        layout = resolve_layout(source.layout, motion.skeleton, motion.rest_offsets, parameters.mappings)
         people.append(_Person(captured, captured.resample(parameters.rate_hz), layout, source))
     verdict, contacts, objects = _verdict(parameters.persons, common), None, None
     if parameters.contacts_sha256:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons.mapping import JointMap
+from pasdedeux.skeletons.skeleton import ARM, LEG, by_side
 from pasdedeux.skeletons.working import WORKING_SKELETONS
 
 Entry = str | Mapping[str, float]
@@ -45,16 +46,22 @@ class Layout:
     Args:
         name: Name of the layout, as a study says it.
         meaning: One line for people.
-        signature: Joints that a file must all have to be recognised as this layout.
-        tables: For each working skeleton its table.
+        tables: For each working skeleton its table; none where that takes the joints of a file, see `fit_layout`.
         points: Points added to the source.
+        parts: What the layout calls the joints of body22, and `skull`, `spine`, `chest` and `nose`; `A|B` is A, or B
+            where there is no A.
+        keeps_axes: Points are in the frames of joints whatever the rest pose is; else in those of a person who stands
+            along Y and looks along Z at rest.
+        derived: Joints of body22 that the file has no joint for, and that are placed by those that it has.
     """
 
     name: str
     meaning: str
-    signature: frozenset[str]
     tables: Mapping[str, Table] = field(repr=False)
     points: tuple[AddedPoint, ...] = ()
+    parts: Mapping[str, Entry] = field(default_factory=dict, repr=False)
+    keeps_axes: bool = False
+    derived: tuple[str, ...] = ()
 
     def joint_map(self, skeleton_name: str) -> JointMap:
         """Return the mapping to a working skeleton: pair17, op14 or body22.
@@ -80,24 +87,24 @@ class Layout:
         merged = {name: {**self.tables.get(name, {}), **tables.get(name, {})} for name in {**self.tables, **tables}}
         return replace(self, tables=merged)
 
-    def with_prefix(self, prefix: str) -> Layout:
-        """Return this layout for joint names that all carry a namespace in front, such as 'mixamorig:'."""
-        added = {point.name for point in self.points}
 
-        def put(name: str) -> str:
-            return name if name in added else prefix + name
+def working_tables(parts: Mapping[str, Entry]) -> dict[str, Table]:
+    """Return the tables of the working skeletons of all parts of a body: the joints of body22, spine, chest, nose."""
+    shared = {joint: parts[joint] for joint in by_side("left", *ARM, *LEG)}
+    shoulders, hips = (mixed((parts[joint], 0.5) for joint in by_side("left", part)) for part in ("shoulder", "hip"))
+    neck = mixed([(parts["neck"], 0.4), (shoulders, 0.6)])
+    return {
+        "pair17": {**shared, "pelvis": hips, "spine": parts["spine"], "chest": parts["chest"], "neck": neck}
+        | {"head": parts["head"]},
+        "op14": {**shared, "head": parts["nose"], "neck": shoulders},
+        "body22": {joint: parts[joint] for joint in WORKING_SKELETONS["body22"].joint_names},
+    }
 
-        def put_entry(entry: Entry) -> Entry:
-            return put(entry) if isinstance(entry, str) else {put(name): weight for name, weight in entry.items()}
 
-        return replace(
-            self,
-            signature=frozenset(put(name) for name in self.signature),
-            tables={
-                skeleton: {joint: put_entry(entry) for joint, entry in table.items()}
-                for skeleton, table in self.tables.items()
-            },
-            points=tuple(
-                replace(point, joint=put(point.joint), unit_bone=put(point.unit_bone)) for point in self.points
-            ),
-        )
+def mixed(shares: Iterable[tuple[Entry, float]]) -> Entry:
+    """Return the weighted sum of entries."""
+    total: dict[str, float] = {}
+    for entry, share in shares:
+        for name, weight in ({entry: 1.0} if isinstance(entry, str) else entry).items():
+            total[name] = total.get(name, 0.0) + share * weight
+    return total

@@ -1,0 +1,436 @@
+"""A layout for one file: its joints under the file's names, and what the file lacks derived from what it has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons.layouts.layout import AddedPoint, Entry, Layout, Table, mixed, working_tables
+from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
+from pasdedeux.skeletons.layouts.names import SIDES, by_normal_name, normal_names
+from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton, by_side
+from pasdedeux.skeletons.working import BODY22
+
+NEEDED = by_side("left", *ARM, *LEG)
+"""Parts that a file must have; it needs neck or head besides."""
+_SPINE = {"spine1": 0.23, "spine2": 0.45, "spine3": 0.68, "spine": 1 / 3, "chest": 2 / 3}
+"""Place of joints between the pelvis and the base of the neck, shares of the way; those of body22's T-pose."""
+_SNAP = 0.12
+"""Share of the trunk within which a joint of the file is taken to be a joint of the spine."""
+_EAR, _NOSE_FORWARD = 0.243, 0.17
+"""Height of the ear over the base of the neck, and distance of the nose before it, in lengths of the trunk."""
+_EAR_FACTORS = (0.6, 2.0)
+"""Position of the ear on the line from the base of the neck to the joint of the head, in lengths between them."""
+_TOE_FORWARD, _TOE_DOWN, _NO_AXES_TOE = 0.37, 0.10, 0.2
+"""Ball of the foot from the ankle, in lengths of the shin; the last along the shin where forward is not known."""
+_COLLAR, _NECK_OF_SHOULDERS = 0.25, 0.8
+_NO_BONE = 0.01
+"""Share of the longest bone below which a bone has no length."""
+_PELVIS_AWAY = 0.5
+"""A pelvis farther from the middle of the hips than this share of the legs is a node of the scene."""
+_STRAIGHT, _SQUARE, _ALONG = 0.7, 0.4, 0.95
+"""Cosines: legs against trunk at least, trunk against the line of hips at most, an axis against the file's at least."""
+
+
+def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
+    """Return the layout that a file's joints belong to, fitted to them; None when no known one fits.
+
+    Args:
+        skeleton: The joints of the file.
+        rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
+    """
+    joints = by_normal_name(skeleton.joint_names)
+    fitting = [layout for layout in LAYOUTS.values() if not _lacking(layout, joints)]
+    if not fitting:
+        return None
+    return _fitted(max(fitting, key=lambda layout: _fullness(layout, joints)), skeleton, rest_offsets)
+
+
+def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
+    """Return the known layout of this name, fitted to a file's joints whatever namespace they have.
+
+    Raises:
+        InputError: The layout is not known, or the file lacks joints that it needs.
+    """
+    if name not in LAYOUTS:
+        raise InputError(f"layout '{name}' is not known; known: {', '.join(LAYOUTS)}")
+    lacking = _lacking(LAYOUTS[name], by_normal_name(skeleton.joint_names))
+    if lacking:
+        raise InputError(f"layout '{name}' needs {', '.join(lacking)}; joints: {', '.join(skeleton.joint_names[:30])}")
+    return _fitted(LAYOUTS[name], skeleton, rest_offsets)
+
+
+def resolve_layout(
+    name: str, skeleton: Skeleton, rest_offsets: Array, mappings: Mapping[str, Mapping[str, Table]] | None = None
+) -> Layout:
+    """Return the layout of this name for a file's joints; "auto" is told by these.
+
+    Args:
+        name: A known layout, a mapping, or "auto".
+        skeleton: The joints of the file.
+        rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
+        mappings: What changes known layouts, and further layouts: for each working skeleton entries of its table, and
+            under `parts` the joints of the file for parts of a body, from which the tables follow.
+
+    Raises:
+        InputError: No known layout fits, the name is neither known nor that of a mapping, or joints are missing.
+    """
+    mappings = mappings or {}
+    if name == "auto":
+        found = find_layout(skeleton, rest_offsets)
+        if found is None:
+            raise InputError(_fits_none(skeleton.joint_names))
+        layout = found
+    elif name in mappings and name not in LAYOUTS:
+        told = mappings[name].get("parts")
+        layout = Layout(name, "of the study", {})
+        if told is not None:
+            lacking = [part for part in NEEDED if part not in told]
+            lacking += [] if {"neck", "skull", "head"} & told.keys() else ["neck or skull"]
+            if lacking:
+                raise InputError(f"mapping '{name}': its parts lack {', '.join(lacking)}")
+            layout = fit_parts(name, "of the study", told, skeleton, rest_offsets)
+    elif name in LAYOUTS:
+        layout = fit_layout(name, skeleton, rest_offsets)
+    else:
+        raise InputError(f"layout '{name}' is not known; known: {', '.join([*LAYOUTS, *mappings])}")
+    tables = {key: table for key, table in mappings.get(layout.name, {}).items() if key != "parts"}
+    return layout.with_tables(tables) if tables else layout
+
+
+def _fits_none(joint_names: Sequence[str]) -> str:
+    shown = ", ".join(joint_names[:12]) + (", ..." if len(joint_names) > 12 else "")
+    near = joints_missing(joint_names)
+    hint = f"; the nearest is {near[0].name}, which also needs {', '.join(near[1])}" if near else ""
+    return (
+        f"its joints fit none of the known layouts ({', '.join(LAYOUTS)}){hint}; joints: {shown}; "
+        "name a layout, or write one under [ingest.mappings]"
+    )
+
+
+def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | None:
+    """Return the layout that these joint names come nearest to, and what they lack of it; None when none comes near.
+
+    Near is a layout of whose needed joints at least half are there.
+    """
+    joints = by_normal_name(joint_names)
+    lacking = {name: _lacking(layout, joints) for name, layout in LAYOUTS.items()}
+    nearest = min(LAYOUTS.values(), key=lambda layout: len(lacking[layout.name]))
+    return (nearest, lacking[nearest.name]) if 2 * len(lacking[nearest.name]) <= len(NEEDED) + 1 else None
+
+
+def fit_parts(name: str, meaning: str, parts: Mapping[str, Entry], skeleton: Skeleton, rest_offsets: Array) -> Layout:
+    """Return the layout of parts that are told in the file's own names; what they lack is derived.
+
+    Args:
+        name: Name of the layout.
+        meaning: One line for people.
+        parts: As in `Layout`: at least `NEEDED`, and `neck` or `skull`.
+        skeleton: The joints of the file.
+        rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
+    """
+    return _Fit(Layout(name, meaning, {}, (), parts), skeleton, rest_offsets).layout()
+
+
+def rest_positions(skeleton: Skeleton, rest_offsets: Array) -> Array:
+    """Return the rest pose (J, 3), the root at the origin."""
+    places = np.zeros((skeleton.num_joints, 3))
+    for joint in skeleton.order[1:]:
+        places[joint] = places[skeleton.parents[joint]] + rest_offsets[joint]
+    return places
+
+
+def _known_names(layout: Layout) -> dict[str, str]:
+    """Return the normal form of each name that a layout uses."""
+    entries = [*layout.parts.values(), *({point.joint: 1.0, point.unit_bone: 1.0} for point in layout.points)]
+    names = sorted({name for entry in entries for name in _names_of(entry)} - {point.name for point in layout.points})
+    return dict(zip(names, normal_names(names), strict=True))
+
+
+def _names_of(entry: Entry) -> list[str]:
+    return entry.split("|") if isinstance(entry, str) else list(entry)
+
+
+_NORMAL = {name: _known_names(layout) for name, layout in LAYOUTS.items()}
+
+
+def _in_file(layout: Layout, joints: Mapping[str, str]) -> dict[str, Entry]:
+    """Return the parts of a layout that a file has joints for, in the file's names."""
+    normal, points = _NORMAL[layout.name], {point.name: point for point in layout.points}
+    parts: dict[str, Entry] = {}
+    taken: set[str] = set()
+
+    def there(name: str) -> str | None:
+        if name in points:
+            return name if {normal[points[name].joint], normal[points[name].unit_bone]} <= joints.keys() else None
+        return joints.get(normal[name])
+
+    for part, entry in layout.parts.items():
+        if isinstance(entry, str):
+            is_limb = part.startswith(SIDES)
+            found = [name for name in map(there, entry.split("|")) if name and not (is_limb and name in taken)]
+            if found:
+                parts[part] = found[0]
+                taken |= {found[0]} if is_limb else set()
+        elif all(there(name) for name in entry):
+            parts[part] = {str(there(name)): weight for name, weight in entry.items()}
+    return parts
+
+
+def _lacking(layout: Layout, joints: Mapping[str, str]) -> list[str]:
+    """Return the joints that a layout needs and a file lacks, in the layout's words."""
+    parts = _in_file(layout, joints)
+    lacking = [layout.parts[part] for part in NEEDED if part not in parts]
+    if not parts.keys() & {"neck", "head", "skull"}:
+        lacking.append(layout.parts["neck"])
+    return [" or ".join(_names_of(entry)) for entry in lacking]
+
+
+def _fullness(layout: Layout, joints: Mapping[str, str]) -> int:
+    """Return how many parts a file has of a layout, less those that it lacks."""
+    has = len(_in_file(layout, joints))
+    return has - (len(layout.parts) - has)
+
+
+def _fitted(layout: Layout, skeleton: Skeleton, rest_offsets: Array) -> Layout:
+    """Return a layout in the names of a file that has what it needs."""
+    joints, normal = by_normal_name(skeleton.joint_names), _NORMAL[layout.name]
+    points = tuple(
+        replace(point, joint=joints[normal[point.joint]], unit_bone=joints[normal[point.unit_bone]])
+        for point in layout.points
+        if {normal[point.joint], normal[point.unit_bone]} <= joints.keys()
+    )
+    told = replace(layout, parts=_in_file(layout, joints), points=points)
+    return _Fit(told, skeleton, rest_offsets).layout()
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A layout in the names of a file, with the file's rest pose."""
+
+    told: Layout
+    skeleton: Skeleton
+    rest_offsets: Array
+
+    @cached_property
+    def _rest(self) -> Array:
+        return rest_positions(self.skeleton, self.rest_offsets)
+
+    @cached_property
+    def _lengths(self) -> Array:
+        lengths = np.linalg.norm(self.rest_offsets, axis=-1)
+        lengths[self.skeleton.root] = 0.0
+        return np.asarray(lengths)
+
+    @cached_property
+    def _short(self) -> float:
+        """Length up to which a bone is none, file units; negative where the rest pose tells nothing."""
+        return _NO_BONE * float(self._lengths.max(initial=0.0)) or -1.0
+
+    @cached_property
+    def _axes(self) -> Array | None:
+        """Left, up and forward of the rest pose as columns (3, 3); None where it is no person who stands.
+
+        Axes that lie near those of the file are those of the file.
+        """
+        if self.told.keeps_axes:
+            return np.eye(3)
+        left, right = (
+            {part: self._place(self.told.parts[f"{side}_{part}"]) for part in (*ARM, *LEG)} for side in SIDES
+        )
+        hips = (left["hip"] + right["hip"]) / 2
+        up = (left["shoulder"] + right["shoulder"]) / 2 - hips
+        down = (left["ankle"] + right["ankle"]) / 2 - hips
+        across = left["hip"] - right["hip"] + left["shoulder"] - right["shoulder"]
+        lengths = [float(np.linalg.norm(vector)) for vector in (across, up, down)]
+        if min(lengths) <= max(self._short, 0.0):
+            return None
+        across, up, down = (vector / length for vector, length in zip((across, up, down), lengths, strict=True))
+        if -(up @ down) < _STRAIGHT or abs(up @ across) > _SQUARE:
+            return None
+        across = across - (across @ up) * up
+        across /= np.linalg.norm(across)
+        axes = np.stack([across, up, np.cross(across, up)], axis=1)
+        is_along = np.abs(axes).max(axis=0) > _ALONG
+        return np.where(np.abs(axes) > _ALONG, np.sign(axes), 0.0) if is_along.all() else axes
+
+    def layout(self) -> Layout:
+        """Return the layout with all of its parts, points and tables."""
+        parts, points = dict(self.told.parts), self._points()
+        if parts.get("nose") == "nose" and "nose" not in points:
+            del parts["nose"]
+        told = set(parts)
+        self._leave_out_empty(parts)
+        if "pelvis" not in parts:
+            parts["pelvis"] = mixed((parts[f"{side}_hip"], 0.5) for side in SIDES)
+        told &= parts.keys()
+        skull = self._add_neck_and_head(parts)
+        if not parts.keys() >= {"spine1", "spine2", "spine3", "spine", "chest"}:
+            told = told - _SPINE.keys() | self._add_spine(parts)
+        for side in SIDES:
+            if f"{side}_collar" not in parts:
+                parts[f"{side}_collar"] = mixed([(parts["spine3"], 1 - _COLLAR), (parts[f"{side}_shoulder"], _COLLAR)])
+            if f"{side}_toe" not in parts:
+                parts[f"{side}_toe"] = self._toe(side, parts, points)
+        if "nose" not in parts:
+            parts["nose"] = self._nose(parts, skull, points)
+        told |= {"head"} if told & {"skull", "head"} else set()
+        return replace(
+            self.told,
+            tables=working_tables(parts),
+            parts=parts,
+            points=tuple(points.values()),
+            keeps_axes=True,
+            derived=tuple(joint for joint in BODY22.joint_names if joint not in told),
+        )
+
+    def _points(self) -> dict[str, AddedPoint]:
+        """Return the points that the layout tells, in the frames of the file's joints."""
+        axes = self._axes
+        return {
+            point.name: replace(point, offset=tuple((axes @ np.array(point.offset)).tolist()))
+            for point in self.told.points
+            if axes is not None and self._lengths[self.skeleton.index(point.unit_bone)] > self._short
+        }
+
+    def _place(self, entry: Entry) -> Array:
+        """Return where an entry of the file's joints is at rest."""
+        shares = ({entry: 1.0} if isinstance(entry, str) else entry).items()
+        points = {point.name: point.joint for point in self.told.points}
+        return np.asarray(
+            sum(share * self._rest[self.skeleton.index(points.get(name, name))] for name, share in shares)
+        )
+
+    def _distance(self, first: Entry, second: Entry) -> float:
+        return float(np.linalg.norm(self._place(first) - self._place(second)))
+
+    def _leave_out_empty(self, parts: dict[str, Entry]) -> None:
+        """Take away what lies on the joint before it, and a pelvis that is a node of the scene."""
+        points = {point.name for point in self.told.points}
+        for side in SIDES:
+            toe = parts.get(f"{side}_toe")
+            if toe and toe not in points and self._distance(toe, parts[f"{side}_ankle"]) <= self._short:
+                del parts[f"{side}_toe"]
+        if {"neck", "skull"} <= parts.keys() and self._distance(parts["neck"], parts["skull"]) <= self._short:
+            del parts["skull"]
+        hips = mixed((parts[f"{side}_hip"], 0.5) for side in SIDES)
+        leg = self._distance(parts["left_hip"], parts["left_knee"]) + self._distance(
+            parts["left_knee"], parts["left_ankle"]
+        )
+        if "pelvis" in parts and self._distance(parts["pelvis"], hips) > _PELVIS_AWAY * leg > 0:
+            del parts["pelvis"]
+
+    def _add_neck_and_head(self, parts: dict[str, Entry]) -> Entry:
+        """Add neck and head where they are missing; gives what carries the head."""
+        skull = parts.get("skull") or parts.get("head")
+        if "neck" not in parts:
+            shoulders = mixed((parts[f"{side}_shoulder"], 0.5) for side in SIDES)
+            assert skull is not None
+            parts["neck"] = mixed([(shoulders, _NECK_OF_SHOULDERS), (skull, 1 - _NECK_OF_SHOULDERS)])
+        neck = parts["neck"]
+        if skull is None and isinstance(neck, str):
+            used = {name for entry in parts.values() for name in ([entry] if isinstance(entry, str) else entry)}
+            children = [self.skeleton.joint_names[child] for child in self.skeleton.children(self.skeleton.index(neck))]
+            ends = [name for name in children if name not in used and self._distance(neck, name) > self._short]
+            skull = max(ends, key=lambda name: self._distance(neck, name), default=None)
+        if "head" not in parts:
+            trunk = self._distance(neck, parts["pelvis"])
+            if skull is None:
+                parts["head"] = mixed([(neck, 1 + _EAR), (parts["pelvis"], -_EAR)])
+            else:
+                length = self._distance(neck, skull)
+                factor = float(np.clip(_EAR * trunk / length if length > 0 else 1.0, *_EAR_FACTORS))
+                parts["head"] = mixed([(neck, 1 - factor), (skull, factor)])
+        return skull or neck
+
+    def _add_spine(self, parts: dict[str, Entry]) -> set[str]:
+        """Add the joints between pelvis and neck; gives those that are joints of the file."""
+        pelvis, neck = parts["pelvis"], parts["neck"]
+        names = self.skeleton.joint_names
+        path: list[Entry] = [pelvis, *(names[joint] for joint in self._between(parts)), neck]
+        kept = path[:1]
+        for entry in path[1:-1]:
+            if min(self._distance(entry, kept[-1]), self._distance(entry, neck)) > self._short:
+                kept.append(entry)
+        path = [*kept, neck]
+        steps = [self._distance(before, after) for before, after in pairwise(path)]
+        at = np.concatenate([[0.0], np.cumsum(steps)])
+        at = at / at[-1] if at[-1] > 0 else np.linspace(0.0, 1.0, len(path))
+        last, joints = 0, set()
+        for part, share in _SPINE.items():
+            inner = np.arange(last + 1 if part.startswith("spine") and part != "spine" else 1, len(path) - 1)
+            nearest = int(inner[np.argmin(np.abs(at[inner] - share))]) if len(inner) else 0
+            if nearest and abs(at[nearest] - share) < _SNAP:
+                parts[part] = path[nearest]
+                joints.add(part)
+                last = nearest if part[-1].isdigit() else last
+                continue
+            after = int(np.clip(np.searchsorted(at, share), 1, len(path) - 1))
+            weight = (share - at[after - 1]) / (at[after] - at[after - 1])
+            parts[part] = mixed([(path[after - 1], 1 - weight), (path[after], weight)])
+        return joints
+
+    def _between(self, parts: Mapping[str, Entry]) -> list[int]:
+        """Return the joints of the tree after the one that trunk and legs share, up to before the neck."""
+        legs = [self._ancestors(parts[f"{side}_hip"]) for side in SIDES]
+        neck = self._ancestors(parts["neck"] if isinstance(parts["neck"], str) else parts["left_shoulder"])
+        if not isinstance(parts["neck"], str):
+            arm = self._ancestors(parts["right_shoulder"])
+            neck = [-1, *(joint for joint in neck if joint in arm)]
+        shared = set(legs[0]) & set(legs[1])
+        pelvis = parts["pelvis"]
+        own = self.skeleton.index(pelvis) if isinstance(pelvis, str) else -1
+        return [joint for joint in reversed(neck[1:]) if joint not in shared and joint != own]
+
+    def _ancestors(self, entry: Entry) -> list[int]:
+        """Return the joint with the greatest weight and all joints above it, itself first."""
+        name = entry if isinstance(entry, str) else max(entry, key=lambda name: entry[name])
+        path = [self.skeleton.index(name)]
+        while self.skeleton.parents[path[-1]] >= 0:
+            path.append(self.skeleton.parents[path[-1]])
+        return path
+
+    def _toe(self, side: str, parts: Mapping[str, Entry], points: dict[str, AddedPoint]) -> Entry:
+        """Return the ball of a foot: what hangs from the ankle and does not go on as the shin does; else a guess."""
+        ankle, knee = parts[f"{side}_ankle"], parts[f"{side}_knee"]
+        shin = self._place(ankle) - self._place(knee)
+        length = float(np.linalg.norm(shin))
+        joint = self._ancestors(ankle)[0]
+        best, reach = "", 0.1 * length
+        for child in self.skeleton.children(joint):
+            offset = self.rest_offsets[child]
+            across = float(np.linalg.norm(offset - (offset @ shin) * shin / max(length, 1e-12) ** 2))
+            if across > reach:
+                best, reach = self.skeleton.joint_names[child], across
+        if best:
+            return best
+        if self._axes is None or length <= 0:
+            return mixed([(ankle, 1 + _NO_AXES_TOE), (knee, -_NO_AXES_TOE)])
+        vector = length * (_TOE_FORWARD * self._axes[:, 2] - _TOE_DOWN * self._axes[:, 1])
+        return self._carried(f"{side}_toe", joint, vector, points)
+
+    def _nose(self, parts: Mapping[str, Entry], skull: Entry, points: dict[str, AddedPoint]) -> Entry:
+        """Return a point before the ears, or the head where forward is not known."""
+        trunk = self._distance(parts["neck"], parts["pelvis"])
+        if self._axes is None or trunk <= 0:
+            return parts["head"]
+        joint = self._ancestors(skull)[0]
+        vector = self._place(parts["head"]) - self._rest[joint] + _NOSE_FORWARD * trunk * self._axes[:, 2]
+        return self._carried("nose", joint, vector, points)
+
+    def _carried(self, name: str, joint: int, vector: Array, points: dict[str, AddedPoint]) -> str:
+        """Add a point that a joint carries, as far from it as this vector at rest; gives its name."""
+        chain = self._ancestors(self.skeleton.joint_names[joint])
+        unit = next((one for one in chain if self._lengths[one] > self._short), int(np.argmax(self._lengths)))
+        while name in self.skeleton.joint_names:
+            name += "_point"
+        offset = tuple((vector / self._lengths[unit]).tolist())
+        names = self.skeleton.joint_names
+        points[name] = AddedPoint(name, names[joint], offset, names[unit])
+        return name

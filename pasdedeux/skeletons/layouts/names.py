@@ -1,0 +1,103 @@
+"""Names of joints without what programs add to them: namespace, prefix, case, separators, the form of the side."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+SIDES = ("left", "right")
+_SIDE_WORDS = {"left": "left", "lft": "left", "right": "right", "rght": "right", "rgt": "right"}
+_SIDE_LETTERS = {"l": "left", "r": "right"}
+_NOISE = {"jnt", "joint", "jt", "bone", "bn", "bind", "skel", "def", "org", "drv", "c"}
+"""Words that rigs put before or after names; `c` is the middle, beside `l` and `r`."""
+_COMMON = 0.6
+"""Share of the names that a prefix or suffix has, so that it is one: the names of one side are fewer."""
+
+Words = tuple[str, ...]
+
+
+def normal_names(joint_names: Sequence[str]) -> list[str]:
+    """Return the names as layouts compare them: lower case, a side as `left.` or `right.` in front.
+
+    A namespace (`mixamorig12:`), a prefix or suffix that most names have (`Character1_`, `Bip01 `), the suffixes of
+    copies (`.001`, `#`), words such as `jnt`, separators and leading zeros are left out, each only where the names
+    stay different.  A single `l` or `r` is a side where its counterpart is among the names.
+
+    >>> normal_names(["Bip01 Pelvis", "Bip01 L Thigh", "Bip01 R Thigh", "Bip01 Spine1"])
+    ['pelvis', 'left.thigh', 'right.thigh', 'spine1']
+    """
+    copies = [re.sub(r"(\.\d+|#\d*)+$", "", name) for name in joint_names]
+    repeated = Counter(copies)
+    kept = [copy if repeated[copy] == 1 else name for copy, name in zip(copies, joint_names, strict=True)]
+    words = [_words(re.split(r"[:|]", name)[-1]) for name in kept]
+    words = _without_common(_without_common(words, 0), -1)
+    known = {tuple(row) for row in words}
+    normal = [_normal(row, known) for row in words]
+    repeated = Counter(normal)
+    return [
+        name if repeated[name] == 1 else _normal(row, known, keeps=True)
+        for name, row in zip(normal, words, strict=True)
+    ]
+
+
+def by_normal_name(joint_names: Sequence[str]) -> Mapping[str, str]:
+    """Return each joint by its normal name; of several with one normal name the first."""
+    return dict(reversed(list(zip(normal_names(joint_names), joint_names, strict=True))))
+
+
+def _words(name: str) -> Words:
+    found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
+    return tuple(str(int(word)) if word.isdigit() else word.lower() for word in found)
+
+
+def _without_common(names: list[Words], at: int) -> list[Words]:
+    """Take the first (0) or last (-1) word away while most names have the same, or a number there."""
+    while True:
+        several = [name for name in names if len(name) > 1]
+        ends = Counter("0" if name[at].isdigit() and at == 0 else name[at] for name in several)
+        word, count = ends.most_common(1)[0] if ends else ("", 0)
+        if count < _COMMON * len(names) or count < 3 or word in _SIDE_WORDS or word in _SIDE_LETTERS:
+            return names
+        names = [
+            (name[1:] if at == 0 else name[:-1])
+            if len(name) > 1 and (name[at] == word or (word == "0" and name[at].isdigit()))
+            else name
+            for name in names
+        ]
+
+
+def _normal(words: Words, known: set[Words], *, keeps: bool = False) -> str:
+    """Return the name of these words; a name that would be empty keeps what is left out of others."""
+    side, rest = _side(words, known)
+    if not keeps:
+        rest = tuple(word for word in rest if word not in _NOISE) or rest
+    return f"{side}." * bool(side) + "".join(rest)
+
+
+def _side(words: Words, known: set[Words]) -> tuple[str, Words]:
+    """Return the side that a name says, and its other words."""
+    for at, word in enumerate(words):
+        if word in _SIDE_WORDS and len(words) > 1:
+            return _SIDE_WORDS[word], words[:at] + words[at + 1 :]
+    for at, word in enumerate(words):
+        if word in _SIDE_LETTERS and (*words[:at], "r" if word == "l" else "l", *words[at + 1 :]) in known:
+            return _SIDE_LETTERS[word], words[:at] + words[at + 1 :]
+    for at in (0, len(words) - 1) if words else ():
+        for bare, side, other in _letters(words[at]):
+            there = {(*words[:at], form, *words[at + 1 :]) for form in other}
+            if there & known:
+                return side, (*words[:at], bare, *words[at + 1 :])
+    return "", words
+
+
+def _letters(word: str) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Yield what is left of a word without a side at its start or end, the side, and what the other side may be."""
+    for mark, side in (*_SIDE_WORDS.items(), *_SIDE_LETTERS.items()):
+        others = [m for m, s in (_SIDE_WORDS if len(mark) > 1 else _SIDE_LETTERS).items() if s != side]
+        if word.startswith(mark) and len(word) > len(mark):
+            bare = word.removeprefix(mark)
+            yield bare, side, tuple(other + bare for other in others)
+        if len(mark) > 1 and word.endswith(mark) and len(word) > len(mark):
+            bare = word.removesuffix(mark)
+            yield bare, side, tuple(bare + other for other in others)

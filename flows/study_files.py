@@ -12,6 +12,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from pasdedeux.errors import InputError
+from tasks.user_files import read_text_file
+
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 HEAD = "study"
 """Section of a study with its name, the study that it extends, and its stages."""
@@ -157,11 +160,9 @@ def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path,
     if not looks_like_path and not path.is_file():
         raise StudyError([unknown(f"{context}study '{said}'", tuple(shipped), said) + " (or name a .toml file)"])
     try:
-        return path.read_text(encoding="utf-8"), path.resolve().parent, str(path.resolve())
-    except FileNotFoundError:
-        raise StudyError([f"{context}study file {said} does not exist"]) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise StudyError([f"{context}study file {said} cannot be read: {error}"]) from None
+        return read_text_file(path), path.resolve().parent, str(path.resolve())
+    except InputError as error:
+        raise StudyError([f"{context}study {str(error).replace(str(path), said)}"]) from None
 
 
 def _overrides(

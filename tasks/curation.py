@@ -33,6 +33,7 @@ from storage_schema import (
 )
 from storage_schema.datasets import open_dataset
 from storage_schema.runs import STUDY_FILE
+from tasks.user_files import read_text_file
 
 Decision = Literal["accept", "reject"]
 DECISIONS: tuple[Decision, ...] = ("accept", "reject")
@@ -109,12 +110,9 @@ def read_choices(path: Path) -> dict[str, Choice]:
     Raises:
         InputError: A line is none: names the file and the line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except UnicodeDecodeError:
-        raise InputError(f"{path.name}: this is no text file of choices") from None
+    lines = read_text_file(path).splitlines()
     found: dict[str, Choice] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.startswith("#"):
@@ -152,7 +150,7 @@ def choices_in(path: Path) -> dict[str, str]:
     Raises:
         InputError: There is no such file, or a line is no choice.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"there is no file {path}")
     return as_settings(read_choices(path))
 

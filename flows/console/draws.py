@@ -65,6 +65,7 @@ def restart(
     from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
     from tasks.seeds.files import pair_of_draw
     from tasks.sweep import merged
+    from tasks.user_files import read_file
 
     cluster = cluster_settings(workers, oversubscribe=oversubscribe)
     opened = open_store(store)
@@ -73,7 +74,7 @@ def restart(
     path = edited or out / f"draw-{chosen.ref.key[:12]}-{chosen.row}.json"
     name = f"{origin}-restart-{chosen.ref.key[:12]}-{chosen.row}"
     if edited is not None:
-        data = edited.read_bytes()
+        data = read_file(edited)
         with named(edited.name):
             read_pair_json(data)
         name += f"-{hashlib.sha256(data).hexdigest()[:6]}"
@@ -144,14 +145,15 @@ def complete(
     from storage_schema import parse_reference, resolve, source_credits
     from tasks.draw_sets import read_all_draws
     from tasks.stage import merge_takes
+    from tasks.user_files import read_file
 
-    opened = open_store(store)
+    data, opened = read_file(file), open_store(store)
     reference = parse_reference(draws)
     if reference.table not in ("draws", "seeds"):
         raise InputError(f"--draws: '{draws}' names no draws; draws:study, draws@key or seeds:study do")
     refs = resolve(reference, opened)
     with named(file.name):
-        pair = read_pair_json(file.read_bytes(), is_partial=True)
+        pair = read_pair_json(data, is_partial=True)
         is_known = np.asarray(np.isfinite(pair.pair_m).all(axis=-1))
         if is_known.all():
             raise InputError("no joint is missing; one that is not known is absent, or null")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import re
-import time
-import urllib.error
-import urllib.request
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from http.client import HTTPException
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
@@ -26,12 +24,15 @@ from flows.outcomes import Run
 from flows.study import load_study
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
+from tasks.downloads import FetchError, download
+from tasks.user_files import read_file
+
+if TYPE_CHECKING:
+    from tasks.ingest.detector_files import NetworkAddress
 
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
-_MAX_FILE_BYTES = 200 << 20
-_NUM_ATTEMPTS = 4
-_NO_ANSWER_S = 30.0
-_FIRST_WAIT_S = 0.5
+_MAX_FILE_BYTES = 200_000_000
+_MAX_NETWORK_BYTES = 2_000_000_000
 _MB_PER_TAKE = 1.0
 """Of an AMC file of CMU: 1.3 in the mean over nine of them, less where people walk a few steps."""
 _MB_PER_S = 1.0
@@ -43,10 +44,6 @@ _BUILD_S_PER_MB, _BUILT_MB_PER_MB = 1.0, 0.6
 
 _group = typer.Typer(help="Download freely available motion capture.", no_args_is_help=True)
 app.add_typer(_group, name="fetch")
-
-
-class FetchError(Exception):
-    """A download failed; the message names the file, its address and the reason."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +108,40 @@ def database(
     where = cluster_settings(workers, WORKER_MEMORY_GB, None)
     build_and_report(Run(chosen, graph, open_store(store)), where, as_json=False)
     typer.echo(f"now: pasdedeux reconstruct DIR --database projections:{chosen.name} --store {store} --out out")
+
+
+@_group.command("detector")
+def detector(
+    address: Annotated[str, typer.Argument(metavar="ADDRESS", help="https://HOST/FILE.onnx#sha256=DIGEST.")],
+) -> None:
+    """Download the network of a detector, once, for the studies and commands that state its address."""
+    from tasks.ingest.detector_files import check_network, network_address  # as for the credit
+
+    network = network_address(address)
+    if not network.kept.exists():
+        typer.echo(f"{network.url} is fetched, {_MAX_NETWORK_BYTES / 1e6:.0f} MB at most")
+        fetch_network(network)
+    check_network(network)
+    typer.echo(f"{network.kept}: its digest is the stated one")
+
+
+def fetch_network(network: NetworkAddress) -> None:
+    """Bring the file of a network to its place.
+
+    Raises:
+        FetchError: It does not come, or another file does.
+        InputError: The address is no public one, or leads on to such a one.
+    """
+    data = download(network.url, max_bytes=_MAX_NETWORK_BYTES, is_public=True)
+    if hashlib.sha256(data).hexdigest() != network.sha256:
+        raise FetchError(f"{network.url}: another file came; its digest is not the stated one")
+    coming = network.kept.with_suffix(f".{os.getpid()}")
+    try:
+        coming.parent.mkdir(parents=True, exist_ok=True)
+        coming.write_bytes(data)
+        coming.replace(network.kept)
+    except OSError as error:
+        raise FetchError(f"{network.kept} cannot be written: {error.strerror}") from None
 
 
 def _told(items: Iterable[Fetched]) -> Iterator[Fetched]:
@@ -208,7 +239,7 @@ def _numbers(text: str, what: str) -> list[str]:
 
 def _listed_takes(base: str, subject: str) -> list[str]:
     url = f"{base}/search.php?subjectnumber={int(subject)}"
-    page = _download(url)
+    page = download(url, max_bytes=_MAX_FILE_BYTES)
     takes = sorted(set(re.findall(rf"\b{subject}_(\d{{2,3}})\.amc".encode(), page)))
     if not takes:
         raise FetchError(f"{url} lists no takes of subject {subject}; name them with --takes")
@@ -218,9 +249,9 @@ def _listed_takes(base: str, subject: str) -> list[str]:
 def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
     from tasks.ingest.known_sources import has_changed, note_fetched  # as for the credit
 
-    if path.exists() and not has_changed(path, there := path.read_bytes()) and _fault(there, skeleton) is None:
+    if path.exists() and not has_changed(path, there := read_file(path)) and _fault(there, skeleton) is None:
         return Fetched(path=path, num_bytes=len(there), was_there=True)
-    data = _download(url)
+    data = download(url, max_bytes=_MAX_FILE_BYTES)
     fault = _fault(data, skeleton)
     if fault is not None:
         raise FetchError(f"{url} did not send a motion file: {fault}")
@@ -245,26 +276,7 @@ def _fault(data: bytes, skeleton: Path | None) -> str | None:
         if skeleton is None:
             read_asf(data)
         else:
-            read_amc(data, read_asf(skeleton.read_bytes()))
+            read_amc(data, read_asf(read_file(skeleton)))
     except InputError as error:
         return str(error)
     return None
-
-
-def _download(url: str) -> bytes:
-    """Return a whole file, asked for again a few times when the network fails."""
-    for attempt in range(_NUM_ATTEMPTS):
-        try:
-            with urllib.request.urlopen(url, timeout=_NO_ANSWER_S) as answer:
-                if (answer.length or 0) > _MAX_FILE_BYTES:
-                    raise FetchError(f"{url} is larger than {_MAX_FILE_BYTES >> 20} MB")
-                return bytes(answer.read())
-        except urllib.error.HTTPError as error:
-            problem = f"the site answers {error.code} {error.reason}"
-            if error.code < 500:
-                raise FetchError(f"{url}: {problem}") from None
-        except (urllib.error.URLError, HTTPException, ConnectionError, TimeoutError) as error:
-            problem = str(getattr(error, "reason", None) or error or type(error).__name__)
-        if attempt + 1 < _NUM_ATTEMPTS:
-            time.sleep(_FIRST_WAIT_S * 2**attempt)
-    raise FetchError(f"{url}: {problem} ({_NUM_ATTEMPTS} attempts; the same command goes on from here)")

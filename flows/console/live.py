@@ -13,7 +13,7 @@ from typing import Any, TextIO
 import numpy as np
 import typer
 
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, check_anatomy, in_pixels
 from pasdedeux.formats.detections import Detection, join_detections
 from pasdedeux.formats.humanoid import AXES
@@ -24,6 +24,7 @@ from pasdedeux.reconstruction.live.person import LivePose
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tasks.user_files import read_file
 
 STOP_NAME = "STOP"
 """A file of this name in the folder ends the video."""
@@ -116,9 +117,9 @@ def _new_frames(folder: Path, old: set[str], last: int) -> list[tuple[int, Path]
 
 def _read(number: int, path: Path) -> FollowedFile:
     try:
-        people = read_people(path.read_bytes())
+        people = read_people(read_file(path))
         return FollowedFile(number, path, people, join_detections(people, sequence_id="video") if people else None)
-    except (FormatError, FileNotFoundError) as error:
+    except InputError as error:
         return FollowedFile(number, path, problem=str(error))
 
 

@@ -16,10 +16,11 @@ from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from tasks.ingest.cameras import find_cameras, read_header, video_beside
 from tasks.ingest.detector_files import find_network
-from tasks.ingest.films import FilmFrame, digest_of, first_shown, image_at, read_film
+from tasks.ingest.films import FilmFrame, first_shown, image_at, read_film
 from tasks.ingest.shard_parameters import FilmParameters
 from tasks.ingest.shots import CorrectedShot
 from tasks.stage import SourceFile
+from tasks.user_files import digest_of
 
 _LARGEST_PX = 960
 """Longer side of the images that are shown and kept."""

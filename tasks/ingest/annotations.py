@@ -26,12 +26,12 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.facts import Couple, SequenceFacts
 from tasks.ingest.cameras import IMAGE_SUFFIXES, CameraFiles, find_cameras, read_header, video_beside
-from tasks.ingest.films import digest_of
 from tasks.ingest.parameters import AnnotationOptions, FilmOptions
 from tasks.ingest.shard_parameters import AnnotationParameters, FilmParameters
 from tasks.ingest.shots import annotate, find_shots, read_shot, shot_images
 from tasks.ingest.sources import load_file, own_layout_of, read_again
 from tasks.stage import Shard, SourceFile, commit
+from tasks.user_files import digest_of
 
 DEFAULT_RATE_HZ = 30.0
 PEOPLE_NAME = "people.csv"

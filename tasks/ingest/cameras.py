@@ -14,6 +14,7 @@ from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
 from tasks.ingest.sources import load_file
+from tasks.user_files import open_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
@@ -167,12 +168,19 @@ def is_named_after(name: str, stem: str) -> bool:
 
 
 def open_capture(video: Path) -> Any:
-    """Return OpenCV's reader of a video, opened or not; libraries do not comment on what is wrong with it."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
+    """Return OpenCV's reader of a video, opened or not; libraries do not comment on what is wrong with it.
+
+    Raises:
+        InputError: It is not there, or no regular file.
+    """
+    open_file(video).close()
+    # Both are read when the first video is opened: AV_LOG_QUIET, and a playlist may name nothing on a network.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
     import cv2  # here: a quarter of a second that planning does not need
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
-    return cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    return cv2.VideoCapture(str(video.absolute()), cv2.CAP_FFMPEG)
 
 
 def read_header(video: Path) -> Footage:

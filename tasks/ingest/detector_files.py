@@ -1,68 +1,78 @@
-"""The files of a detector: a path, or an address and digest whose file is fetched once and kept."""
+"""The files of a detector: a path, or an address and digest whose file `pasdedeux fetch detector` has brought."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
-from http.client import HTTPException
 from pathlib import Path
-from urllib.request import Request, urlopen
+from typing import NamedTuple
 
 from pasdedeux.errors import InputError
-from tasks.ingest.films import digest_of
+from tasks.downloads import check_host
 from tasks.stage import SourceFile
+from tasks.user_files import digest_of
 
-_ADDRESS = re.compile(r"(https?://[^#\s]+)#sha256=([0-9a-f]{64})")
-_TIMEOUT_S = 60.0
-_MAX_BYTES = 2_000_000_000
+_ADDRESS = re.compile(r"(https://[^#\s]+)#sha256=([0-9a-f]{64})")
+
+
+class NetworkAddress(NamedTuple):
+    """Where a network is on the internet, and the sha256 of its file."""
+
+    url: str
+    sha256: str
+
+    @property
+    def kept(self) -> Path:
+        """Return where its file lies once it was fetched."""
+        base = os.environ.get("PASDEDEUX_CACHE")
+        folder = Path(base) if base else Path.home() / ".cache" / "pasdedeux"
+        return folder / "detectors" / f"{self.sha256}.onnx"
 
 
 def find_network(stated: str) -> SourceFile:
-    """Return the file of a network: a path, or an address that ends in #sha256=DIGEST, fetched where it is not yet.
+    """Return the file of a network: a path, or an address that ends in #sha256=DIGEST; nothing is sent to it.
 
     Raises:
-        InputError: It is not there, cannot be fetched, or has another digest.
+        InputError: It is not there, was not fetched yet, or has another digest.
     """
-    if not re.match(r"https?://", stated):
+    if "://" not in stated:
         path = Path(stated).expanduser()
-        if not path.is_file():
+        if not path.exists():
             raise InputError(
                 f"detector {stated} does not exist; give the ONNX file of RTMO or RTMPose, or an address with "
                 "#sha256=DIGEST"
             )
         return SourceFile(path=str(path), sha256=digest_of(path))
+    address = network_address(stated)
+    if not address.kept.exists():
+        raise InputError(
+            f"detector {stated} is not on this machine, and a study fetches nothing by itself; bring it with "
+            f"`pasdedeux fetch detector '{stated}'`"
+        )
+    check_network(address)
+    return SourceFile(path=str(address.kept), sha256=address.sha256)
+
+
+def network_address(stated: str) -> NetworkAddress:
+    """Return the parts of an address that a study may state: https, a host with a public name, a digest.
+
+    Raises:
+        InputError: It is another one.
+    """
     match = _ADDRESS.fullmatch(stated)
     if match is None:
         raise InputError(
-            f"detector {stated}: an address needs the digest of its file, {stated.split('#')[0]}#sha256=..."
+            f"detector {stated}: an address is https://HOST/FILE#sha256=DIGEST with the 64 digits of its file's digest"
         )
-    address, digest = match.groups()
-    kept = _folder() / f"{digest}.onnx"
-    if not kept.is_file():
-        _fetch(address, digest, kept)
-    if digest_of(kept) != digest:
-        raise InputError(f"detector {kept} is damaged: its digest is not {digest[:12]}...; delete it")
-    return SourceFile(path=str(kept), sha256=digest)
+    check_host(match[1])
+    return NetworkAddress(match[1], match[2])
 
 
-def _folder() -> Path:
-    base = os.environ.get("PASDEDEUX_CACHE")
-    return (Path(base) if base else Path.home() / ".cache" / "pasdedeux") / "detectors"
+def check_network(address: NetworkAddress) -> None:
+    """Refuse a kept file whose content has changed.
 
-
-def _fetch(address: str, digest: str, kept: Path) -> None:
-    try:
-        with urlopen(Request(address, headers={"User-Agent": "pasdedeux"}), timeout=_TIMEOUT_S) as answer:
-            data = answer.read(_MAX_BYTES + 1)
-    except (OSError, HTTPException, ValueError) as error:
-        raise InputError(
-            f"detector {address} cannot be fetched: {error}; fetch it yourself and give its path"
-        ) from None
-    found = hashlib.sha256(data).hexdigest()
-    if found != digest:
-        raise InputError(f"detector {address}: it is another file, of the digest {found[:12]}..., not {digest[:12]}...")
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    partial = kept.with_suffix(f".{os.getpid()}")
-    partial.write_bytes(data)
-    partial.replace(kept)
+    Raises:
+        InputError: Its digest is not that of its name.
+    """
+    if digest_of(address.kept) != address.sha256:
+        raise InputError(f"detector {address.kept} is damaged: it has another digest than its name; delete it")

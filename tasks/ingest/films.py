@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.image_names import places_of_names
 from tasks.ingest.cameras import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
 from tasks.stage import SourceFile
+from tasks.user_files import digest_of, open_file
 
 Image = npt.NDArray[np.uint8]
 
@@ -133,19 +133,6 @@ def open_film(path: Path) -> Film:
     return _scanned(files, first_number)
 
 
-def digest_of(path: Path) -> str:
-    """Return the sha256 of a file of any size.
-
-    Raises:
-        InputError: It cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"file {path} cannot be read: {error.strerror}") from None
-
-
 def read_film(
     files: tuple[SourceFile, ...],
     first: int = 0,
@@ -244,6 +231,7 @@ def _read_images(files: tuple[SourceFile, ...]) -> Iterator[FilmFrame]:
     import cv2  # here: a quarter of a second that planning does not need
 
     for file in files:
+        open_file(Path(file.path)).close()
         image = cv2.imread(file.path, cv2.IMREAD_COLOR)
         if image is None:
             raise InputError(f"{Path(file.path).name} is no image that can be read")

@@ -7,7 +7,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from pasdedeux.errors import InputError
 from storage_schema import SourceCredit
+from tasks.user_files import read_text_file
 
 CMU_CREDIT = SourceCredit(
     name="CMU Graphics Lab Motion Capture Database",
@@ -67,8 +69,7 @@ def note_fetched(path: Path, data: bytes) -> None:
     It is noted before the file is there: of one that is found there it could not be known any more.
     """
     notes = path.with_name(FETCHED_FILE)
-    lines = notes.read_text(encoding="utf-8").splitlines() if notes.is_file() else []
-    lines = [line for line in lines if not line.endswith(f"  {path.name}")]
+    lines = [line for line in _notes(path) if not line.endswith(f"  {path.name}")]
     digest = hashlib.sha256(data).hexdigest()
     coming = notes.with_name(f"{notes.name}.part")
     coming.write_text("".join(f"{line}\n" for line in [*lines, f"{digest}  {path.name}"]), encoding="utf-8")
@@ -89,8 +90,8 @@ def has_changed(path: Path, data: bytes) -> bool:
 def _notes(path: Path) -> list[str]:
     """Return the lines of what is noted beside a file; none where nothing can be read."""
     try:
-        return path.with_name(FETCHED_FILE).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
+        return read_text_file(path.with_name(FETCHED_FILE)).splitlines()
+    except InputError:
         return []
 
 

@@ -21,6 +21,7 @@ from tasks.ingest.known_sources import CMU_CREDIT, known_source, usual_rate_hz, 
 from tasks.ingest.parameters import CommonOptions, PersonOptions
 from tasks.ingest.shard_parameters import PersonParameters
 from tasks.stage import SourceFile
+from tasks.user_files import read_file
 
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
@@ -55,17 +56,8 @@ class PersonSource:
 
 
 def load_file(path: Path) -> LoadedFile:
-    """Read and hash a file.
-
-    Raises:
-        InputError: It is not there or cannot be read.
-    """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"file {path} does not exist") from None
-    except OSError as error:
-        raise InputError(f"file {path} cannot be read: {error.strerror}") from None
+    """Read and hash a file; an InputError as of `read_file`."""
+    data = read_file(path)
     return LoadedFile(file=SourceFile(path=str(path), sha256=hashlib.sha256(data).hexdigest()), data=data)
 
 

@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings, first_problem
 from tasks.shards.errors import ClusterError, in_one_line
+from tasks.user_files import read_text_file
 
 if TYPE_CHECKING:
     from distributed import Client, SpecCluster
@@ -45,9 +46,9 @@ def read_profile(path: Path) -> ClusterProfile:
         InputError: There is none, or a key of it is wrong; says which, and which there are.
     """
     try:
-        return ClusterProfile.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cluster profile {path} cannot be read: {in_one_line(error)}") from None
+        return ClusterProfile.model_validate(tomllib.loads(read_text_file(path)))
+    except InputError as error:
+        raise InputError(f"cluster profile: {error}") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"cluster profile {path} is not valid TOML: {error}") from None
     except ValidationError as error:

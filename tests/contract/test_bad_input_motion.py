@@ -86,7 +86,7 @@ def test_the_good_files_are_planned(folder: Path, capsys: pytest.CaptureFixture[
     ("spoil", "says"),
     [
         (lambda folder: (folder / "61_01.bvh").unlink(), ("file FOLDER/61_01.bvh does not exist",)),
-        (a_folder, ("file FOLDER/61_01.bvh cannot be read: Is a directory",)),
+        (a_folder, ("FOLDER/61_01.bvh is a folder, and a regular file is needed",)),
         (cut(0.3), ("61_01.bvh: line ",)),
         (written(b""), ("61_01.bvh: ",)),
         (written(bytes(range(256)) * 16), ("61_01.bvh: ",)),

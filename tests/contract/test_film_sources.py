@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import re
 import subprocess
 import sys
-import threading
 import tracemalloc
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -410,38 +408,65 @@ def test_files_that_are_no_detector_are_refused(files: list[bytes], message: str
         load_detector(files)
 
 
-@pytest.fixture
-def address(tmp_path: Path) -> Iterator[str]:
-    (tmp_path / "net.onnx").write_bytes(tiny_networks.rtmo(size=480))
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(tmp_path)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{server.server_port}/net.onnx"
-    server.shutdown()
-    server.server_close()
-
-
-class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, *words: object) -> None:
-        """Say nothing."""
-
-
-def test_a_detector_at_an_address_is_fetched_once_and_only_with_its_digest(
-    film: Path, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_detector_at_an_address_comes_by_the_command_only_and_with_its_digest(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
-    digest = hashlib.sha256((tmp_path / "net.onnx").read_bytes()).hexdigest()
-    with pytest.raises(InputError, match="an address needs the digest"):
-        found(film, detect=[address])
-    with pytest.raises(InputError, match="another file, of the digest"):
-        found(film, detect=[f"{address}#sha256={'0' * 64}"])
-    first, _ = found(film, detect=[f"{address}#sha256={digest}"], detect_every=2)
-    assert digest in {file.sha256 for file in first.files}
-    (tmp_path / "net.onnx").unlink()
-    assert found(film, detect=[f"{address}#sha256={digest}"])[0].parameters.num_networks == 1
-    with pytest.raises(InputError, match="cannot be fetched"):
-        found(film, detect=[f"{address}#sha256={'1' * 64}"])
+    network, asked = tiny_networks.rtmo(size=480), list[str]()
+    stated = f"https://example.org/net.onnx#sha256={hashlib.sha256(network).hexdigest()}"
+
+    def answer(url: str, *, max_bytes: int, is_public: bool) -> bytes:
+        assert max_bytes == 2e9
+        assert is_public
+        asked.append(url)
+        return network
+
+    monkeypatch.setattr("tasks.downloads.download", answer)
+    monkeypatch.setattr("flows.console.fetch.download", answer)
+    with pytest.raises(InputError, match=re.escape(f"bring it with `pasdedeux fetch detector '{stated}'`")):
+        found(film, detect=[stated])
+    assert asked == []
+    for _ in range(2):
+        assert run_command_line(["fetch", "detector", stated]) == 0
+    assert asked == ["https://example.org/net.onnx"]
+    first, _ = found(film, detect=[stated], detect_every=2)
+    assert stated.rpartition("=")[2] in {file.sha256 for file in first.files}
+    assert run_command_line(["fetch", "detector", f"https://example.org/net.onnx#sha256={'0' * 64}"]) == 1
+    said = capsys.readouterr().err
+    assert said == "error: https://example.org/net.onnx: another file came; its digest is not the stated one\n"
     with pytest.raises(InputError, match="does not exist; give the ONNX file"):
         found(film, detect=["none.onnx"])
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://example.org/net.onnx",
+        "HTTP://example.org/net.onnx",
+        "ftp://example.org/net.onnx",
+        "file:///etc/passwd",
+        "https://localhost/net.onnx",
+        "https://node7/net.onnx",
+        "https://printer.local/net.onnx",
+        "https://127.0.0.1/net.onnx",
+        "https://10.0.0.1/net.onnx",
+        "https://8.8.8.8/net.onnx",
+        "https://2130706433/net.onnx",
+        "https://0x7f.0.0.1/net.onnx",
+        "https://[::1]/net.onnx",
+        "https://example.org:8443/net.onnx",
+        "https://user:word@example.org/net.onnx",
+        "https://example.org@127.0.0.1/net.onnx",
+        "https://",
+    ],
+)
+def test_addresses_other_than_https_to_a_public_name_are_refused_before_a_word_is_sent(
+    url: str, film: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("socket.create_connection", lambda *_, **__: pytest.fail("something was sent"))
+    with pytest.raises(InputError, match=r"only https to a host with a public name|an address is https://HOST"):
+        found(film, detect=[f"{url}#sha256={'0' * 64}"])
+    assert run_command_line(["fetch", "detector", f"{url}#sha256={'0' * 64}"]) == 2
 
 
 def test_a_detector_is_run_over_the_film_and_its_gaps_are_tracked(tmp_path: Path) -> None:

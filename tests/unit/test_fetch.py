@@ -6,8 +6,10 @@ import errno
 import hashlib
 import re
 import threading
+import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from email.message import Message
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from flows.console.context import Context
 from flows.console.fetch import FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
+from tasks.downloads import PublicRedirects, download, is_public_ip
 from tasks.ingest.known_sources import was_fetched
 from tests.builders.real_study import build_here, call_in_process
 from tests.builders.source_samples import AMC, ASF
@@ -35,11 +38,13 @@ class Site:
     requests: list[str] = field(default_factory=list)
     cut_after: dict[str, list[int]] = field(default_factory=dict)
     fail_times: dict[str, int] = field(default_factory=dict)
+    is_length_stated: bool = True
+    status_line: bytes = b""
 
 
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flows.console.fetch._FIRST_WAIT_S", 0.0)
+    monkeypatch.setattr("tasks.downloads._FIRST_WAIT_S", 0.0)
 
 
 @pytest.fixture
@@ -56,6 +61,9 @@ def site() -> Iterator[Site]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             state.requests.append(self.path)
+            if state.status_line:
+                self.wfile.write(state.status_line)
+                return
             if state.fail_times.get(self.path, 0) > 0:
                 state.fail_times[self.path] -= 1
                 self.send_error(503)
@@ -65,7 +73,8 @@ def site() -> Iterator[Site]:
                 self.send_error(404)
                 return
             self.send_response(200)
-            self.send_header("Content-Length", str(len(data)))
+            if state.is_length_stated:
+                self.send_header("Content-Length", str(len(data)))
             self.end_headers()
             cuts = state.cut_after.get(self.path, [])
             self.wfile.write(data[: cuts.pop(0)] if cuts else data)
@@ -177,6 +186,75 @@ def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Pa
         list(fetch_cmu({"60": None}, tmp_path, base_url=site.url))
     with pytest.raises(FetchError, match="the same command goes on from here"):
         list(fetch_cmu({"60": ["01"]}, tmp_path / "new", base_url="http://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("is_length_stated", [True, False])
+def test_a_file_of_more_bytes_than_allowed_is_refused_also_where_no_length_is_stated(
+    is_length_stated: bool, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.is_length_stated = is_length_stated
+    path, size = "/subjects/60/60_01.amc", len(AMC.encode())
+    assert download(site.url + path, max_bytes=size) == AMC.encode()
+    with pytest.raises(FetchError, match=r"60_01\.amc is larger than"):
+        download(site.url + path, max_bytes=size - 1)
+    monkeypatch.setattr("flows.console.fetch._MAX_FILE_BYTES", len(ASF.encode()) - 1)
+    with pytest.raises(FetchError, match=r"60\.asf is larger than"):
+        list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+
+
+def test_no_message_has_words_of_the_answer(site: Site) -> None:
+    site.status_line = b"secret-word 200 \x1b]0;title\x07\r\n"
+    with pytest.raises(FetchError, match="the answer is not that of a web server") as caught:
+        download(site.url, max_bytes=10)
+    assert "secret" not in str(caught.value)
+    site.status_line = b"HTTP/1.1 403 secret-word\r\nContent-Length: 0\r\n\r\n"
+    with pytest.raises(FetchError, match=r"the site answers 403$"):
+        download(site.url, max_bytes=10)
+
+
+@pytest.mark.parametrize(
+    ("ip", "is_public"),
+    [
+        ("8.8.8.8", True),
+        ("2606:4700::1111", True),
+        ("127.0.0.1", False),
+        ("10.1.2.3", False),
+        ("169.254.169.254", False),
+        ("100.64.0.1", False),
+        ("::1", False),
+        ("::ffff:10.0.0.1", False),
+        ("fe80::1%eth0", False),
+        ("224.0.0.1", False),
+        ("0.0.0.0", False),
+    ],
+)
+def test_a_public_name_that_stands_for_a_private_address_is_refused(
+    ip: str, is_public: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert is_public_ip(ip) is is_public
+
+    class Line:
+        def getpeername(self) -> tuple[str, int]:
+            return ip, 443
+
+        def setsockopt(self, *_: object) -> None:
+            raise ConnectionResetError("it was to be spoken with")
+
+        def close(self) -> None:
+            """Nothing is open."""
+
+    monkeypatch.setattr("socket.create_connection", lambda *_, **__: Line())
+    message = "it was to be spoken with" if is_public else "example.org is a host of a private network"
+    with pytest.raises(FetchError, match=message):
+        download("https://example.org/net.onnx", max_bytes=10, is_public=True)
+
+
+def test_a_site_that_leads_on_to_another_kind_of_address_is_not_followed(site: Site) -> None:
+    request = urllib.request.Request("https://example.org/net.onnx")
+    follow = PublicRedirects().redirect_request
+    with pytest.raises(FetchError, match="the site leads on to a place that is not https to a public name"):
+        follow(request, None, 302, "", Message(), f"{site.url}/secret")
+    assert follow(request, None, 302, "", Message(), "https://example.com/net.onnx") is not None
 
 
 def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:

@@ -42,9 +42,10 @@ from storage_schema import Manifest, Store, new_run
 from tasks.curation import Choosing
 from tasks.facts import SequenceFacts
 from tasks.ingest.annotations import find_videos
-from tasks.ingest.films import FilmFrame, digest_of, open_film, read_film
+from tasks.ingest.films import FilmFrame, open_film, read_film
 from tasks.ingest.parameters import FilmOptions
 from tasks.stage import SourceFile
+from tasks.user_files import digest_of
 from tests.builders.ingest_runs import duet_store, planned, run
 from tests.builders.mp4_boxes import with_durations
 from tests.builders.painted_film import painted, write_keys

@@ -1,0 +1,88 @@
+"""Files that a user names: every one is opened here, and nothing but a regular file is read."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+from pasdedeux.errors import InputError
+
+MAX_BYTES = 2_000_000_000
+"""Largest file that is read into memory whole; films are streamed and may be larger."""
+MAX_TEXT_BYTES = 16_000_000
+"""Largest study, list of choices or cluster profile."""
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def open_file(path: Path) -> BufferedReader:
+    """Open a regular file for reading; what is no regular file is refused at once, also a pipe that nobody fills.
+
+    Raises:
+        InputError: It is not there, is no regular file, or cannot be read.
+    """
+    try:
+        kind = path.stat().st_mode
+        if stat.S_ISREG(kind):
+            # Not to wait for a pipe that takes the place of the file between the two calls.
+            file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+            kind = os.fstat(file.fileno()).st_mode
+            if stat.S_ISREG(kind):
+                return file
+            file.close()
+    except FileNotFoundError:
+        raise InputError(f"file {path} does not exist") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"file {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    what = next((words for is_kind, words in _KINDS if is_kind(kind)), "no file")
+    raise InputError(f"{path} is {what}, and a regular file is needed; write the content to a file and name that")
+
+
+def read_file(path: Path, *, max_bytes: int = MAX_BYTES) -> bytes:
+    """Return the bytes of a file that a user names.
+
+    Raises:
+        InputError: As `open_file`, or it has more than `max_bytes`.
+    """
+    with open_file(path) as file:
+        if os.fstat(file.fileno()).st_size <= max_bytes:
+            try:
+                data = file.read(max_bytes + 1)
+            except OSError as error:
+                raise InputError(f"file {path} cannot be read: {error.strerror}") from None
+            if len(data) <= max_bytes:
+                return data
+    raise InputError(f"file {path} is larger than {max_bytes / 1e6:.0f} MB, the most that is read; split it")
+
+
+def read_text_file(path: Path) -> str:
+    """Return the text of a study, a list of choices or a profile.
+
+    Raises:
+        InputError: As `read_file`, or it is no text in UTF-8.
+    """
+    try:
+        return read_file(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise InputError(f"file {path} is no text in UTF-8: {error.reason} at byte {error.start}") from None
+
+
+def digest_of(path: Path) -> str:
+    """Return the sha256 of a file of any size.
+
+    Raises:
+        InputError: As `open_file`.
+    """
+    with open_file(path) as file:
+        try:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise InputError(f"file {path} cannot be read: {error.strerror}") from None

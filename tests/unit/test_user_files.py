@@ -1,0 +1,128 @@
+"""Files that a user names: nothing but regular files is read, no place waits for one, and sizes have limits."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from flows.console.app import run_command_line
+from flows.console.live import _read as read_live_frame
+from pasdedeux.errors import InputError
+from tasks.curation import choices_in
+from tasks.ingest.cameras import open_capture
+from tasks.ingest.films import open_film
+from tasks.ingest.known_sources import was_fetched
+from tasks.ingest.sources import load_file
+from tasks.shards.profiles import read_profile
+from tasks.user_files import digest_of, read_file, read_text_file
+
+ROOT = Path(__file__).parents[2]
+KINDS = {"folder": "a folder", "pipe": "a pipe", "socket": "a socket", "device": "a device", "link": "a device"}
+READERS: dict[str, Callable[[Path], object]] = {
+    "read_file": read_file,
+    "read_text_file": read_text_file,
+    "digest_of": digest_of,
+    "load_file": load_file,
+    "choices": choices_in,
+    "profile": read_profile,
+    "capture": open_capture,
+    "film": open_film,
+}
+COMMANDS = [
+    "plan {path} --store {out}",
+    'plan duets --set ingest.annotations=[{{id="a",path="{path}"}}] --store {out}',
+    'plan duets --set ingest.videos=[{{id="a",path="{path}",keys="{path}"}}] --store {out}',
+    'plan duets --set seeds.files=[{{path="{path}"}}] --store {out}',
+    "plan duets --set curation.file={path} --store {out}",
+    "study new {out} --from {path}",
+    "retarget {path} {path} --to {path} --out {out}",
+    "complete {path} --draws draws@{key} --store {out}",
+    "reconstruct {path} --database projections:duets --out {out} --store {out}",
+    "annotate {path} --keys {path} --out {out}.csv",
+    "run duets --cluster {path} --store {out}",
+]
+
+
+@pytest.fixture(autouse=True)
+def _ends() -> Iterator[None]:
+    """End what waits for a pipe or reads a device."""
+
+    def end(*_: object) -> None:
+        raise TimeoutError("it waits")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture(params=KINDS)
+def strange(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    kind, path = request.param, tmp_path / "strange.mp4"
+    with closing(socket.socket(socket.AF_UNIX)) as listening:
+        if kind == "folder":
+            path.mkdir()
+        elif kind == "pipe":
+            os.mkfifo(path)
+        elif kind == "socket":
+            os.chdir(tmp_path)  # a socket's path has at most 108 characters
+            listening.bind(path.name)
+            os.chdir(ROOT)
+        elif kind == "link":
+            path.symlink_to("/dev/zero")
+        yield (Path("/dev/zero") if kind == "device" else path), KINDS[kind]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_regular_file_is_refused_at_once(reader: str, strange: tuple[Path, str]) -> None:
+    path, kind = strange
+    if reader == "film" and path.is_dir():
+        with pytest.raises(InputError, match="holds no images"):
+            open_film(path)
+        return
+    with pytest.raises(InputError, match=re.escape(f"{path} is {kind}, and a regular file is needed")):
+        READERS[reader](path)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_waits_for_a_pipe(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / ("pipe.mp4" if "annotate" in command or "videos" in command else "pipe.toml")
+    os.mkfifo(path)
+    words = [word.format(path=path, out=tmp_path / "out.toml", key="0" * 64) for word in command.split()]
+    assert run_command_line(words) == 2
+    assert "is a pipe, and a regular file is needed" in capsys.readouterr().err
+
+
+def test_a_pipe_beside_files_or_among_live_frames_is_passed_by(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "CMU.sha256")
+    assert not was_fetched(tmp_path / "60_01.amc", "0" * 64)
+    os.mkfifo(tmp_path / "frame_1_keypoints.json")
+    assert "is a pipe" in read_live_frame(1, tmp_path / "frame_1_keypoints.json").problem
+
+
+def test_a_file_over_the_limit_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.json"
+    path.write_bytes(b"12345")
+    assert read_file(path, max_bytes=5) == b"12345"
+    with pytest.raises(InputError, match=r"large\.json is larger than 0 MB"):
+        read_file(path, max_bytes=4)
+    with path.open("wb") as file:
+        file.truncate(3_000_000_000)
+    with pytest.raises(InputError, match=r"large\.json is larger than 2000 MB, the most that is read"):
+        read_file(path)
+    with pytest.raises(InputError, match=r"large\.json is larger than 16 MB"):
+        read_text_file(path)
+
+
+def test_text_in_another_encoding_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes("título".encode("latin-1"))
+    with pytest.raises(InputError, match=r"a\.toml is no text in UTF-8: invalid .* at byte 1"):
+        read_text_file(tmp_path / "a.toml")

@@ -7,7 +7,7 @@ import math
 import pickle
 import re
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, op
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
-from tasks.data import MAX_LINKS, Data, PairDataset, SplitName, links_of
+from tasks.data import MAX_LINKS, Data, PairDataset, links_of
 from tasks.facts import TakeFacts
 from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs
@@ -124,21 +124,6 @@ def test_clips_and_draws_show_themselves_with_the_player_of_the_report(store: St
 
 def keys(items: PairDataset) -> list[tuple[str, int]]:
     return [(one["name"], one["start"]) for one in map(items.__getitem__, range(len(items)))]
-
-
-@pytest.mark.parametrize("by", ["take", "interaction"])
-def test_no_take_stands_on_two_sides_and_held_out_ones_test(store: Store, by: Any) -> None:
-    sides = {}
-    for split in get_args(SplitName):
-        try:
-            found = PairDataset("variants:toy", 10, split, store=store.root, by=by)
-        except InputError as error:
-            assert "none of the 8 variants is on the side" in str(error)  # noqa: PT017 - a side may be empty
-            continue
-        sides[split] = {one.source.name for one in found._clips if one.source is not None}
-    assert sides["test"] == {HELD_OUT}
-    assert sum(map(len, sides.values())) == len(set().union(*sides.values())) == 4
-    assert ("validation" in sides) == (by == "take"), "three takes of one interaction stay together"
 
 
 def test_windows_are_the_same_in_every_order_and_process(store: Store) -> None:

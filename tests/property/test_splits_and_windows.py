@@ -1,0 +1,229 @@
+"""Drawn stores: nothing of a tested interaction is learned from, and the n-th window is the n-th of its variant."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pasdedeux.errors import InputError
+from storage_schema import ArtifactRef, Manifest, ShardRecord, Store, record_latest
+from tasks.data import Clip, Data, PairDataset, SplitName
+from tasks.evaluation.downstream import OneTraining, split_takes
+from tasks.training.items import interaction_of
+from tests.builders.moving_pairs import swaying_pair
+from tests.builders.storage_rows import put, random_columns, take_rows
+
+BATCH = {"scales": [0.9], "persons": ["A"], "kinds": ["uniform"]}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A take: its interaction (empty: it is one of its own), its frames, and the verdicts of its variants."""
+
+    interaction: str
+    num_frames: int
+    is_held_out: bool
+    verdicts: tuple[str, ...]
+
+
+TAKES = st.lists(
+    st.builds(
+        Drawn,
+        interaction=st.sampled_from(["waltz", "hug", "push", ""]),
+        num_frames=st.integers(2, 9),
+        is_held_out=st.booleans(),
+        verdicts=st.lists(st.sampled_from(["pass", "warn", "fail"]), min_size=1, max_size=2).map(tuple),
+    ),
+    min_size=1,
+    max_size=8,
+)
+
+
+def motion(number: int, num_frames: int) -> Any:
+    """Return the pair of a take (frame, 2, 22, 3): no two frames are alike, and B comes nearer, so contacts change."""
+    pair = swaying_pair(num_frames, seed=number)
+    pair[:, 1, :, 2] -= np.linspace(0.0, 0.25, num_frames)[:, None]
+    return pair
+
+
+def aside(index: int) -> Any:
+    """Return how far a variant of a take is from it, metres."""
+    return np.array([1.0 + index, 0.0, 0.0])
+
+
+def put_take(store: Store, number: int, drawn: Drawn) -> Manifest:
+    name = f"take-{number}"
+    pair = np.swapaxes(motion(number, drawn.num_frames), 0, 1).reshape(-1, 22, 3)
+    columns, facts = take_rows(name, 2, drawn.num_frames, is_held_out=drawn.is_held_out, body22_m=pair)
+    people = {**random_columns("takes", 2), "take_id": [name] * 2, "person": [0, 1]}
+    told = {"duet": {"name": drawn.interaction}} if drawn.interaction else {}
+    return put(store, "ingest", name, {"poses": columns, "takes": people}, facts, **told)
+
+
+def put_variants(store: Store, take: Manifest, number: int, drawn: Drawn) -> Manifest:
+    """Commit variants that are the take, each further to the side than the one before."""
+    names = [f"v{index}" for index in range(len(drawn.verdicts))]
+    motions = [motion(number, drawn.num_frames) + aside(index) for index in range(len(names))]
+    rows = np.concatenate(motions).reshape(-1, 22, 3)
+    each = drawn.num_frames * 2
+    variants = {
+        **random_columns("variants", len(rows)),
+        "take_id": [take.name] * len(rows),
+        "variant_id": np.repeat(names, each).tolist(),
+        "frame": np.tile(np.repeat(np.arange(drawn.num_frames), 2), len(names)),
+        "person": np.tile([0, 1], len(rows) // 2),
+        "body22_m": rows,
+    }
+    quality = random_columns("variant_quality", len(names))
+    quality |= {"take_id": [take.name] * len(names), "variant_id": names, "verdict": list(drawn.verdicts)}
+    facts = {"kind": "variants", "take_id": take.name, "variants": names, "told": BATCH}
+    facts |= {"num_frames": drawn.num_frames, "num_persons": 2, "rate_hz": 30.0}
+    return put(store, "augmentation", take.name, {"variants": variants, "variant_quality": quality}, facts, (take,))
+
+
+def drawn_store(folder: str, takes: list[Drawn]) -> tuple[Store, list[Manifest]]:
+    store = Store(folder)
+    made = [put_take(store, number, drawn) for number, drawn in enumerate(takes)]
+    variants = [put_variants(store, take, *drawn) for take, drawn in zip(made, enumerate(takes), strict=True)]
+    stages = {"ingest": made, "augmentation": variants}
+    record_latest(
+        store, "drawn", "run-1", {name: [ShardRecord.of(one, store) for one in stages[name]] for name in stages}
+    )
+    return store, made
+
+
+def planned_take(number: int, drawn: Drawn) -> Manifest:
+    """Return a take as planning sees it, from no store."""
+    name = f"take-{number}"
+    _, facts = take_rows(name, 2, drawn.num_frames, is_held_out=drawn.is_held_out)
+    told = {"duet": {"name": drawn.interaction}} if drawn.interaction else {}
+    ref = ArtifactRef("ingest", f"{number:064x}", "0" * 64)
+    return Manifest(
+        ref,
+        name,
+        name,
+        1,
+        told,
+        0,
+        (),
+        (),
+        {},
+        {},
+        facts,
+        (),
+        schema_version=1,
+        code_version="",
+        source_digest="",
+        package_versions={},
+    )
+
+
+def number_of(clip: Clip) -> int:
+    return int(clip.take.name.removeprefix("take-"))
+
+
+@given(takes=TAKES, window=st.integers(1, 4), by=st.sampled_from(["take", "interaction"]), seed=st.integers(0, 3))
+@settings(max_examples=12)
+def test_nothing_that_stays_together_is_on_two_sides_and_no_group_of_a_held_out_take_is_learned_from(
+    takes: list[Drawn], window: int, by: Any, seed: int
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        store, _ = drawn_store(folder, takes)
+        sides: dict[str, set[int]] = {}
+        for split in get_args(SplitName):
+            try:
+                items = PairDataset("variants:drawn", window, split, store=store, by=by, seed=seed)
+            except InputError:
+                continue  # nothing is on this side
+            assert all(clip.verdict != "fail" for clip in items._clips)
+            sides[split] = {number_of(clip) for clip in items._clips}
+    groups = [
+        drawn.interaction if by == "interaction" and drawn.interaction else number for number, drawn in enumerate(takes)
+    ]
+    usable = {number for number, drawn in enumerate(takes) if set(drawn.verdicts) != {"fail"}}
+    held_out = {number for number in usable if takes[number].is_held_out}
+    tested = {groups[number] for number in held_out}
+    seen: dict[Any, str] = {}
+    for split, numbers in sides.items():
+        for number in numbers:
+            assert seen.setdefault(groups[number], split) == split
+            assert groups[number] not in tested or number in held_out, "it is a performance of what is tested"
+    long_enough = {number for number in usable if takes[number].num_frames >= window}
+    if tested:
+        assert sides.get("test", set()) & long_enough == held_out & long_enough
+    free = {group for number, group in enumerate(groups) if number in usable and group not in tested}
+    placed = [number for numbers in sides.values() for number in numbers]
+    assert set(placed) & long_enough <= {number for number in usable if groups[number] in free or number in held_out}
+    assert len(placed) == len(set(placed))
+
+
+@given(
+    takes=TAKES.filter(lambda takes: any(set(drawn.verdicts) != {"fail"} for drawn in takes)),
+    window=st.integers(1, 4),
+    stride=st.integers(1, 5),
+)
+@settings(max_examples=8)
+def test_the_nth_window_holds_the_frames_of_its_take_variant_and_contacts(
+    takes: list[Drawn], window: int, stride: int
+) -> None:
+    takes = [Drawn(drawn.interaction, drawn.num_frames, True, drawn.verdicts) for drawn in takes]  # all on one side
+    expected = [
+        (number, index, start)
+        for number, drawn in enumerate(takes)
+        for index, verdict in enumerate(drawn.verdicts)
+        if verdict != "fail"
+        for start in range(0, drawn.num_frames - window + 1, stride)
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        store, _ = drawn_store(folder, takes)
+        if not expected:
+            return
+        items = PairDataset("variants:drawn", window, "test", store=store, stride=stride)
+        assert len(items) == len(expected)
+        rows = {clip.name: clip.contacts for clip in Data(store).takes("drawn")}
+        for at in [*range(len(expected)), 0]:
+            number, index, start = expected[at]
+            item = items[at]
+            frames = slice(start, start + window)
+            pair = motion(number, takes[number].num_frames)[frames]
+            assert (item["name"], item["start"]) == (f"take-{number}, v{index}", start)
+            np.testing.assert_allclose(item["source"], pair, atol=1e-6)
+            np.testing.assert_allclose(item["variant"], pair + aside(index), atol=1e-6)
+            wanted = np.zeros((window, 22, 22))
+            own = rows[f"take-{number}"]
+            for frame, person, bone, weight in zip(own.frame, own.person, own.bone, own.weight, strict=True):
+                if frames.start <= frame < frames.stop and set(person) == {0, 1}:
+                    a, b = bone[np.argsort(person)]
+                    wanted[frame - start, a, b] = max(wanted[frame - start, a, b], weight)
+            np.testing.assert_allclose(item["contacts"], wanted, atol=1e-6)
+
+
+@given(
+    takes=TAKES,
+    seen=st.sets(st.integers(0, 7)),
+    shares=st.sampled_from(["80/10/10", "50/20/30"]),
+    seed=st.integers(0, 3),
+)
+@settings(max_examples=40)
+def test_a_repetition_never_learns_from_what_it_tests_and_never_tests_what_a_model_saw(
+    takes: list[Drawn], seen: set[int], shares: str, seed: int
+) -> None:
+    names = {f"take-{number}" for number, drawn in enumerate(takes) if number in seen and not drawn.is_held_out}
+    options = OneTraining.model_construct(shares=shares, seed=0, seen=tuple(names))
+    made = [planned_take(number, drawn) for number, drawn in enumerate(takes)]
+    train, test = ({one.name for one in side} for side in split_takes(made, options, np.random.default_rng(seed)))
+    held_out = {f"take-{number}" for number, drawn in enumerate(takes) if drawn.is_held_out}
+    assert not train & test
+    assert not train & held_out
+    assert not test & names
+    for kind in {interaction_of(one) for one in made}:
+        performances = {one.name for one in made if interaction_of(one) == kind}
+        num_test = max(round({"80/10/10": 0.1, "50/20/30": 0.3}[shares] * len(performances)), 1)
+        unseen, saved = performances - names, performances & held_out
+        assert len(test & performances) == min(num_test, len(unseen))
+        assert len(test & saved) == min(num_test, len(saved)), "held-out takes are the first to be tested"

@@ -1,8 +1,26 @@
 """The arrays that nearly everything is about; docstrings say the axes."""
 
+import math
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
+
+_Item = TypeVar("_Item", bound=np.generic)
+
+
+def merge_axes(array: npt.NDArray[_Item], start: int, stop: int | None = None) -> npt.NDArray[_Item]:
+    """Merge axes `start` to `stop`, exclusive, into one; without `stop` to the last.
+
+    A reshape to -1 cannot tell the length of an axis where another one is empty; this can.
+
+    >>> merge_axes(np.zeros((0, 2, 17, 3)), 1, -1).shape
+    (0, 34, 3)
+    """
+    shape = array.shape
+    low, high, _ = slice(start, stop).indices(len(shape))
+    return array.reshape(*shape[:low], math.prod(shape[low:high]), *shape[high:])

@@ -31,24 +31,24 @@ _APART = "evaluation"
 
 @dataclass(frozen=True)
 class _Thing:
-    """A thing that people count, by rows or artifacts: name, table, the topic that judges it."""
+    """A thing that people count, by rows or artifacts: name, table, the topics that judge it."""
 
     name: str
     table: str
     is_artifact: bool = False
-    topic: str = ""
+    topics: tuple[str, ...] = ()
 
 
 _THINGS = (
     _Thing("takes", "poses", is_artifact=True),
     _Thing("annotations", "annotations"),
     _Thing("seeds", "seeds"),
-    _Thing("draws", "draws"),
-    _Thing("lifted pairs", "lifted_pairs", topic="lifting"),
+    _Thing("draws", "draws", topics=("coverage", "leave one out")),
+    _Thing("lifted pairs", "lifted_pairs", topics=("lifting",)),
     _Thing("database poses", "projections"),
-    _Thing("reconstructed sequences", "motions", is_artifact=True, topic="reconstruction"),
-    _Thing("variants", "variant_quality", topic="augmentation"),
-    _Thing("models", "models", is_artifact=True, topic="models"),
+    _Thing("reconstructed sequences", "motions", is_artifact=True, topics=("reconstruction",)),
+    _Thing("variants", "variant_quality", topics=("augmentation",)),
+    _Thing("models", "models", is_artifact=True, topics=("models",)),
 )
 
 
@@ -74,7 +74,7 @@ def product_verdicts(manifests: Sequence[Manifest]) -> list[str]:
     """Return the names of the verdicts on the things among these artifacts: of their stages, and of their topics."""
     products = [(one, thing) for thing in _THINGS for one in manifests if thing.table in one.tables]
     stages = {one.ref.stage for one, _ in products}
-    topics = tuple(part_name(_APART, f"{thing.topic} ") for _, thing in products if thing.topic)
+    topics = tuple(part_name(_APART, f"{topic} ") for _, thing in products for topic in thing.topics)
     return [name for name in summary_of(manifests).verdicts if name in stages or f"{name} ".startswith(topics)]
 
 

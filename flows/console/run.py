@@ -47,12 +47,13 @@ from flows.study import Study, load_study
 from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
 from tasks.graph import Graph
+from tasks.ingest.parameters import IngestParameters
 from tasks.shards import ClusterSettings
 
 MIN_FREE_BYTES = 64 * 1024**2
 PREVIEW_S = 4.0
 PREVIEWED = "augmentation"
-"""Where a study asks for it, a preview ends there unless the command says otherwise."""
+"""A preview of takes ends there unless the command says otherwise; one of 2D poses alone goes on."""
 _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.utilities.visualization", "fastapi")
 """What Prefect imports when the first flow begins, and all else waits for it."""
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
@@ -106,7 +107,7 @@ def run(
     short = [f"ingest.take_seconds={PREVIEW_S}"] if is_preview else []
     chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
     if is_preview:
-        if not selection.words and PREVIEWED in chosen.asked:
+        if not selection.words and PREVIEWED in chosen.parameters and _has_takes(chosen):
             selection = replace(selection, until=PREVIEWED)
         head = chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})
         chosen = chosen.model_copy(update={"head": head, "publish": None})
@@ -118,6 +119,12 @@ def run(
     build_and_report(to_build, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         typer.echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
+
+
+def _has_takes(study: Study) -> bool:
+    """Tell whether takes come in, of which there are variants."""
+    ingest = study.parameters["ingest"]
+    return isinstance(ingest, IngestParameters) and bool(ingest.take_ids())
 
 
 def with_page(study: Study, graph: Graph, store: Store, selection: Selection) -> Graph:

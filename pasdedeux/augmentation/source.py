@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, merge_axes
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError, check_positive
 from pasdedeux.interaction.contacts import Contacts, find_contacts
@@ -175,7 +175,7 @@ def _own_touch() -> Integers:
 
 def points_of(people: Array) -> Array:
     """See people (*batch, P, 22, 3) as their points (*batch, n, 3)."""
-    return people.reshape(*people.shape[:-3], people.shape[-3] * people.shape[-2], people.shape[-1])
+    return merge_axes(people, -3, -1)
 
 
 def complete_scales(source: Source, bone_scale: Array) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.orthographic import project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.compiled import compiled, inner_kernel
@@ -134,7 +134,7 @@ def project_pair(pair17_m: Array, direction: Array) -> Array:
     world = frame.direction(np.asarray(direction, dtype=np.float64))
     j = np.broadcast_to(frame.axes[..., :, 1], world.shape)
     centred = pair17_m - pair17_m[..., _PELVIS, :].mean(axis=-2)[..., None, None, :]
-    flat = centred.reshape(*centred.shape[:-3], -1, 3)
+    flat = merge_axes(centred, -3, -1)
     image = project_orthographic(flat, view_rotmat(world, j))
     return image.reshape(*image.shape[:-2], *pair17_m.shape[-3:-1], 2)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array, Flags, merge_axes
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import best_rotation, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec
@@ -99,7 +99,7 @@ def learn_torso_basis(pair17_m: Array) -> TorsoBasis:
         mean = torsos.mean(axis=0)
         upright = _own_axes(mean[None])[0].T
         mean, torsos = mean @ upright.T, torsos @ upright.T
-    flat = (torsos - mean).reshape(len(torsos), -1)
+    flat = merge_axes(torsos - mean, 1)
     _, singular, components = np.linalg.svd(flat, full_matrices=False)
     variance = singular**2 / max(len(flat) - 1, 1)
     total = max(float(variance.sum()), 1e-300)

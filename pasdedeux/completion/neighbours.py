@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.completion.kernels import fill_rigid_residuals
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.nearest import interaction_distances
@@ -54,7 +54,7 @@ def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> Neighbours:
         raise InputError(f"{len(joints)} joints of the two people are known; comparing needs at least {MIN_KNOWN}")
     known = points[joints]
     squared = np.empty(len(draws_m))
-    flat = np.ascontiguousarray(draws_m, dtype=np.float32).reshape(len(draws_m), -1, 3)
+    flat = merge_axes(np.ascontiguousarray(draws_m, dtype=np.float32), 1, -1)
     fill_rigid_residuals(flat, joints, known - known.mean(axis=0), squared)
     count = min(count, len(squared))
     near = np.argpartition(squared, count - 1)[:count]
@@ -80,7 +80,7 @@ def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ran
     ranked = nearest_rigid(draws_m, pair_m, count=max(num_ranked, count))
     is_known = np.isfinite(pair_m).all(axis=-1).ravel()
     known = np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)[is_known]
-    moved = ranked.pairs_m.reshape(len(ranked.draw), 1, -1, 3)[:, :, is_known]
+    moved = merge_axes(ranked.pairs_m, 1, -1)[:, None, is_known]
     distance = interaction_distances(moved, known[None, None])[:, 0]
     order = np.argsort(distance, kind="stable")[:count]
     return Neighbours(pairs_m=ranked.pairs_m[order], draw=ranked.draw[order], distance_m=distance[order])

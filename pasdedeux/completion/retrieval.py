@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual
@@ -106,7 +106,7 @@ def nearest_images(pair_m: Array, images_m: Array, directions: Array, *, count: 
         Which images, nearest first, and d_I, (k,), metres.
     """
     seen = project_pair(pair_m, directions)
-    flat, images = (one.reshape(len(images_m), -1, 2) for one in (seen, images_m))
+    flat, images = (merge_axes(points, 1, -1) for points in (seen, images_m))
     residual = plane_residual(flat, images) / np.isfinite(images).all(axis=-1).sum(axis=1)
     ranked = np.argsort(residual, kind="stable")[:_NUM_RANKED_IMAGES]
     distance = np.array([image_distances(seen[at][None], images_m[at][None])[0, 0] for at in ranked])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.completion.occlusion import NUM_NEAREST, blend_onto, complete_pair
@@ -33,7 +33,7 @@ def lifted_errors(lifted_m: Array, truth_m: Array) -> dict[str, Array]:
     - `lifted_D_C`: after the best rigid motion of the whole pair;
     - `person_distance_error`, `relative_depth_error`: of the distance between the two roots, and of its depth.
     """
-    flat, true = (pairs.reshape(len(pairs), -1, 3) for pairs in (lifted_m, truth_m))
+    flat, true = (merge_axes(pairs, 1, -1) for pairs in (lifted_m, truth_m))
     centred, centred_truth = flat - flat.mean(axis=1, keepdims=True), true - true.mean(axis=1, keepdims=True)
     own, own_truth = (pairs - pairs[:, :, _ROOT : _ROOT + 1] for pairs in (lifted_m, truth_m))
     between, between_truth = (pairs[:, 1, _ROOT] - pairs[:, 0, _ROOT] for pairs in (lifted_m, truth_m))

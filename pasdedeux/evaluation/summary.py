@@ -25,13 +25,20 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "draws": {
         "chains": {Level.PASS: "independent", Level.WARN: "not independent", Level.FAIL: "not independent"},
         "evaluation: coverage": {level: f"cover real pairs {words}" for level, words in _COMPARED.items()},
+        "evaluation: leave one out": {level: f"meet left-out images {words}" for level, words in _COMPARED.items()},
     },
     "lifted pairs": {"evaluation: lifting": _COMPARED},
+    "completed joints": {"evaluation: lifting completed joints": _COMPARED},
+    "frames between": {
+        f"evaluation: lifting frames between{ends}": {level: f"{words}{along}" for level, words in _COMPARED.items()}
+        for ends, along in {"": "", " lifted pairs": ", between lifted pairs"}.items()
+    },
     "reconstruction": {"evaluation: reconstruction": _COMPARED},
     "models": {"evaluation: models": _COMPARED},
     "generated motion": {"evaluation: generation": _COMPARED},
 }
-"""What a reader may use: the verdicts on it, and what these say in a few words."""
+"""What a reader may use: the verdicts on it, or on its parts, and what these say in a few words."""
+_JUDGES = tuple(start for judges in _PRODUCTS.values() for start in judges)
 
 
 @dataclass(frozen=True)
@@ -81,7 +88,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Product:
-    """Something that a reader may use: its name, the worst of the verdicts on it, and what these say in few words."""
+    """Something that a reader may use: its name, the verdicts on it, the worst first, and what these say."""
 
     name: str
     verdicts: Mapping[str, Verdict]
@@ -96,7 +103,7 @@ class Product:
         """What the verdicts say: `usable; contacts kept better than plain forward kinematics`."""
         said = []
         for name, verdict in self.verdicts.items():
-            words = next(one for start, one in _PRODUCTS[self.name].items() if f"{name} ".startswith(f"{start} "))
+            words = _PRODUCTS[self.name][str(_judge_of(name))]
             said.append(words.get(verdict.level, "not judged").format(in_words(verdict.baseline_name) or "allowed"))
         return "; ".join(dict.fromkeys(said))
 
@@ -128,33 +135,45 @@ class Summary:
 
     @property
     def products(self) -> list[Product]:
-        """What a reader may use, each with the verdicts on it: those on parts of a topic where the whole has none."""
-        found = []
-        for product, judges in _PRODUCTS.items():
-            own = {
-                name: verdict
-                for start in judges
-                for name, verdict in self.verdicts.items()
-                if name == start or (start not in self.verdicts and name.startswith(f"{start} "))
-            }
-            found += [Product(product, own)] if own else []
-        return found
+        """What a reader may use, the worst first, with the verdicts: on parts of a topic where the whole has none."""
+        counted = [name for name in self.verdicts if _judge_of(name) == name or _judge_of(name) not in self.verdicts]
+        judged = {
+            product: _worst_first({name: self.verdicts[name] for name in counted if _judge_of(name) in judges})
+            for product, judges in _PRODUCTS.items()
+        }
+        products = [Product(product, verdicts) for product, verdicts in judged.items() if verdicts]
+        return sorted(products, key=lambda product: -product.level.rank)
 
     @property
     def ranked(self) -> tuple[dict[str, Verdict], dict[str, Verdict]]:
-        """The verdicts on products and those that fail, and the others."""
+        """The verdicts on products and those that fail, and the others; of both the worst first."""
         first = {name: verdict for product in self.products for name, verdict in product.verdicts.items()}
         first |= {name: verdict for name, verdict in self.verdicts.items() if verdict.level is Level.FAIL}
-        return first, {name: verdict for name, verdict in self.verdicts.items() if name not in first}
+        others = {name: verdict for name, verdict in self.verdicts.items() if name not in first}
+        return _worst_first(first), _worst_first(others)
+
+    @property
+    def good(self) -> list[str]:
+        """Whether it is good, as the page says it: a line for each product, then for each verdict."""
+        products = [f"{product.name}: {product.level.value}: {product.words}" for product in self.products]
+        return products + [f"{name}: {verdict_words(one)}" for part in self.ranked for name, one in part.items()]
 
     def lines(self) -> list[str]:
-        """All of it, a line for each answer, then one for each verdict and one for what was skipped."""
-        verdicts = [f"{name}: {verdict_words(verdict)}" for name, verdict in self.verdicts.items()]
+        """All of it, a line for each answer, each product, each verdict, and for what was skipped."""
         skipped = [f"skipped: {sentence}" for sentence in self.skipped[:_MAX_SKIPPED]]
         if (rest := len(self.skipped) - _MAX_SKIPPED) > 0:
             skipped.append(f"skipped: {rest} more, all of them in the report and the card")
         answers = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
-        return [*answers, *verdicts, *skipped]
+        return [*answers, *self.good, *skipped]
+
+
+def _judge_of(name: str) -> str | None:
+    """Return the verdict on products that one of this name is, or is a part of: the longest that fits."""
+    return max((start for start in _JUDGES if f"{name} ".startswith(f"{start} ")), key=len, default=None)
+
+
+def _worst_first(verdicts: Mapping[str, Verdict]) -> dict[str, Verdict]:
+    return dict(sorted(verdicts.items(), key=lambda named: -named[1].level.rank))
 
 
 def folded(sentences: Iterable[str]) -> list[str]:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
@@ -149,7 +149,7 @@ def _all_gaps(
     people_m: Array, radii_m: Array, skeleton: Skeleton, own: Indices | None, objects: MovingObjects | None
 ) -> tuple[Indices, Array, Array]:
     """Return all that may touch: two bones (n, 2), where they are nearest (T, n, 2), and their gap (T, n), metres."""
-    (frames, num_people), joints = people_m.shape[:2], skeleton.num_joints
+    num_people, joints = people_m.shape[1], skeleton.num_joints
     children = np.array([child for _, child in skeleton.bones])
     each = np.stack(np.broadcast_arrays(children[:, None], children), axis=-1).reshape(-1, 2)
     bones = np.concatenate(
@@ -157,7 +157,7 @@ def _all_gaps(
         + [own + joints * person for person in range(num_people) if own is not None]
         + [np.zeros((0, 2), np.int64)]
     )
-    points = np.ascontiguousarray(people_m, dtype=np.float64).reshape(frames, -1, 3)
+    points = merge_axes(np.ascontiguousarray(people_m, dtype=np.float64), 1, -1)
     radii, parents = np.ravel(np.asarray(radii_m, dtype=np.float64)), parents_of(skeleton, num_people)
     if objects is not None:
         # Their ends come last, the first object's at the very end: -1 is its bone.

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.nearest import Coverage, PairTable, pair_table
 from pasdedeux.interaction.shape_context import Bins, ShapeCoverage, shape_bins
@@ -100,7 +100,7 @@ def curve_of_parts(real_m: Array, parts: Iterable[DrawPart]) -> CoverageCurve:
 
 def _is_first(draws_m: Array) -> npt.NDArray[np.bool_]:
     """Return which draws (draw, ...) are not there before, (draw,): a chain that stays repeats its draw."""
-    rows = np.ascontiguousarray(draws_m).reshape(len(draws_m), -1)
+    rows = merge_axes(np.ascontiguousarray(draws_m), 1)
     whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()
     is_first = np.zeros(len(rows), dtype=bool)
     is_first[np.unique(whole, return_index=True)[1]] = True

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M
@@ -61,7 +61,7 @@ def pair_table(pairs_m: Array) -> PairTable:
 def _centred(pairs_m: Array) -> Array:
     """Return the joints of both people (pair, n, 3) about their mean."""
     points = np.asarray(pairs_m, dtype=np.float64)
-    points = points.reshape(len(points), points.shape[1] * points.shape[2], 3)
+    points = merge_axes(points, 1, -1)
     return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
 
 

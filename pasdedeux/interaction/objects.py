@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.npz import get_array, is_npz, read_npz
 from pasdedeux.formats.text import Lines, parse_integer, parse_number
@@ -44,7 +44,7 @@ class MovingObjects:
 
     def closest_m(self, people_m: Array) -> Array:
         """Return how near (capsule,), metres, each axis comes to joints of people (frame, person, joint, 3)."""
-        joints = people_m.reshape(self.num_frames, -1, 3)
+        joints = merge_axes(people_m, 1, -1)
         closest = []
         for start, end in self.ends_m.transpose(1, 2, 0, 3)[..., None, :]:
             axis = end - start

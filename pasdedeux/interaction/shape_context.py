@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
@@ -80,7 +80,7 @@ def shape_bins(pairs_m: Array) -> Bins:
     up = axes[..., 1]
     ahead = normalise(axes[..., 0] - np.sum(axes[..., 0] * up, axis=-1, keepdims=True) * up)
     frame = np.stack([ahead, up, np.cross(ahead, up)], axis=-2)
-    points = np.einsum("...ij,...nj->...ni", frame, pairs.reshape(*pairs.shape[:-3], -1, 3))
+    points = np.einsum("...ij,...nj->...ni", frame, merge_axes(pairs, -3, -1))
     towards = _others(points)
     radius = np.linalg.norm(towards, axis=-1)
     height = towards[..., 1] / np.maximum(radius, 1e-12)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.augmentation import LIMB_GROUPS, reference_motion
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
@@ -173,9 +173,9 @@ def _ridge(gram: Array, moment: Array, share: float) -> Array:
 def _plain_displacement(request: VariantRequest) -> Array:
     scales = complete_scales(request.source, request.bone_scale[None])
     moved = reference_motion(request.source, scales)[0] - request.source.positions_m
-    return moved.reshape(len(moved), -1, 3)
+    return merge_axes(moved, 1, -1)
 
 
 def _displacements(item: TrainingItem) -> tuple[Array, Array]:
     change = item.motion_m - item.request.source.positions_m
-    return _plain_displacement(item.request), change.reshape(len(change), -1, 3)
+    return _plain_displacement(item.request), merge_axes(change, 1, -1)

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.arrays import Array, Flags, Integers, merge_axes
 from pasdedeux.errors import check_positive
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
@@ -337,7 +337,7 @@ class _Problem:
 
         alike = self._alike(first, _FLOOR_S)
         frames = np.arange(len(one_at))
-        nearest = between.gap_m.reshape(len(frames), -1).argmin(axis=1)
+        nearest = merge_axes(between.gap_m, 1).argmin(axis=1)
         apart, slopes = gaps(frames, np.stack(np.divmod(nearest, len(between.bones))), _GAP_DEVIATION_M)
         if self.carried not in ((first, second), (second, first)):
             apart, slopes = np.minimum(apart, 0.0), slopes * (apart < 0.0)[:, None]

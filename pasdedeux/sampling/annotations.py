@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import angle_between_directions
 from pasdedeux.cameras.torso import MIN_TORSO_JOINTS, TORSO_INDICES
 from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD
@@ -86,8 +86,8 @@ class AnnotatedPairs:
     @property
     def centred_m(self) -> Array:
         """Image points of both people (entry, n, 2), metres, the mean of those seen at (0, 0); 0 where not seen."""
-        points = self.points_m.reshape(len(self.points_m), -1, 2)
-        is_seen = self.is_seen.reshape(len(points), -1, 1)
+        points = merge_axes(self.points_m, 1, -1)
+        is_seen = merge_axes(self.is_seen, 1)[..., None]
         mean = np.where(is_seen, points, 0.0).sum(axis=1, keepdims=True) / is_seen.sum(axis=1, keepdims=True)
         return np.where(is_seen, points - mean, 0.0)
 

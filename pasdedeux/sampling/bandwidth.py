@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import angle_between_directions
 from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity, plane_residual
@@ -68,7 +68,7 @@ def leave_one_out(points_m: Array, directions: Array, moment: npt.NDArray[np.int
         directions: View of each, unit, (annotation, 3).
         moment: When each was, in frames, (annotation,); those of other videos lie at least `SAME_MOMENT` apart.
     """
-    points = points_m.reshape(len(points_m), -1, 2)
+    points = merge_axes(points_m, 1, -1)
     is_seen = np.asarray(np.isfinite(points).all(axis=-1))
     nearest, freedom = [], []
     for row in evenly_spread(len(points), _NUM_JUDGED):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, merge_axes
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.film_alignment import FilmAlignment, align_film
@@ -358,7 +358,7 @@ def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
         place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
             is nearer than half a metre, as without a known place, are left as they are.
     """
-    middle = _mean_there(place_m.reshape(len(place_m), -1, 3))
+    middle = _mean_there(merge_axes(place_m, 1, -1))
     distance = np.linalg.norm(middle, axis=-1, keepdims=True)
     to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
     turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
@@ -367,7 +367,7 @@ def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
 
 def _height(points: Array) -> float:
     """Return the height that all people of a frame take, its median over the frames with anybody; 1 without any."""
-    height = points[..., 1].reshape(len(points), -1)
+    height = merge_axes(points[..., 1], 1)
     known = [row[np.isfinite(row)] for row in height if np.isfinite(row).any()]
     return float(np.median([np.ptp(row) for row in known])) if known else 1.0
 

@@ -15,7 +15,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import Facts, TopicFacts
 from tasks.stage import Parameters, Shard, StageInputs, StageName, commit, merge_takes
 
-EVALUATION = StageName("evaluation", 56)
+EVALUATION = StageName("evaluation", 57)
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

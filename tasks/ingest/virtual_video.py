@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pasdedeux.arrays import merge_axes
 from pasdedeux.cameras.virtual_video import (
     Annotated,
     VirtualView,
@@ -245,7 +246,7 @@ def _known(frames: np.ndarray, key: int | None, seen: Annotated) -> Columns:
     """Return the columns of a sequence whose people are known."""
     num_frames, num_persons = seen.confidence.shape[:2]
     count = num_frames * num_persons
-    flat = Annotated(seen.px.reshape(count, -1, 2), seen.confidence.reshape(count, -1))
+    flat = Annotated(merge_axes(seen.px, 0, 2), merge_axes(seen.confidence, 0, 2))
     person = np.tile(np.arange(num_persons), num_frames)
     return {
         "number": np.repeat(frames - frames[0], num_persons),
@@ -280,7 +281,7 @@ def _rows(
         "is_virtual": [True] * count,
         "take_id": [parameters.take_id] * count,
         "layout": ["pair17"] * count,
-        "keypoints_px": list(px.reshape(count, -1)),
+        "keypoints_px": list(merge_axes(px, 1)),
         "keypoint_confidence": list(confidence),
         "pair17_px": px,
         "pair17_confidence": confidence,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
@@ -59,12 +61,30 @@ _BONES = {
 """Parent and vector in metres of each bone of a CMU skeleton; a standing person with arms out who faces +Z."""
 
 _METRES_PER_UNIT = 0.0254 / 0.45
-_TURNING = {"lfemur", "ltibia", "rfemur", "rtibia", "lhumerus", "rhumerus", "lradius", "rradius"}
+_TURNING = {
+    "root": "pelvis",
+    "lowerback": "spine1",
+    "upperback": "spine2",
+    "thorax": "spine3",
+    "lowerneck": "neck",
+    **{
+        f"{side[0]}{bone}": f"{side}_{joint}"
+        for side in ("left", "right")
+        for bone, joint in {
+            "femur": "hip",
+            "tibia": "knee",
+            "foot": "ankle",
+            "humerus": "shoulder",
+            "radius": "elbow",
+        }.items()
+    },
+}
+"""What turns of it, by the joint of the built-in duets that turns alike."""
 
 
-def write_walk(folder: Path, *, num_frames: int = 120, rate_hz: float = 120.0) -> Path:
-    """Write 90.asf and 90_01.amc: a person who walks along +Z with swinging arms; gives the AMC file."""
-    lines = [":version 1.10", ":name 90", ":units", "  mass 1.0", "  length 0.45", "  angle deg", ":root"]
+def asf_text(subject: str) -> str:
+    """Return the skeleton of a subject as CMU writes it."""
+    lines = [":version 1.10", f":name {subject}", ":units", "  mass 1.0", "  length 0.45", "  angle deg", ":root"]
     lines += ["   order TX TY TZ RX RY RZ", "   axis XYZ", "   position 0 0 0", "   orientation 0 0 0", ":bonedata"]
     for number, (name, (_, vector)) in enumerate(_BONES.items(), start=1):
         length = float(np.linalg.norm(vector))
@@ -79,27 +99,46 @@ def write_walk(folder: Path, *, num_frames: int = 120, rate_hz: float = 120.0) -
         children = [name for name, (other, _) in _BONES.items() if other == parent]
         if children:
             lines.append(f"    {parent} {' '.join(children)}")
-    (folder / "90.asf").write_text("\n".join([*lines, "  end"]) + "\n")
+    return "\n".join([*lines, "  end"]) + "\n"
 
-    frames = ["#!OML:ASF 90", ":FULLY-SPECIFIED", ":DEGREES"]
-    for frame in range(num_frames):
-        time = frame / rate_hz
-        swing = np.sin(2 * np.pi * time)
-        place = np.array([0.0, 0.99, 1.2 * time]) / _METRES_PER_UNIT
-        turns = {
-            "lfemur": (-25 * swing, 0, 0),
-            "rfemur": (25 * swing, 0, 0),
-            "ltibia": (15 - 15 * swing, 0, 0),
-            "rtibia": (15 + 15 * swing, 0, 0),
-            "lhumerus": (0, -20 * swing, -75),
-            "rhumerus": (0, -20 * swing, 75),
-            "lradius": (0, -15, 0),
-            "rradius": (0, 15, 0),
-        }
-        frames += [str(frame + 1), f"root {place[0]:.6f} {place[1]:.6f} {place[2]:.6f} 0 0 0"]
-        frames += [f"{name} " + " ".join(f"{angle:.6f}" for angle in turns[name]) for name in turns]
+
+def amc_text(root: Array, turns_deg: Mapping[str, Array]) -> str:
+    """Return motion as CMU writes it: the root's place (frame, 3), metres, and angles (frame, 3) of what turns."""
+    frames = ["#!OML:ASF", ":FULLY-SPECIFIED", ":DEGREES"]
+    place = root / _METRES_PER_UNIT
+    columns = {bone: place if bone == "root" else place[:, :0] for bone in _TURNING}
+    rows = {bone: np.concatenate([columns[bone], turns_deg[bone]], axis=1) for bone in _TURNING}
+    for frame in range(len(root)):
+        frames += [str(frame + 1), *(" ".join([bone, *map("{:.6f}".format, rows[bone][frame])]) for bone in _TURNING)]
+    return "\n".join(frames) + "\n"
+
+
+def danced_amc(motion: Motion) -> str:
+    """Return the motion of a person of a built-in duet on CMU's skeleton."""
+    turns = {
+        bone: Rotation.from_quat(motion.local_unitquat[:, BODY22.index(joint)]).as_euler("xyz", degrees=True)
+        for bone, joint in _TURNING.items()
+    }
+    return amc_text(motion.root_translation_m, turns)
+
+
+def write_walk(folder: Path, *, num_frames: int = 120, rate_hz: float = 120.0) -> Path:
+    """Write 90.asf and 90_01.amc: a person who walks along +Z with swinging arms; gives the AMC file."""
+    (folder / "90.asf").write_text(asf_text("90"))
+    time = np.arange(num_frames) / rate_hz
+    swing, none = np.sin(2 * np.pi * time), np.zeros(num_frames)
+    turns = {bone: np.zeros((num_frames, 3)) for bone in _TURNING} | {
+        "lfemur": np.stack([-25 * swing, none, none], axis=1),
+        "rfemur": np.stack([25 * swing, none, none], axis=1),
+        "ltibia": np.stack([15 - 15 * swing, none, none], axis=1),
+        "rtibia": np.stack([15 + 15 * swing, none, none], axis=1),
+        "lhumerus": np.stack([none, -20 * swing, none - 75], axis=1),
+        "rhumerus": np.stack([none, -20 * swing, none + 75], axis=1),
+        "lradius": np.stack([none, none - 15, none], axis=1),
+        "rradius": np.stack([none, none + 15, none], axis=1),
+    }
     path = folder / "90_01.amc"
-    path.write_text("\n".join(frames) + "\n")
+    path.write_text(amc_text(np.stack([none, none + 0.99, 1.2 * time], axis=1), turns))
     return path
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.benchmarks.chains import plain_coverage
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.coverage import coverage_curve
+from pasdedeux.interaction.coverage import coverage_curve, draw_parts
 from pasdedeux.interaction.dissimilarity import (
     BETA_M,
     align_plane,
@@ -21,7 +21,13 @@ from pasdedeux.interaction.dissimilarity import (
 )
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import best_turn
-from pasdedeux.interaction.nearest import Coverage, image_distances, interaction_distances, pair_table
+from pasdedeux.interaction.nearest import (
+    Coverage,
+    cartesian_distances,
+    image_distances,
+    interaction_distances,
+    pair_table,
+)
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 
@@ -217,6 +223,22 @@ def test_coverage_falls_with_draws_and_is_zero_on_the_truth_itself() -> None:
     assert (np.diff(curve.cartesian_m) <= 0).all()
     assert curve.interaction_m[-1] == pytest.approx(0.0, abs=1e-7)
     assert curve.cartesian_m[-1] == pytest.approx(0.0, abs=1e-7)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.integers(0, 4), min_size=1, max_size=30), st.lists(st.integers(1, 30), min_size=1, max_size=4))
+@example([0, 0, 0], [1, 3])
+def test_a_draw_that_is_repeated_changes_no_point_of_the_curve(draws: list[int], points: list[int]) -> None:
+    rng = np.random.default_rng(3)
+    truth, different = rng.normal(0.0, 0.4, (3, 2, 17, 3)), rng.normal(0.0, 0.4, (5, 2, 17, 3))
+    points = sorted({min(point, len(draws)) for point in points})
+    assert [part.point for part in draw_parts(different[draws], points)] == points
+    curve = coverage_curve(truth, different[draws], points)
+    for at, point in enumerate(points):
+        every = different[sorted(set(draws[:point]))]
+        assert curve.interaction_m[at] == pytest.approx(interaction_distances(truth, every).min(axis=1).mean())
+        assert curve.cartesian_m[at] == pytest.approx(cartesian_distances(truth, every).min(axis=1).mean())
+        assert curve.shape[at] == pytest.approx(coverage_curve(truth, every, [len(every)]).shape[0])
 
 
 def test_coverage_refuses_nothing_and_nan() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -260,23 +262,48 @@ def test_the_card_names_every_source_with_its_licence() -> None:
         assert row in shown
 
 
-def test_page_card_and_console_give_the_same_answers() -> None:
-    lines = SUMMARY.lines()
-    assert lines == [
+def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_worst_first() -> None:
+    worse, better = (
+        Verdict(level, f"{level} indeed", "error", 0.2, "m", 0.1, "nearest") for level in (Level.FAIL, Level.PASS)
+    )
+    judged = {
+        "seeds": better,
+        "evaluation: lifting": better,
+        "evaluation: lifting frames between": worse,
+        "evaluation: leave one out": worse,
+        "views": worse,
+        "evaluation: coverage draws of chains alone": better,
+    }
+    summary = replace(SUMMARY, verdicts={**judged, **SUMMARY.verdicts})
+    lines = summary.lines()
+    assert lines[:3] == [
         "built: 1 take (1 min 15 s, 2.0 MB), 4,000 draws (0.1 MB)",
         "from: CMU (licence: free for all uses)",
-        "is it good: 1 warn",
-        "chains: warn: chains do not mix; effective sample size 1.4 against 500 (kept)",
+        "is it good: 3 fail, 3 pass, 1 warn",
     ]
-    card = render("card.md", card=DatasetCard("Duets", "d", SUMMARY, {}, {}, []))
-    assert [line.removeprefix("- ") for line in card.splitlines() if line.startswith("- ")][:3] == [
-        *lines[:2],
-        lines[3],
+    products = [
+        "draws: fail: meet left-out images worse than nearest pose; not independent; "
+        "cover real pairs better than nearest pose",
+        "frames between: fail: worse than nearest pose",
+        "lifted pairs: pass: better than nearest pose",
     ]
-    page = render("report.html", report=Report("Duets", "d", SUMMARY, []))
-    origin = "CMU (licence: free for all uses)"
-    for words in ("1 min 15 s, 2.0 MB", origin, "1 warn", "chains do not mix", "against 500 (kept)"):
-        assert words in page
+    assert lines[3:6] == products
+    assert [re.split(": (?:fail|warn|pass): ", line)[0] for line in lines[6:]] == [
+        "evaluation: leave one out",
+        "evaluation: lifting frames between",
+        "views",
+        "chains",
+        "evaluation: coverage draws of chains alone",
+        "evaluation: lifting",
+        "seeds",
+    ]
+    card = render("card.md", card=DatasetCard("Duets", "d", summary, {}, {}, []))
+    said = [line.removeprefix("- ") for line in card.splitlines() if line.startswith("- ")]
+    assert said[: len(lines) - 1] == [*lines[:2], *lines[3:]]
+    page = render("report.html", report=Report("Duets", "d", summary, []))
+    shown = [page.index("</b>: ".join(line.split(": fail: " if ": fail" in line else ": pass: "))) for line in products]
+    assert shown == sorted(shown)
+    assert shown[-1] < page.index("What was built"), "products are on the first screen"
 
 
 def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:

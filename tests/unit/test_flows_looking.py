@@ -13,7 +13,9 @@ from flows.console import run as run_module
 from flows.console.context import say
 from flows.console.display import BarListener
 from flows.console.show import joint_lines
+from flows.console.study_new import write_new_study
 from flows.progress import Progress
+from flows.study_files import shipped_studies
 from pasdedeux.evaluation.names import better_sign, in_words, meanings
 from pasdedeux.evaluation.score_tables import score_table
 from pasdedeux.evaluation.scores import Score
@@ -21,6 +23,8 @@ from pasdedeux.skeletons import PAIR17
 from storage_schema import Store
 from tasks import ingest
 from tasks.stage import Parameters, Shard, StageInputs
+from tests.builders.ingest_runs import write_figure_pair
+from tests.builders.source_samples import csv_text
 from tests.builders.terminals import Screen
 
 LONG = "chains: done in 12 s; warn: prior alone performed about as well as chains, ahead by 2.5 cm (-0.3 to 5.1 cm)"
@@ -88,6 +92,41 @@ def test_the_better_value_of_a_row_is_marked_and_what_nobody_can_know_is_not() -
     assert better_sign("ess_min") == 1
     assert in_words("fit_clean") == "fit to the image, cleaned up"
     assert meanings(["fit_clean", "fit", "colour"]) == (meanings(["fit"])[0],)
+
+
+@pytest.mark.parametrize(
+    ("study", "more", "until"),
+    [
+        ("a.bvh b.bvh", (), "augmentation"),
+        ("a.bvh b.bvh pair.csv", (), "augmentation"),
+        ("a.bvh b.bvh", ("--until", "chains"), "chains"),
+        ("pair.csv", (), None),
+        ("", (), "augmentation"),
+        ("duets", (), "augmentation"),
+        ("sampling_paper_duets", (), None),
+    ],
+)
+def test_a_preview_of_takes_ends_at_their_variants_and_one_of_2d_poses_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, study: str, more: tuple[str, ...], until: str | None
+) -> None:
+    if study not in shipped_studies():
+        paths = [tmp_path / name for name in study.split()]
+        write_figure_pair(tmp_path)
+        for path, number in zip(paths, (60, 61), strict=False):
+            (tmp_path / f"{number}_01.bvh").rename(path)
+        if "pair.csv" in study:
+            rows = csv_text().splitlines()
+            second = [row.replace(",0,", ",1,", 1) for row in rows if row[0].isdigit()]
+            (tmp_path / "pair.csv").write_text("\n".join([*rows, *second]))
+        study = str(tmp_path / "mine.toml")
+        write_new_study(Path(study), paths)
+    built: list[Any] = []
+    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: built.append(run))
+    with pytest.raises(SystemExit) as ended:
+        main(["run", study, "--preview", *more, "--store", str(tmp_path / "store")])
+    assert ended.value.code == 0
+    (run,) = built
+    assert run.selection.until == until
 
 
 def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(

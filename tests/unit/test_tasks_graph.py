@@ -96,7 +96,7 @@ def test_the_small_form_of_the_augmentation_paper_needs_no_files_and_its_command
 ) -> None:
     text = study_text("augmentation_paper", tmp_path).replace("\\\n", " ").replace("#", "")
     command = text.partition("pasdedeux run augmentation_paper --preview")[2].partition("\n")[0]
-    study, stages = load_study("augmentation_paper_duets", load_graph(), settings=shlex.split(command)[1::2])
+    study, stages = load_study("augmentation_paper_duets", load_graph(), settings=shlex.split(command)[3::2])
     trained = study.sections_of("training")["training"]
     assert trained["paper_cvae"]["num_steps"] == 20
     make_plan(study, stages, Store(tmp_path / "store"))

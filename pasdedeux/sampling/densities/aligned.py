@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import angle_between_directions, project_pair
 from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD
 from pasdedeux.compiled import inner_kernel
@@ -113,7 +113,7 @@ def matched_scale(likelihood: AlignedLikelihood, pairs: AnnotatedPairs) -> float
     The nearest is the one with the least rigid residual among those with a similar view; 1 when there are no neighbours
     or they coincide.
     """
-    points = pairs.points_m.reshape(len(pairs.points_m), -1, 2)
+    points = merge_axes(pairs.points_m, 1, -1)
     interaction, own = [], []
     for row in evenly_spread(len(points), _NUM_MATCHED):
         is_similar = angle_between_directions(pairs.directions[row], pairs.directions) < VIEW_DEVIATION_RAD

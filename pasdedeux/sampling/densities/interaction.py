@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.interaction.dissimilarity import align_plane, plane_residual
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
@@ -57,9 +57,9 @@ class InteractionLikelihood(Likelihood):
         # Only the entries that some view may meet are kept.
         used = np.unique(bank.candidates[bank.candidates >= 0])
         self._used = used
-        is_seen = pairs.is_seen[used].reshape(len(used), -1)
+        is_seen = merge_axes(pairs.is_seen[used], 1)
         points = np.ascontiguousarray(pairs.centred_m[used])
-        table: EdgeTable = edge_table(pairs.points_m[used].reshape(len(used), -1, 2))
+        table: EdgeTable = edge_table(merge_axes(pairs.points_m[used], 1, -1))
         slots = np.searchsorted(used, np.maximum(bank.candidates, used[0])).astype(np.int32)
         springs, factors = _springs(points, is_seen, table, slots, bank.counts)
         # Tables of the estimate, a candidate per lane: (view, joint, candidate).

@@ -186,8 +186,8 @@ def _in_file(layout: Layout, joints: Mapping[str, str]) -> dict[str, Entry]:
 def _lacking(layout: Layout, joints: Mapping[str, str]) -> list[str]:
     """Return the joints that a layout needs and a file lacks, in the layout's words."""
     parts = _in_file(layout, joints)
-    lacking = [layout.parts[part] for part in NEEDED if part not in parts]
-    if not parts.keys() & {"neck", "head", "skull"}:
+    lacking = [layout.parts[part] for part in (layout.parts if layout.is_whole else NEEDED) if part not in parts]
+    if not layout.is_whole and not parts.keys() & {"neck", "head", "skull"}:
         lacking.append(layout.parts["neck"])
     return [" or ".join(_names_of(entry)) for entry in lacking]
 
@@ -263,8 +263,9 @@ class _Fit:
     def layout(self) -> Layout:
         """Return the layout with all of its parts, points and tables."""
         parts, points = dict(self.told.parts), self._points()
-        if parts.get("nose") == "nose" and "nose" not in points:
-            del parts["nose"]
+        if parts.get("nose") == "nose" and ("nose" not in points or "neck" not in parts):
+            del parts["nose"]  # such a point is told in lengths of the bone from neck to head
+            points.pop("nose", None)
         told = set(parts)
         self._leave_out_empty(parts)
         if "pelvis" not in parts:
@@ -319,6 +320,7 @@ class _Fit:
                 del parts[f"{side}_toe"]
         if {"neck", "skull"} <= parts.keys() and self._distance(parts["neck"], parts["skull"]) <= self._short:
             del parts["skull"]
+            parts.pop("head", None)
         hips = mixed((parts[f"{side}_hip"], 0.5) for side in SIDES)
         leg = self._distance(parts["left_hip"], parts["left_knee"]) + self._distance(
             parts["left_knee"], parts["left_ankle"]

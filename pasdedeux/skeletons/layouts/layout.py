@@ -52,6 +52,7 @@ class Layout:
             where there is no A.
         keeps_axes: Points are in the frames of joints whatever the rest pose is; else in those of a person who stands
             along Y and looks along Z at rest.
+        is_whole: A file needs every part of it.
         derived: Joints of body22 that the file has no joint for, and that are placed by those that it has.
     """
 
@@ -61,6 +62,7 @@ class Layout:
     points: tuple[AddedPoint, ...] = ()
     parts: Mapping[str, Entry] = field(default_factory=dict, repr=False)
     keeps_axes: bool = False
+    is_whole: bool = False
     derived: tuple[str, ...] = ()
 
     def joint_map(self, skeleton_name: str) -> JointMap:

@@ -27,6 +27,9 @@ def _layout(name: str, told: Mapping[str, Any]) -> Layout:
     }
     parts |= zip(_TRUNK_JOINTS if len(trunk) > 2 else ("pelvis", "neck"), trunk, strict=True)
     parts |= {part: told[part] for part in ("spine", "chest", "head", "skull", "nose") if part in told}
+    head = parts.get("head")
+    if isinstance(head, Mapping):
+        parts.setdefault("skull", max(head, key=lambda joint: head[joint]))
     points = dict(told.get("points", {}))
     if isinstance(parts.get("nose"), Mapping):
         points = {"nose": parts["nose"], **points}
@@ -35,11 +38,16 @@ def _layout(name: str, told: Mapping[str, Any]) -> Layout:
     return Layout(
         name,
         told["meaning"],
-        working_tables(parts) if parts.keys() >= _ALL else {},
+        working_tables({part: _first(entry) for part, entry in parts.items()}) if parts.keys() >= _ALL else {},
         tuple(added),
         parts,
         keeps_axes=told.get("keeps_axes", False),
+        is_whole=told.get("is_whole", False),
     )
+
+
+def _first(entry: Entry) -> Entry:
+    return entry.partition("|")[0] if isinstance(entry, str) else entry
 
 
 def _on_side(entry: Entry, side: str) -> Entry:

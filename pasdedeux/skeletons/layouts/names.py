@@ -13,6 +13,10 @@ _NOISE = {"jnt", "joint", "jt", "bone", "bn", "bind", "skel", "def", "org", "drv
 """Words that rigs put before or after names; `c` is the middle, beside `l` and `r`."""
 _COMMON = 0.6
 """Share of the names that a prefix or suffix has, so that it is one: the names of one side are fewer."""
+_PREFIX = 4
+"""Letters at least that all names begin with, so that they are a prefix where no sign parts them."""
+_NUMBERED = 0.9
+"""Share of the names that are numbered, so that the numbers are no part of them."""
 
 Words = tuple[str, ...]
 
@@ -30,7 +34,10 @@ def normal_names(joint_names: Sequence[str]) -> list[str]:
     copies = [re.sub(r"(\.\d+|#\d*)+$", "", name) for name in joint_names]
     repeated = Counter(copies)
     kept = [copy if repeated[copy] == 1 else name for copy, name in zip(copies, joint_names, strict=True)]
-    words = [_words(re.split(r"[:|]", name)[-1]) for name in kept]
+    bare = [re.split(r"[:|]", name)[-1] for name in kept]
+    lower = sorted(name.lower() for name in bare)
+    shared = next((at for at, (a, b) in enumerate(zip(lower[0], lower[-1], strict=False)) if a != b), 0)
+    words = [_words(name[shared if shared >= _PREFIX else 0 :]) for name in bare]
     words = _without_common(_without_common(words, 0), -1)
     known = {tuple(row) for row in words}
     normal = [_normal(row, known) for row in words]
@@ -55,9 +62,10 @@ def _without_common(names: list[Words], at: int) -> list[Words]:
     """Take the first (0) or last (-1) word away while most names have the same, or a number there."""
     while True:
         several = [name for name in names if len(name) > 1]
-        ends = Counter("0" if name[at].isdigit() and at == 0 else name[at] for name in several)
+        ends = Counter("0" if name[at].isdigit() else name[at] for name in several)
         word, count = ends.most_common(1)[0] if ends else ("", 0)
-        if count < _COMMON * len(names) or count < 3 or word in _SIDE_WORDS or word in _SIDE_LETTERS:
+        share = _NUMBERED if word == "0" else _COMMON
+        if count < max(share * len(names), 3) or word in _SIDE_WORDS or word in _SIDE_LETTERS:
             return names
         names = [
             (name[1:] if at == 0 else name[:-1])

@@ -22,9 +22,9 @@ from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.coco import write_coco
 from pasdedeux.formats.cvat import write_cvat
 from pasdedeux.settings import first_problem
-from tasks.ingest.films import Image
-from tasks.ingest.parameters import FilmOptions
-from tasks.ingest.shots import FoundShot, annotate, find_shots, shot_images
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.readers import Image
+from tasks.ingest.film.resolution import FoundShot, annotate, find_shots, shot_images
 
 _WRITERS: Mapping[str, tuple[str, Callable[[AnnotatedFrames], str]]] = {
     ".csv": ("ours", write_annotation_csv),

@@ -28,7 +28,7 @@ from tasks.downloads import FetchError, download
 from tasks.user_files import read_file
 
 if TYPE_CHECKING:
-    from tasks.ingest.detector_files import NetworkAddress
+    from tasks.ingest.film.detector_files import NetworkAddress
 
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
 _MAX_FILE_BYTES = 200_000_000
@@ -115,7 +115,7 @@ def detector(
     address: Annotated[str, typer.Argument(metavar="ADDRESS", help="https://HOST/FILE.onnx#sha256=DIGEST.")],
 ) -> None:
     """Download the network of a detector, once, for the studies and commands that state its address."""
-    from tasks.ingest.detector_files import check_network, network_address  # as for the credit
+    from tasks.ingest.film.detector_files import check_network, network_address  # as for the credit
 
     network = network_address(address)
     if not network.kept.exists():
@@ -221,7 +221,9 @@ def small_database_words(num_poses: int, num_takes: int) -> str:
 
 
 def _credit() -> str:
-    from tasks.ingest.known_sources import CMU_CREDIT  # all of ingest comes with it, which `--help` must not wait for
+    from tasks.ingest.takes.known_sources import (
+        CMU_CREDIT,  # all of ingest comes with it, which `--help` must not wait for
+    )
 
     return f"{CMU_CREDIT.credit}\n{CMU_CREDIT.licence}.\n"
 
@@ -247,7 +249,7 @@ def _listed_takes(base: str, subject: str) -> list[str]:
 
 
 def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
-    from tasks.ingest.known_sources import has_changed, note_fetched  # as for the credit
+    from tasks.ingest.takes.known_sources import has_changed, note_fetched  # as for the credit
 
     if path.exists() and not has_changed(path, there := read_file(path)) and _fault(there, skeleton) is None:
         return Fetched(path=path, num_bytes=len(there), was_there=True)

@@ -22,7 +22,7 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, source_credits
 from tasks.facts import TakeFacts
 from tasks.generation import draws_bodies, sampling_stream, variant_name
-from tasks.ingest.sources import load_file
+from tasks.ingest.files import load_file
 from tasks.takes import read_take
 
 

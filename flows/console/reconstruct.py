@@ -59,7 +59,7 @@ def reconstruct(
     from flows.console.annotating import film_source
     from flows.console.reconstructing import annotation_source, follow_video, reconstruct_video
     from pasdedeux.reconstruction.live.person import LiveOptions
-    from tasks.ingest.parameters import FilmOptions
+    from tasks.ingest.film.parameters import FilmOptions
 
     is_film = bool(keys or detections or detect)
     video = (

@@ -42,8 +42,11 @@ from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.data import player_page
 from tasks.evaluation.reconstruction import reconstruction_player
-from tasks.ingest.annotations import DEFAULT_RATE_HZ, find_annotations, find_videos, stated_of_nobody
-from tasks.ingest.parameters import AnnotationOptions, FilmOptions
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.run import find_videos
+from tasks.ingest.poses2d.parameters import AnnotationOptions
+from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, find_annotations
+from tasks.ingest.poses2d.run import stated_of_nobody
 from tasks.projections import read_cameras, read_database, read_pairs
 from tasks.reconstruction import MAX_PAIRS
 

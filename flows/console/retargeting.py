@@ -42,9 +42,10 @@ from tasks.data import LOOK, player_page
 from tasks.evaluation.augmentation import variant_player
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.ingest import STAGE, IngestParameters
-from tasks.ingest.known_sources import known_source
-from tasks.ingest.shard_parameters import TakeParameters
-from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, load_file
+from tasks.ingest.files import load_file
+from tasks.ingest.takes.known_sources import known_source
+from tasks.ingest.takes.parameters import TakeParameters
+from tasks.ingest.takes.resolution import MIN_UNIT_CONFIDENCE
 from tasks.stage import StageInputs, verdict_of
 from tasks.takes import read_take
 

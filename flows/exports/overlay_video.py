@@ -15,7 +15,7 @@ from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, named
 from storage_schema import Store
 from tasks.facts import PeopleFacts
-from tasks.ingest.films import first_shown, image_at, open_film
+from tasks.ingest.film.readers import first_shown, image_at, open_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))

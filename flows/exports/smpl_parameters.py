@@ -16,7 +16,7 @@ from pasdedeux.errors import InputError, named
 from pasdedeux.formats.own_skeleton import standing
 from pasdedeux.formats.smpl import BODY, BodyModel, SmplMotion, read_body_model, smpl_of_body22, smpl_of_motion
 from pasdedeux.skeletons import BODY22
-from tasks.ingest.sources import load_file
+from tasks.ingest.files import load_file
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:

@@ -27,7 +27,7 @@ from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef
 from tasks.curation import POSITIONS
-from tasks.ingest.shots import CorrectedShot
+from tasks.ingest.film.resolution import CorrectedShot
 from tasks.lifting import lift_again
 from tasks.priors import read_limits
 from tasks.seeds.files import pair_in_store

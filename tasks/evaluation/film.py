@@ -9,7 +9,7 @@ from pasdedeux.formats.annotated_frames import KeypointStatus
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.ingest.annotations import ANNOTATIONS_NAME, CLIP_NAME, SHEET_NAME
+from tasks.ingest.film.run import ANNOTATIONS_NAME, CLIP_NAME, SHEET_NAME
 from tasks.stage import Parameters, Shard, StageInputs
 
 

@@ -9,19 +9,17 @@ from pasdedeux.errors import NobodyError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import SkippedFacts
-from tasks.ingest.annotations import run_annotations
-from tasks.ingest.parameters import IngestParameters
-from tasks.ingest.plan import INGEST, plan
-from tasks.ingest.shard_parameters import (
-    AnnotationParameters,
-    DuetParameters,
-    FilmParameters,
-    SkippedParameters,
-    TakeParameters,
-    VideoParameters,
-)
-from tasks.ingest.takes import run_duet, run_take
-from tasks.ingest.virtual_video import run_virtual_video
+from tasks.ingest.common import INGEST
+from tasks.ingest.film.parameters import FilmParameters
+from tasks.ingest.film.run import run_film
+from tasks.ingest.parameters import IngestParameters, SkippedParameters
+from tasks.ingest.plan import plan
+from tasks.ingest.poses2d.parameters import AnnotationParameters
+from tasks.ingest.poses2d.run import run_annotations
+from tasks.ingest.takes.parameters import DuetParameters, TakeParameters
+from tasks.ingest.takes.run import run_duet, run_take
+from tasks.ingest.virtual_video.parameters import VideoParameters
+from tasks.ingest.virtual_video.run import run_virtual_video
 from tasks.stage import Parameters, Shard, Stage, commit
 
 __all__ = ["STAGE", "IngestParameters", "plan", "run_shard"]
@@ -38,7 +36,7 @@ def _say_skipped(shard: Shard, store: Store, parameters: SkippedParameters) -> A
 def _run_film(shard: Shard, store: Store, parameters: FilmParameters) -> ArtifactRef:
     """Annotate a shot; one in which nobody is seen, such as the sea between two dances, is skipped."""
     try:
-        return run_annotations(shard, store, parameters)
+        return run_film(shard, store, parameters)
     except NobodyError as error:
         return _say_skipped(shard, store, SkippedParameters(skipped={parameters.id: str(error)}))
 

@@ -1,40 +1,15 @@
-"""The plan of the ingest stage: a shard per take, shards of virtual video over it, a shard per source of 2D poses."""
+"""The plan of the ingest stage: a shard per take, virtual video over it, a shard per source of 2D poses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-
-from pydantic import ValidationError
-
-from pasdedeux.choreography.duets import style_of
-from pasdedeux.errors import InputError, named
-from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
-from pasdedeux.interaction.objects import read_objects
-from tasks.ingest.annotations import find_annotations, find_videos
-from tasks.ingest.known_sources import DUET_CREDIT, known_performance
-from tasks.ingest.parameters import (
-    DuetOptions,
-    IngestParameters,
-    PairOptions,
-    PersonOptions,
-    TakeOptions,
-    VirtualCameras,
-    num_people_of,
-)
-from tasks.ingest.shard_parameters import (
-    DuetParameters,
-    PersonParameters,
-    Purpose,
-    SkippedParameters,
-    TakeParameters,
-    VideoParameters,
-)
-from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_person, load_file
-from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
-from tasks.stage import Shard, StageInputs, StageName
-
-INGEST = StageName("ingest", 18)
+from pasdedeux.errors import InputError
+from tasks.ingest.common import INGEST
+from tasks.ingest.film.run import find_videos
+from tasks.ingest.parameters import IngestParameters, SkippedParameters
+from tasks.ingest.poses2d.resolution import find_annotations
+from tasks.ingest.takes.plan import plan_takes
+from tasks.ingest.virtual_video.plan import plan_virtual_video
+from tasks.stage import Shard, StageInputs
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -48,252 +23,23 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         parameters.check_names()
     except ValueError as error:
         raise InputError(f"ingest: {error}") from None
-    takes = [
-        *(_duet_shard(inputs, parameters, duet) for duet in parameters.resolved_duets()),
-        *(_take_shard(inputs, parameters, take) for take in parameters.takes),
-    ]
-    _refuse_missing(parameters)
-    shards: list[Shard] = []
-    awaited = parameters.awaited()
-    for name, family in parameters.pairs.items():
-        found, skipped = _family_shards(inputs, parameters, name, family)
-        takes += found
-        if family.is_watched:
-            skipped |= dict.fromkeys(awaited, "the study names it, and it has not come yet")
-            awaited = ()
-        if skipped:
-            shards.append(INGEST.shard(inputs, name, "skipped", SkippedParameters(skipped=skipped)))
-    _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
+    takes, shards = plan_takes(inputs, parameters)
     for take in takes:
         shards.append(take)
-        shards.extend(_virtual_video_shards(inputs, parameters, take))
+        shards.extend(plan_virtual_video(inputs, parameters, take))
     for options in parameters.annotations:
         waiting: dict[str, str] | None = {} if options.is_watched else None
-        is_held_out = options.take_id in parameters.held_out
-        for one in find_annotations(
-            options, is_held_out=is_held_out, skipped=waiting, take_seconds=parameters.take_seconds
+        for found in find_annotations(
+            options,
+            is_held_out=options.take_id in parameters.held_out,
+            skipped=waiting,
+            take_seconds=parameters.take_seconds,
         ):
-            shards.append(INGEST.shard(inputs, one.parameters.id, "annotations", one.parameters, files=one.files))
+            shards.append(INGEST.shard(inputs, found.parameters.id, "annotations", found.parameters, files=found.files))
         if waiting:
             shards.append(INGEST.shard(inputs, options.id, "skipped", SkippedParameters(skipped=waiting)))
     for film in parameters.videos:
         is_held_out = film.take_id in parameters.held_out
-        for one in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
-            shards.append(INGEST.shard(inputs, one.parameters.id, "film", one.parameters, files=one.files))
+        for shot in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
+            shards.append(INGEST.shard(inputs, shot.parameters.id, "film", shot.parameters, files=shot.files))
     return shards
-
-
-def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
-    """Refuse a moment of a performance that one take holds out and another learns from.
-
-    The same performance is the same bytes, or a CMU motion that is there as AMC and as BVH.
-
-    Raises:
-        InputError: With the names of both takes.
-    """
-    uses: dict[str, list[tuple[TakeParameters, PersonParameters]]] = {}
-    for take in takes:
-        for person in take.persons:
-            suffix = Path(person.source_name).suffix.lower()
-            performance = known_performance(person.source_name)
-            # Two files of one name and format need not be the same motion, AMC and BVH of one name are.
-            keys = [person.motion_sha256, *([f"{performance} {suffix}"] if performance else [])]
-            twins = [person.motion_sha256, *(f"{performance} {one}" for one in (".amc", ".bvh") if one != suffix)]
-            for other, twin in (use for key in twins for use in uses.get(key, ())):
-                (start, stop), (its_start, its_stop) = _seconds(take, person), _seconds(other, twin)
-                if other.is_held_out != take.is_held_out and max(start, its_start) < min(stop, its_stop):
-                    name, its_name = person.source_name, twin.source_name
-                    shown = name if suffix == Path(its_name).suffix.lower() else f"{its_name}, also {name}"
-                    raise InputError(
-                        f"takes {other.take_id} and {take.take_id} share frames of {shown}, but only one of them "
-                        "is held out: the other would be learned from"
-                    )
-            for key in keys:
-                uses.setdefault(key, []).append((take, person))
-
-
-def _seconds(take: TakeParameters, person: PersonParameters) -> tuple[float, float]:
-    """Return the part of its file that a person's motion is."""
-    start = person.first_frame / person.rate_hz
-    return start, start + take.num_frames / person.rate_hz
-
-
-def _family_shards(
-    inputs: StageInputs, parameters: IngestParameters, name: str, family: PairOptions
-) -> tuple[list[Shard], dict[str, str]]:
-    """Return a shard for each take of a family; of one whose takes are not named also what is skipped, and why.
-
-    Raises:
-        InputError: A take that is named cannot be used, or there is none.
-    """
-    shards, skipped = [], {}
-    takes = family.take_names()
-    if not takes and family.takes is None:
-        raise InputError(f"ingest.pairs.{name}: no file {' or '.join(family.patterns)} is in {family.folder}")
-    common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id", "is_watched"})
-    for take in takes:
-        take_id = family.take_id(take)
-        try:
-            files = tuple(_family_file(family, subject, take) for subject in family.subjects)
-            shards.append(_take_shard(inputs, parameters, TakeOptions(id=take_id, files=files, **common)))
-        except (InputError, ValidationError) as error:
-            if family.takes is not None:
-                raise
-            skipped[take_id] = (
-                str(error) if isinstance(error, InputError) else f"'{take_id}' cannot be the name of a take"
-            )
-    return shards, skipped
-
-
-def _refuse_missing(parameters: IngestParameters) -> None:
-    """Refuse a study whose takes are named and not there; InputError with how many, and how they are had."""
-    wanted = [
-        (family, subject, take)
-        for family in parameters.pairs.values()
-        for take in family.takes or ()
-        for subject in family.subjects
-    ]
-    missing = [one for one in wanted if not any(path.is_file() for path in _family_paths(*one))]
-    if missing:
-        first = _family_paths(*missing[0])
-        others = f", nor do {len(missing) - 1} others of the {len(wanted)} that ingest.pairs names"
-        raise InputError(
-            f"file {' or '.join(path.name for path in first)} does not exist in {first[0].parent}"
-            + (others if len(missing) > 1 else "")
-            + (f"; {parameters.obtain}" if parameters.obtain else "")
-        )
-
-
-def _family_paths(family: PairOptions, subject: str, take: str) -> list[Path]:
-    return [family.folder / pattern.format(subject=subject, take=take) for pattern in family.patterns]
-
-
-def _family_file(family: PairOptions, subject: str, take: str) -> Path:
-    paths = _family_paths(family, subject, take)
-    found = [path for path in paths if path.is_file()]
-    if not found:
-        names = " or ".join(path.name for path in paths)
-        raise InputError(f"file {names} does not exist in {family.folder}")
-    return found[0]
-
-
-def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOptions) -> Shard:
-    style_of(duet.name, **duet.settings)
-    take_id = duet.take_id
-    if parameters.take_seconds is not None:
-        duet = duet.model_copy(update={"duration_s": min(duet.duration_s, parameters.take_seconds)})
-    parameters_of_shard = DuetParameters(
-        take_id=take_id,
-        rate_hz=parameters.rate_hz,
-        is_held_out=take_id in parameters.held_out,
-        is_prior=take_id in parameters.prior,
-        source=DUET_CREDIT,
-        capture=parameters.capture,
-        duet=duet.model_copy(update={"id": None}),
-    )
-    return INGEST.shard(inputs, take_id, "take", parameters_of_shard)
-
-
-def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOptions) -> Shard:
-    with named(f"take {take.id}"):
-        if len(take.persons) > len(take.files):
-            raise InputError(f"options for {len(take.persons)} persons, but it has {len(take.files)} file(s)")
-        options = [*take.persons, *(PersonOptions() for _ in take.files)]
-        people = [
-            find_person(path, take, person, parameters.mappings, number=take.files[:at].count(path))
-            for at, (path, person) in enumerate(zip(take.files, options, strict=False))
-        ]
-        num_frames = _common_length(take, people)
-        objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
-        _check_things(people, objects, contacts)
-    if parameters.take_seconds is not None:
-        num_frames = min(num_frames, max(2, round(parameters.take_seconds * people[0].parameters.rate_hz)))
-    layouts = {person.parameters.layout for person in people}
-    parameters_of_shard = TakeParameters(
-        take_id=take.id,
-        rate_hz=parameters.rate_hz,
-        is_held_out=take.id in parameters.held_out,
-        is_prior=take.id in parameters.prior,
-        source=credit_of(people, take.licence, take.credit),
-        capture=parameters.capture,
-        num_frames=num_frames,
-        floor=take.floor,
-        persons=tuple(person.parameters for person in people),
-        mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
-        objects_sha256=objects.file.sha256 if objects else "",
-        contacts_sha256=contacts.file.sha256 if contacts else "",
-    )
-    files = [file for person in people for file in person.files]
-    files += [loaded.file for loaded in (objects, contacts) if loaded is not None]
-    return INGEST.shard(inputs, take.id, "take", parameters_of_shard, files=files)
-
-
-def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, contacts: LoadedFile | None) -> None:
-    """Refuse objects of other frames than person A's file, and contacts of what is not there."""
-    name, num_frames, things = people[0].parameters.source_name, people[0].num_frames, None
-    if objects is not None:
-        file_name = Path(objects.file.path).name
-        with named(file_name):
-            things = read_objects(objects.data)
-        if things.num_frames != num_frames:
-            raise InputError(
-                f"{file_name} has {things.num_frames} frames, but {name} has {num_frames}; objects need all frames of "
-                "person A's file"
-            )
-    if contacts is not None:
-        file_name = Path(contacts.file.path).name
-        with named(file_name):
-            stated = read_contacts(contacts.data)
-        check_contacts(stated, name=file_name, num_frames=num_frames, num_people=len(people), objects=things)
-
-
-def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:
-    """Return the number of source frames that all people of a take have, or refuse a pair that does not fit."""
-    if len({person.parameters.rate_hz for person in people}) > 1:
-        found = " and ".join(f"{person.parameters.rate_hz:g}" for person in people)
-        raise InputError(f"its files have different frame rates, {found} Hz; set rate_hz")
-    lengths = []
-    for person in people:
-        name, start = person.parameters.source_name, person.parameters.first_frame
-        wanted = take.frames[1] - take.frames[0] if take.frames else person.num_frames - start
-        if start >= person.num_frames or (take.frames and start + wanted > person.num_frames):
-            stop = f" to {start + wanted}" if take.frames else ""
-            raise InputError(f"frames from {start}{stop} are wanted, but {name} has {person.num_frames} frames")
-        lengths.append(wanted)
-    if len(set(lengths)) > 1 and take.on_unequal == "refuse":
-        names = " and ".join(f"{p.parameters.source_name} {n}" for p, n in zip(people, lengths, strict=True))
-        raise InputError(
-            f'its files have unequal lengths ({names} frames); set on_unequal = "trim" to keep what both have'
-        )
-    return min(lengths)
-
-
-def _virtual_video_shards(inputs: StageInputs, parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
-    """Return the shards of virtual video over a take: whole takes, and random views unless it is held out."""
-    options, planned = parameters.virtual_video, take.parameters
-    assert isinstance(planned, DuetParameters | TakeParameters)
-    if options.takes is not None and planned.take_id not in options.takes:
-        return
-    cameras = options.model_dump(include=set(VirtualCameras.model_fields))
-    cameras["pitch_deviation_deg"] = min(options.pitch_deviation_deg, UNIFORM_PITCH_DEG)
-    num_people = num_people_of(planned.duet.name) if isinstance(planned, DuetParameters) else len(planned.persons)
-    is_pair = num_people == 2
-    num_random_views = options.num_random_views if is_pair and not planned.is_held_out else 0
-    wanted: list[tuple[str, Purpose, int]] = [
-        ("video", "video", options.num_videos),
-        ("random_views", "random_views", num_random_views),
-        ("detector", "video", options.num_videos if options.has_detector else 0),
-    ]
-    for name, purpose, count in wanted:
-        if count:
-            video = VideoParameters(
-                purpose=purpose,
-                count=count,
-                take_id=planned.take_id,
-                is_held_out=planned.is_held_out,
-                rate_hz=parameters.rate_hz,
-                leave_one_out_every=options.leave_one_out_every if purpose == "random_views" else 0,
-                detector=True if name == "detector" else None,
-                **cameras,
-            )
-            yield INGEST.shard(inputs, planned.take_id, name, video, after=(take.key,))

@@ -24,7 +24,8 @@ from storage_schema import (
 )
 from storage_schema.references import find_rows
 from tasks.facts import Facts
-from tasks.ingest.sources import NOT_STATED, load_file, read_again
+from tasks.ingest.files import load_file, read_again
+from tasks.ingest.takes.resolution import NOT_STATED
 from tasks.stage import Parameters, Shard, SourceFile
 
 

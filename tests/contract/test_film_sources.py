@@ -30,11 +30,12 @@ from storage_schema import Store
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation import film as film_topic
 from tasks.facts import TopicFacts
-from tasks.ingest import films
-from tasks.ingest.annotations import find_videos
-from tasks.ingest.films import open_film, read_film
-from tasks.ingest.parameters import FilmOptions, IngestParameters
-from tasks.ingest.shots import CorrectedShot
+from tasks.ingest.film import readers as films
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.readers import open_film, read_film
+from tasks.ingest.film.resolution import CorrectedShot
+from tasks.ingest.film.run import find_videos
+from tasks.ingest.parameters import IngestParameters
 from tasks.seeds.parameters import SeedsParameters
 from tasks.seeds.plan import check_study
 from tasks.stage import StageInputs, verdict_of

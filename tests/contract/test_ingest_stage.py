@@ -18,7 +18,8 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation import STAGE as EVALUATION
-from tasks.ingest import IngestParameters, virtual_video
+from tasks.ingest import IngestParameters
+from tasks.ingest.virtual_video import run as virtual_video
 from tests.builders.ingest_runs import judged, planned, run, write_figure_pair
 from tests.builders.source_samples import AMC, ASF, figure_motion, positions_npz
 

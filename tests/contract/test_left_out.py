@@ -16,7 +16,8 @@ from tasks.augmentation import NobodyParameters
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.graph import Graph, load_graph
-from tasks.ingest.shard_parameters import SkippedParameters, VideoParameters
+from tasks.ingest.parameters import SkippedParameters
+from tasks.ingest.virtual_video.parameters import VideoParameters
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.summary import summary_of
 from tests.builders.storage_rows import put, random_columns, take_rows

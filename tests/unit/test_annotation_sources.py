@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from tasks.ingest.annotations import FoundAnnotations, find_annotations
-from tasks.ingest.parameters import AnnotationOptions
+from tasks.ingest.poses2d.parameters import AnnotationOptions
+from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
 from tests.builders.source_samples import coco_text, csv_text, image_text, openpose_text, person_px, result_texts
 
 

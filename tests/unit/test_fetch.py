@@ -22,7 +22,7 @@ from flows.console.fetch import FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from tasks.downloads import PublicRedirects, download, is_public_ip
-from tasks.ingest.known_sources import was_fetched
+from tasks.ingest.takes.known_sources import was_fetched
 from tests.builders.real_study import build_here, call_in_process
 from tests.builders.source_samples import AMC, ASF
 

@@ -8,9 +8,9 @@ import pytest
 
 from flows.study_files import read_study_tree, shipped_studies
 from pasdedeux.errors import InputError
-from tasks.ingest.known_sources import CMU_CREDIT, KnownSource, known_source, note_fetched
-from tasks.ingest.parameters import PersonOptions, TakeOptions
-from tasks.ingest.sources import NOT_STATED, credit_of, find_person
+from tasks.ingest.takes.known_sources import CMU_CREDIT, KnownSource, known_source, note_fetched
+from tasks.ingest.takes.parameters import PersonOptions, TakeOptions
+from tasks.ingest.takes.resolution import NOT_STATED, credit_of, find_person
 from tests.builders.own_sources import write_walk
 
 NOTHING = KnownSource()

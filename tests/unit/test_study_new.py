@@ -19,7 +19,7 @@ from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.guess import guess_motion
 from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
-from tasks.ingest.known_sources import note_fetched
+from tasks.ingest.takes.known_sources import note_fetched
 from tasks.projections import ProjectionsParameters
 from tasks.seeds import SeedsParameters
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE

@@ -16,10 +16,10 @@ from flows.console.app import run_command_line
 from flows.console.live import _read as read_live_frame
 from pasdedeux.errors import InputError
 from tasks.curation import choices_in
-from tasks.ingest.cameras import open_capture
-from tasks.ingest.films import open_film
-from tasks.ingest.known_sources import was_fetched
-from tasks.ingest.sources import load_file
+from tasks.ingest.files import load_file
+from tasks.ingest.film.readers import open_film
+from tasks.ingest.poses2d.readers import open_capture
+from tasks.ingest.takes.known_sources import was_fetched
 from tasks.shards.profiles import read_profile
 from tasks.user_files import digest_of, read_file, read_text_file
 

@@ -41,9 +41,9 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Manifest, Store, new_run
 from tasks.curation import Choosing
 from tasks.facts import SequenceFacts
-from tasks.ingest.annotations import find_videos
-from tasks.ingest.films import FilmFrame, open_film, read_film
-from tasks.ingest.parameters import FilmOptions
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.readers import FilmFrame, open_film, read_film
+from tasks.ingest.film.run import find_videos
 from tasks.stage import SourceFile
 from tasks.user_files import digest_of
 from tests.builders.ingest_runs import duet_store, planned, run

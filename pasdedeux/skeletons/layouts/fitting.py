@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
 
 
 def resolve_layout(
-    name: str, skeleton: Skeleton, rest_offsets: Array, mappings: Mapping[str, Mapping[str, Table]] | None = None
+    name: str, skeleton: Skeleton, rest_offsets: Array, mappings: Mapping[str, Mapping[Any, Table]] | None = None
 ) -> Layout:
     """Return the layout of this name for a file's joints; "auto" is told by these.
 

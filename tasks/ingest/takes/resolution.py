@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,16 +11,14 @@ from typing import Any
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
 from pasdedeux.formats.guess import UnitGuess, guess_unit
-from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
 from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons.layouts import resolve_layout
 from storage_schema import SourceCredit
-from tasks.ingest.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
-from tasks.ingest.parameters import CommonOptions, PersonOptions
-from tasks.ingest.shard_parameters import PersonParameters
+from tasks.ingest.files import load_file, read_again
+from tasks.ingest.takes.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
+from tasks.ingest.takes.parameters import CommonOptions, PersonOptions, PersonParameters
 from tasks.stage import SourceFile
-from tasks.user_files import read_file
 
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
@@ -30,14 +27,6 @@ NOT_STATED = "not stated"
 OWN_FILES = "files given in the study"
 MIN_UNIT_CONFIDENCE = 0.3
 """A length unit that is guessed with less must be stated."""
-
-
-@dataclass(frozen=True)
-class LoadedFile:
-    """A file's bytes with its path and digest."""
-
-    file: SourceFile
-    data: bytes
 
 
 @dataclass(frozen=True)
@@ -53,38 +42,6 @@ class PersonSource:
     parameters: PersonParameters
     files: tuple[SourceFile, ...]
     num_frames: int
-
-
-def load_file(path: Path) -> LoadedFile:
-    """Read and hash a file; an InputError as of `read_file`."""
-    data = read_file(path)
-    return LoadedFile(file=SourceFile(path=str(path), sha256=hashlib.sha256(data).hexdigest()), data=data)
-
-
-def read_again(file: SourceFile) -> bytes:
-    """Return the bytes of a file that was planned with.
-
-    Raises:
-        InputError: It changed since.
-    """
-    loaded = load_file(Path(file.path))
-    if loaded.file.sha256 != file.sha256:
-        raise InputError(f"file {file.path} changed since the run was planned; run again")
-    return loaded.data
-
-
-def own_layout_of(path: Path | None) -> str | None:
-    """Return the text of a keypoint layout of the user's own, after a check.
-
-    Raises:
-        InputError: It is not there, or mangled.
-    """
-    if path is None:
-        return None
-    text = load_file(path).data.decode("utf-8", errors="replace")
-    with named(path.name):
-        read_layout(text)
-    return text
 
 
 def find_person(

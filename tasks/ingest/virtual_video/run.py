@@ -26,14 +26,12 @@ from pasdedeux.skeletons.layouts.keypoints import Keypoints
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
-from tasks.ingest.shard_parameters import VideoParameters
+from tasks.ingest.virtual_video.parameters import UNIFORM_PITCH_DEG, VideoParameters
 from tasks.stage import Shard, commit, followed, join_columns, stream
 from tasks.takes import read_motion
 
 NEIGHBOURS = 2
 """Frames kept on either side of a randomly viewed pair, for velocity only (Yin et al. 2018, section 6)."""
-UNIFORM_PITCH_DEG = 1e9
-"""A deviation of the pitch from here on means uniform; JSON knows no infinity."""
 GOOD_SHARE_INSIDE, POOR_SHARE_INSIDE = 0.9, 0.5
 """Share of the joints that are in the image: below the first a video is doubted, below the second useless."""
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.image_names import places_of_names
-from tasks.ingest.cameras import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
+from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
 from tasks.stage import SourceFile
 from tasks.user_files import digest_of, open_file
 

@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
-from tasks.ingest.sources import load_file
+from tasks.ingest.files import load_file
 from tasks.user_files import open_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})

@@ -21,12 +21,12 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.detections import UNKNOWN, Detection, Footage, join_detections
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, read_annotations
 from pasdedeux.skeletons import PAIR17
-from tasks.ingest.cameras import VIDEO_SUFFIXES, find_cameras, is_named_after
-from tasks.ingest.detector_files import find_network
-from tasks.ingest.films import Film, first_shown, image_at, is_film, open_film, read_film
-from tasks.ingest.parameters import FilmOptions
-from tasks.ingest.shard_parameters import FilmParameters
-from tasks.ingest.sources import load_file, own_layout_of, read_again
+from tasks.ingest.files import load_file, read_again
+from tasks.ingest.film.detector_files import find_network
+from tasks.ingest.film.parameters import FilmOptions, FilmParameters
+from tasks.ingest.film.readers import Film, first_shown, image_at, is_film, open_film, read_film
+from tasks.ingest.poses2d.readers import VIDEO_SUFFIXES, find_cameras, is_named_after
+from tasks.ingest.poses2d.resolution import own_layout_of
 from tasks.stage import SourceFile
 
 ASSUMED_RATE_HZ = 30.0

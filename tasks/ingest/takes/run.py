@@ -28,8 +28,8 @@ from pasdedeux.skeletons.layouts import LAYOUTS, Layout, resolve_layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.facts import TakeFacts
-from tasks.ingest.shard_parameters import DuetParameters, PersonParameters, TakeParameters
-from tasks.ingest.sources import read_again
+from tasks.ingest.files import read_again
+from tasks.ingest.takes.parameters import DuetParameters, PersonParameters, TakeParameters
 from tasks.stage import Shard, SourceFile, commit
 
 SURE = 0.6

@@ -1,0 +1,1 @@
+"""Film of the user's own, annotated in every frame."""

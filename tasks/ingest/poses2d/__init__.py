@@ -1,0 +1,1 @@
+"""2D poses of the user's own."""

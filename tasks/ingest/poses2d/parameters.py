@@ -1,0 +1,125 @@
+"""Sources of 2D poses in a study, and the parameters of their shards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.registry import ANNOTATION_FORMATS
+from pasdedeux.people.resolution import PeopleSettings
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
+from tasks.ingest.common import ID, one_of
+from tasks.stage import Parameters
+
+AnnotationFormatName = Annotated[str, one_of(ANNOTATION_FORMATS)]
+KeypointLayoutName = Annotated[str, one_of(KEYPOINT_LAYOUTS)]
+
+
+class AnnotationCommon(PeopleSettings, Parameters):
+    """Description of a source of 2D poses, apart from its path."""
+
+    id: str = Field(
+        pattern=ID, max_length=100, description="Name of the source, and of its sequence if it has one only"
+    )
+    format: AnnotationFormatName = Field(
+        "auto", description=f"Format: {', '.join(ANNOTATION_FORMATS)}; detected from the content by default"
+    )
+    layout: KeypointLayoutName = Field(
+        "auto",
+        description=f"Keypoint layout: {', '.join(KEYPOINT_LAYOUTS)}; detected from the file; another is refused",
+    )
+    image_size_px: tuple[int, int] | None = Field(
+        None, description="Width and height of the images; by default the file's, else the video's beside it"
+    )
+    rate_hz: float | None = Field(
+        None,
+        gt=0,
+        le=10_000,
+        description="Frame rate; by default the file's, else the video's that lies beside it, else 30 Hz",
+    )
+    focal_px: float | None = Field(
+        None, gt=0, le=1_000_000, description="Focal length of the camera; by default the file's"
+    )
+    fov_deg: float | None = Field(
+        None, gt=1, lt=179, description="Horizontal field of view, where the focal length is not known"
+    )
+    camera_height_m: float | None = Field(
+        None, ge=0.1, le=100, description="Height of the camera above the floor, which gives people their size"
+    )
+    statures_m: tuple[tuple[int, Annotated[float, Field(ge=0.5, le=2.5)]], ...] = Field(
+        (), description="People whose stature is known, as [[0, 1.80], [1, 1.65]]: number and stature"
+    )
+    min_confidence: float | None = Field(
+        None,
+        ge=0,
+        le=10,
+        description="Keypoints of a lower confidence, in the detector's own units, are missing; by default 0.2, scaled "
+        "for detectors whose confidences of visible joints are far from 1",
+    )
+    on_unreadable: Literal["refuse", "skip"] = Field(
+        "refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
+    )
+    leave_one_out_every: int = Field(
+        10,
+        ge=0,
+        description="One in so many moments (30 frames of a video, or a still) is kept out of seeds and chains, and "
+        "scored by its distance to the nearest draw: evidence without ground truth; 0: none",
+    )
+    take_id: str | None = Field(
+        None, description="Take of this study that the video shows; then it is scored against that"
+    )
+    licence: str = Field("not stated", description="Licence of the source")
+    credit: str = Field("not stated", description="Credit line of the source")
+
+
+class SourceOptions(AnnotationCommon):
+    """What a source of 2D poses and a film have in common in a study."""
+
+    layout_file: Path | None = Field(
+        None,
+        description="Keypoint layout of your own (TOML): names in the order of the file, and which of them are ours",
+    )
+    people_file: Path | None = Field(
+        None,
+        description="Table of identities that overrides those that ingest resolves (sequence, first_frame, last_frame, "
+        "person, is): an edited copy of the attachment people.csv of an earlier run",
+    )
+
+
+class AnnotationOptions(SourceOptions):
+    """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
+
+    path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
+    is_watched: bool = Field(
+        False,
+        description="Files will be added to the folder: each file or folder in it is a source `<id>.<its name>`, also "
+        "if there is only one; one that cannot be read (yet) is skipped with a warning",
+    )
+
+
+class AnnotationParameters(AnnotationCommon):
+    """The shard of a source of 2D poses; its format is found.
+
+    Attributes:
+        frames: The frame of each file, where its name tells it: no digest of the content knows.
+        video_rate_hz: What the header of the video beside the files says; None without.
+        video_size_px: Its width and height.
+        people: Rows of the table of who is who that are about its sequences.
+        take_seconds: Only so much from the start of each sequence; None: all of it.
+        own_layout: TOML of a keypoint layout of the user's own, None without.
+    """
+
+    is_held_out: bool
+    frames: tuple[int, ...]
+    video_rate_hz: float | None
+    video_size_px: tuple[int, int] | None
+    people: tuple[str, ...]
+    take_seconds: float | None = None
+    own_layout: str | None = None
+
+    def keypoint_layout(self) -> str | KeypointLayout:
+        """Return the layout of the files: its name, "auto", or the user's own."""
+        return self.layout if self.own_layout is None else read_layout(self.own_layout)

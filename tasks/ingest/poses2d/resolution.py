@@ -1,0 +1,211 @@
+"""Sources of 2D poses found and read before any work: cameras, format, layout, rate, and who is who."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from pasdedeux.errors import InputError, named
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.detections import UNKNOWN, Footage
+from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
+from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
+from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
+from tasks.ingest.files import load_file, read_again
+from tasks.ingest.poses2d.parameters import AnnotationOptions, AnnotationParameters
+from tasks.ingest.poses2d.readers import CameraFiles, find_cameras, read_header, video_beside
+from tasks.stage import SourceFile
+
+DEFAULT_RATE_HZ = 30.0
+PEOPLE_NAME = "people.csv"
+"""Who is who, as ingest decided it, beside the tables."""
+MAX_NAMED_FILES = 20
+"""Skipped files that are named, of any number."""
+
+
+@dataclass(frozen=True)
+class FoundAnnotations:
+    """A source of 2D poses that was found and read once, or one camera of it.
+
+    Args:
+        parameters: Those of its shard: every choice is made.
+        files: Its files.
+        video: The video beside them whose header was read, None without.
+    """
+
+    parameters: AnnotationParameters
+    files: tuple[SourceFile, ...]
+    video: Path | None
+
+    def read(self) -> AnnotatedFrames:
+        """Return the annotations in pixels, with the rate, and with image size and focal length where they are known.
+
+        Raises:
+            InputError: A file is mangled or has changed.
+        """
+        frames = self._read()
+        return replace(frames, rate_hz=frames.rate_hz or DEFAULT_RATE_HZ)
+
+    def resolve(self) -> ResolvedPeople:
+        """Return the annotations with identities resolved.
+
+        Raises:
+            InputError: As `read`, nobody is in it, or the table of who is who is about others.
+        """
+        with named(f"annotations {self.parameters.id}"):
+            decisions = [Decision.from_words(row) for row in self.parameters.people]
+            is_start = self.parameters.take_seconds is not None  # decisions are about the whole sequence
+            return resolve_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
+
+    def in_words(self) -> str:
+        """Say what the files are, and where what is known of the video comes from."""
+        stated, frames = self.parameters, self._read()
+        words = self._kind_in_words()
+        words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
+        beside = "" if self.video is None else f" ({self.video.name})"
+        if stated.rate_hz is None and frames.rate_hz is None:
+            words[-1] += " assumed (rate_hz)"
+        elif stated.rate_hz is None:
+            words[-1] += beside if frames.rate_hz == stated.video_rate_hz else " (the file)"
+        sizes = sorted(set(frames.image_size_px.values()))
+        known = " and ".join(f"{width} x {height}" for width, height in sizes)
+        words.append(known or "image size unknown (image_size_px)")
+        if sizes and stated.image_size_px is None:
+            words[-1] += beside if sizes == [stated.video_size_px] else " (the file)"
+        focals = sorted(set(frames.focal_px.values()))
+        lens = " and ".join(f"{focal:.0f} px" for focal in focals)
+        words.append(f"focal length {lens}" if lens else "lens of a phone assumed (focal_px, fov_deg)")
+        if frames.skipped:
+            words.append(f"{len(frames.skipped)} damaged files skipped ({', '.join(frames.skipped[:3])})")
+        return f"{stated.id}: {', '.join(words)}"
+
+    def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
+        """Return what lies beside the tables: who is who."""
+        decisions = write_decisions(row for one in resolved.sequences for row in one.decisions)
+        return {PEOPLE_NAME: decisions.encode()}
+
+    def _read(self) -> AnnotatedFrames:
+        return _read(self.parameters, self.files)
+
+    def _kind_in_words(self) -> list[str]:
+        number, kind = len(self.files), self.parameters.format
+        return [f"{number} files of the format '{kind}'" if number > 1 else f"format '{kind}'"]
+
+
+def find_annotations(
+    options: AnnotationOptions,
+    *,
+    is_held_out: bool = False,
+    skipped: dict[str, str] | None = None,
+    take_seconds: float | None = None,
+) -> list[FoundAnnotations]:
+    """Find a source's files, a camera at a time, and read them once, so that bad input is refused before any work.
+
+    Args:
+        options: The source.
+        is_held_out: Whether it shows a take that is held out.
+        skipped: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
+        take_seconds: Only so much from the start of each sequence.
+
+    Raises:
+        InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
+    """
+    found: list[FoundAnnotations] = []
+    known: set[str] = set()
+    ids: set[str] = set()
+    with named(f"annotations {options.id}"):
+        decisions = decisions_of(options.people_file)
+        for camera in find_cameras(options.path, options.format, skipped=skipped):
+            try:
+                one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
+                sequences = set(one.read().sequence_id)
+                planned, name = one.parameters, camera.paths[0].name
+                if planned.id in ids:
+                    raise InputError(f"{name}: another file is '{planned.id}' already; rename one of them")
+            except InputError as error:
+                if skipped is None:
+                    raise
+                skipped[camera.name] = str(error)
+                continue
+            ids.add(planned.id)
+            known |= sequences
+            rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
+            found.append(replace(one, parameters=planned.model_copy(update={"people": rows})))
+        check_sequences(decisions, known)
+    return found
+
+
+def own_layout_of(path: Path | None) -> str | None:
+    """Return the text of a keypoint layout of the user's own, after a check.
+
+    Raises:
+        InputError: It is not there, or mangled.
+    """
+    if path is None:
+        return None
+    text = load_file(path).data.decode("utf-8", errors="replace")
+    with named(path.name):
+        read_layout(text)
+    return text
+
+
+def decisions_of(people_file: Path | None) -> list[Decision]:
+    """Return the table of who is who; nothing where there is none."""
+    if people_file is None:
+        return []
+    with named(people_file.name):
+        return read_decisions(load_file(people_file).data)
+
+
+def check_sequences(decisions: Sequence[Decision], known: set[str]) -> None:
+    """Refuse a row of the table of who is who about a sequence that is not there."""
+    for row in decisions:
+        if row.sequence_id not in known:
+            raise InputError(
+                f"people, row '{row.in_words()}': there is no such sequence; sequences: "
+                f"{', '.join(sorted(known)[:MAX_NAMED_FILES])}"
+            )
+
+
+def _find_camera(
+    options: AnnotationOptions, camera: CameraFiles, *, is_held_out: bool, take_seconds: float | None
+) -> FoundAnnotations:
+    video = video_beside(options.path, camera)
+    header = UNKNOWN if video is None else read_header(video)
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
+    parameters = AnnotationParameters(
+        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched", "layout_file"}),
+        id=f"{options.id}.{name}" if name else options.id,
+        format=camera.format,
+        is_held_out=is_held_out,
+        frames=tuple(ANNOTATION_FORMATS[camera.format].frame_numbers([path.name for path in camera.paths])),
+        video_rate_hz=header.rate_hz,
+        video_size_px=header.image_size_px,
+        people=(),
+        take_seconds=take_seconds,
+        own_layout=own_layout_of(options.layout_file),
+    )
+    files = tuple(load_file(path).file for path in camera.paths)
+    return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
+
+
+@lru_cache(maxsize=16)
+def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
+    """Read a source; the last few are remembered, because a study is planned several times in a run."""
+    frames = read_annotations(
+        ANNOTATION_FORMATS[parameters.format],
+        {Path(file.path).name: read_again(file) for file in files},
+        source_id=parameters.id,
+        layout=parameters.keypoint_layout(),
+        stated=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
+        video=Footage(parameters.video_size_px, parameters.video_rate_hz),
+        min_confidence=parameters.min_confidence,
+        skip_unreadable=parameters.on_unreadable == "skip",
+    )
+    if parameters.take_seconds is None:
+        return frames
+    return frames.start_of_each(max(2, round(parameters.take_seconds * (frames.rate_hz or DEFAULT_RATE_HZ))))

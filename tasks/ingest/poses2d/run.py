@@ -1,0 +1,141 @@
+"""The work of a shard of 2D poses: read, people told apart, made into working skeletons."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pasdedeux.errors import InputError
+from pasdedeux.people.resolution import SequencePeople
+from pasdedeux.sampling.annotations import is_left_out
+from pasdedeux.skeletons import COUNTED17
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.verdict import Level, Verdict
+from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.facts import Couple, SequenceFacts
+from tasks.ingest.poses2d.parameters import AnnotationParameters
+from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, MAX_NAMED_FILES, FoundAnnotations
+from tasks.stage import Shard, commit
+from tasks.user_files import digest_of
+
+GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
+"""Share of the joints that count which are seen: below the first a source is doubted, below the second useless."""
+
+
+def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters) -> ArtifactRef:
+    """Read a source of 2D poses, resolve who is who, and derive the working skeletons."""
+    return commit_poses2d(shard, store, FoundAnnotations(parameters, shard.files, None))
+
+
+def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> ArtifactRef:
+    """Commit the annotations of a source with identities resolved.
+
+    Raises:
+        InputError: A file has changed since planning, or as `FoundAnnotations.resolve`.
+    """
+    parameters = source.parameters
+    for file in shard.files:
+        if digest_of(Path(file.path)) != file.sha256:
+            raise InputError(f"file {file.path} changed since the run was planned; run again")
+    resolved = source.resolve()
+    frames, op14 = resolved.frames, resolved.op14
+    rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
+    pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
+    sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
+    count, stills = frames.num_rows, {one.sequence_id for one in resolved.sequences if one.why_not_followed}
+    people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
+    return commit(
+        shard,
+        store,
+        tables={
+            "annotations": {
+                "sequence_id": list(frames.sequence_id),
+                "frame": frames.frame,
+                "person_id": frames.person_id,
+                "partner_id": [None if one < 0 else int(one) for one in resolved.partner_id],
+                "source_person_id": resolved.source_person_id,
+                "time_s": frames.frame / rate_hz,
+                "is_key": np.ones(count, dtype=bool),
+                "is_virtual": np.zeros(count, dtype=bool),
+                "is_held_out": parameters.is_held_out
+                | is_left_out(frames.sequence_id, frames.frame, parameters.leave_one_out_every, stills),
+                "take_id": [parameters.take_id] * count,
+                "take_frame": [None] * count,
+                "layout": [frames.layout] * count,
+                "keypoints_px": [row.reshape(-1) for row in frames.keypoints_px],
+                "keypoint_confidence": list(frames.confidence),
+                "pair17_px": pair17.positions,
+                "pair17_confidence": pair17.confidence,
+                "op14_px": op14.positions,
+                "op14_confidence": op14.confidence,
+                "focal_px": [frames.focal_px.get(name) for name in frames.sequence_id],
+                "image_width_px": [size[0] if size else None for size in sizes],
+                "image_height_px": [size[1] if size else None for size in sizes],
+            }
+        },
+        facts=SequenceFacts(
+            takes=(parameters.take_id,) if parameters.take_id else (),
+            sequence_ids=tuple(sorted(set(frames.sequence_id))),
+            is_held_out=parameters.is_held_out,
+            is_virtual=False,
+            num_frames=len(people),
+            num_persons=max(people.values()),
+            rate_hz=rate_hz,
+            purpose="given",
+            format=parameters.format,
+            layout=frames.layout,
+            num_skipped_frames=len(frames.skipped),
+            skipped_files=tuple(frames.skipped[:MAX_NAMED_FILES]),
+            camera_height_m=parameters.camera_height_m,
+            statures_m=dict(parameters.statures_m),
+            couples=tuple(
+                Couple(sequence_id=one.sequence_id, person_ids=(pair.first, pair.second), num_near_frames=pair.num_near)
+                for one in resolved.sequences
+                for pair in one.pairs
+            )[:MAX_NAMED_FILES],
+            why_no_video={one.sequence_id: one.why_not_followed for one in resolved.sequences if one.why_not_followed},
+            num_merged_rows=sum(one.num_merged_rows for one in resolved.sequences),
+            num_ghost_rows=sum(one.num_ghost_rows for one in resolved.sequences),
+            num_repaired_joints=sum(one.num_repaired_joints for one in resolved.sequences),
+            num_renamed_rows=sum(one.num_renamed_rows for one in resolved.sequences),
+        ),
+        attachments=source.attachments(resolved),
+        sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
+        verdict=_verdict(
+            pair17.confidence[:, COUNTED17] > 0,
+            len(frames.skipped),
+            len(shard.files),
+            resolved.sequences,
+            stated_of_nobody(dict(parameters.statures_m), frames.person_id.tolist()),
+        ),
+    )
+
+
+def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> str:
+    """Say of which people who are not there a stature is stated; nothing where there are none."""
+    absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known)))) or "none"
+    whom = ", ".join(map(str, absent))
+    return f"a stature is stated for person {whom}, who is not there; people: {people}" if absent else ""
+
+
+def _verdict(
+    is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople], of_nobody: str
+) -> Verdict:
+    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped.
+
+    What is stated `of_nobody` is doubted.  Tracks that were joined are said, which is no fault.
+    """
+    reasons, share_seen = [], float(is_seen.mean())
+    if share_seen < GOOD_SHARE_SEEN:
+        reasons.append(f"{share_seen:.0%} of the joints are seen")
+    if num_skipped:
+        reasons.append(f"{num_skipped} of {num_files} frames could not be read and were skipped")
+    reasons += [of_nobody] if of_nobody else []
+    is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
+    level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
+    reasons += [row.as_joined() for one in sequences for row in one.joined]
+    figure = ("joints seen", 100 * share_seen, "%")
+    return Verdict(level, "; ".join(reasons), *figure, count=len(is_seen), thing="people in frames")

@@ -1,0 +1,1 @@
+"""Takes: motion of people from files, and built-in duets."""

@@ -9,7 +9,8 @@ A row says who the person is, for some frames, that following found (or the sour
     clip1,40,61,3,nobody
 
 Both frames are included.  Two persons who are one get the same number in `is`, one who is two gets a row for each part,
-and `nobody` drops them.  Whom no row names stays who they are.
+and `nobody` drops them.  Whom no row names stays who they are.  A column `partner` may state the partner of a person,
+by the number that the partner has in `is`.
 """
 
 from __future__ import annotations
@@ -25,18 +26,23 @@ from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.text import Lines, parse_integer, shorten
 
 COLUMNS = ("sequence", "first_frame", "last_frame", "person", "is")
+PARTNER = "partner"
 NOBODY = "nobody"
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Who a person of a sequence is in the frames from `first_frame` to `last_frame`; -1 for nobody."""
+    """Who a person of a sequence is in the frames from `first_frame` to `last_frame`; -1 for nobody.
+
+    `partner` is the person stated as the partner; None where nobody is stated.
+    """
 
     sequence_id: str
     first_frame: int
     last_frame: int
     person: int
     is_person: int
+    partner: int | None = None
 
     @classmethod
     def from_words(cls, row: str) -> Decision:
@@ -62,12 +68,13 @@ def read_decisions(data: bytes | str) -> list[Decision]:
     """Read the table."""
     found: list[Decision] = []
     with Lines(data, "table of people") as lines:
-        for row in lines.table(COLUMNS, COLUMNS)[1]:
+        for row in lines.table(COLUMNS, (*COLUMNS, PARTNER))[1]:
             first, last, person = (parse_integer(row[name], name) for name in COLUMNS[1:4])
             is_person = -1 if row["is"].lower() == NOBODY else parse_integer(row["is"], f"is (a person or '{NOBODY}')")
             if last < first:
                 raise FormatError(f"frames {first} to {last} end before they begin")
-            one = Decision(row["sequence"], first, last, person, is_person)
+            partner = parse_integer(row[PARTNER], PARTNER) if row.get(PARTNER) else None
+            one = Decision(row["sequence"], first, last, person, is_person, partner)
             for other in found:
                 is_same = (other.sequence_id, other.person) == (one.sequence_id, one.person)
                 if is_same and other.first_frame <= last and first <= other.last_frame:
@@ -82,6 +89,25 @@ def read_decisions(data: bytes | str) -> list[Decision]:
 def write_decisions(decisions: Iterable[Decision]) -> str:
     """Return the table."""
     return "".join(f"{row}\n" for row in (",".join(COLUMNS), *(one.in_words() for one in decisions)))
+
+
+def couples_of(decisions: Iterable[Decision]) -> list[tuple[int, int]]:
+    """Return the couples that decisions about one sequence state, each once, the smaller number first.
+
+    Raises:
+        InputError: Somebody is to have two partners, or is nobody or themselves.
+    """
+    couples: dict[int, int] = {}
+    for row in decisions:
+        if row.partner is None:
+            continue
+        for person, partner in ((row.is_person, row.partner), (row.partner, row.is_person)):
+            if min(person, partner) < 0 or person == partner or couples.setdefault(person, partner) != partner:
+                also = couples.get(person, partner)
+                other = f" and of {also}" if also != partner else ""
+                where = f"people of '{row.sequence_id}', row '{row.in_words()}'"
+                raise InputError(f"{where}: {person} cannot be the partner of {partner}{other}")
+    return sorted({(min(both), max(both)) for both in couples.items()})
 
 
 def decide(

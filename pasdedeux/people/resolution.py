@@ -7,13 +7,13 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.broken import find_breaks, join_breaks
-from pasdedeux.people.decisions import Decision, decide, spans_of
+from pasdedeux.people.decisions import Decision, couples_of, decide, spans_of
 from pasdedeux.people.identity import follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
 from pasdedeux.people.repair import repair_rows
@@ -33,11 +33,22 @@ class PeopleSettings(Settings):
         "every frame (OpenPose, COCO without track_id) and checked by pose and motion where they are not.  Single "
         "images are never followed: numbers far apart, or nobody near anybody of the image before",
     )
+    couples: tuple[tuple[int, int], ...] = Field(
+        (), description="Partners that are known, by their numbers; who is in none gets a partner by nearness and size"
+    )
     has_repair: bool = Field(
         True,
         description="Swapped sides, exchanged limbs and wild keypoints of a video are put right or masked; not where "
         "its frames are typically more than half a second apart",
     )
+
+    @field_validator("couples")
+    @classmethod
+    def _check_couples(cls, couples: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
+        people = [person for couple in couples for person in couple]
+        if len(set(people)) < len(people):
+            raise ValueError("a person is in two couples, or twice in one")
+        return couples
 
 
 @dataclass(frozen=True)
@@ -177,6 +188,11 @@ def resolve_people(
         )
     if not sum(len(one.rows.frame) for one in found):
         raise NobodyError("no frame shows enough joints of a person")
+    paired = {(pair.first, pair.second) for one in found for pair in one.decided.pairs}
+    for couple in settings.couples if settings and not is_start else ():
+        if tuple(sorted(couple)) not in paired:
+            people = sorted({person for one in found for person in one.rows.person_id.tolist()})
+            raise InputError(f"couple {list(couple)} is never seen together; persons: {', '.join(map(str, people))}")
     columns: dict[str, Any] = {
         field.name: np.concatenate([getattr(one.rows, field.name) for one in found]) for field in fields(SequenceRows)
     }
@@ -256,7 +272,8 @@ def resolve_sequence(
             rows.frame, rows.person_id, rows.keypoints_px, rows.confidence, op14, layout, rate_hz=rate_hz
         )
         rows = replace(rows, keypoints_px=keypoints_px, confidence=confidence)
-    pairs, partner = _partners(rows, op14, has_identities=has_numbers)
+    couples = [*(settings.couples if has_numbers else ()), *couples_of(decisions)]
+    pairs, partner = _partners(rows, op14, couples, has_identities=has_numbers)
     num_people = len(np.unique(rows.person_id))
     counts = (merged, ghosts, repaired, renamed)
     found = SequencePeople(sequence_id, num_people, tuple(pairs), reason, *counts, tuple(spans), tuple(joined))
@@ -295,15 +312,21 @@ def _names_of(rows: SequenceRows, track_id: Integers) -> Integers:
     return person_id
 
 
-def _partners(rows: SequenceRows, op14: Keypoints, *, has_identities: bool) -> tuple[list[Paired], Integers]:
-    """Return the pairs of a sequence, and each row's partner; images whose people have no names are paired singly."""
+def _partners(
+    rows: SequenceRows, op14: Keypoints, couples: Sequence[tuple[int, int]], *, has_identities: bool
+) -> tuple[list[Paired], Integers]:
+    """Return the pairs of a sequence, and each row's partner; images whose people have no names are paired singly.
+
+    `couples` are those that are stated.
+    """
     partner = np.full(len(rows.frame), -1, dtype=np.int64)
     groups = [np.arange(len(rows.frame))]
     if not has_identities:
         groups = [np.flatnonzero(rows.frame == number) for number in np.unique(rows.frame)]
     pairs: list[Paired] = []
     for group in groups:
-        pairs = choose_pairs(rows.frame[group], rows.person_id[group], op14.positions[group], op14.confidence[group])
+        seen = (rows.frame[group], rows.person_id[group], op14.positions[group], op14.confidence[group])
+        pairs = choose_pairs(*seen, couples)
         for pair in pairs:
             for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
                 partner[group[rows.person_id[group] == one]] = other

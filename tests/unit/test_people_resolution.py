@@ -9,6 +9,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.people.decisions import read_decisions
 from pasdedeux.people.pairs import choose_pairs
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
 from pasdedeux.skeletons import OP14
@@ -226,6 +227,39 @@ def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -
     assert (pair.first, pair.second, pair.num_near) == (0, 2, 10)
     far, px[ids == 1] = ids != 2, px[ids == 1] + [150.0, 0.0]
     assert choose_pairs(frame[far], ids[far], px[far], seen[far]) == []
+
+
+def crowd(*, first: int = 0) -> Detections:
+    """Film a waltz whose partner comes late, before and behind people as near in the image as a partner."""
+    couple = duet_couple("waltz", duration_s=4.0)
+    still = np.repeat(couple[:1], len(couple), axis=0)
+    people = [couple[:, 0], couple[:, 1], still[:, 0] + [0.3, 0.0, -2.2], still[:, 1] + [-0.5, 0.0, 1.9]]
+    seen = film(np.random.default_rng(1), np.stack(people, axis=1), noise_px=2.0, yaw_rad=0.0)
+    return seen.rows((seen.true_id != 1) | (seen.frame >= first))
+
+
+@pytest.mark.parametrize("first", [0, 85])
+def test_partners_are_of_one_size_and_close_also_who_comes_late(first: int) -> None:
+    resolved = resolve_people(rows_of(crowd(first=first), has_identities=True))
+    assert [(pair.first, pair.second) for pair in resolved.sequences[0].pairs] == [(0, 1)]
+    partner = {tuple(pair) for pair in np.stack([resolved.frames.person_id, resolved.partner_id], axis=1).tolist()}
+    assert partner == {(0, 1), (1, 0), (2, -1), (3, -1)}
+
+
+def test_couples_that_are_stated_come_before_what_is_seen() -> None:
+    rows = rows_of(crowd(), has_identities=True)
+    resolved = resolve_people(rows, PeopleSettings(couples=((3, 0),)))
+    assert (resolved.sequences[0].pairs[0].first, resolved.sequences[0].pairs[0].second) == (0, 3)
+    table = b"sequence,first_frame,last_frame,person,is,partner\nvideo,0,119,1,5,2\nvideo,0,119,2,2,\n"
+    resolved = resolve_people(rows, decisions=read_decisions(table))
+    assert (resolved.sequences[0].pairs[0].first, resolved.sequences[0].pairs[0].second) == (2, 5)
+    with pytest.raises(InputError, match=r"couple \[0, 9\] is never seen together; persons: 0, 1, 2, 3"):
+        resolve_people(rows, PeopleSettings(couples=((0, 9),)))
+    with pytest.raises(ValueError, match="a person is in two couples"):
+        PeopleSettings(couples=((0, 1), (1, 2)))
+    two = b"sequence,first_frame,last_frame,person,is,partner\nvideo,0,119,1,1,0\nvideo,0,119,2,2,0\n"
+    with pytest.raises(InputError, match=r"people of 'video', row .*: 0 cannot be the partner of 2 and of 1"):
+        resolve_people(rows, decisions=read_decisions(two))
 
 
 LEGS = frozenset(OP14.indices([f"{side}_{joint}" for side in ("left", "right") for joint in ("knee", "ankle")]))

@@ -120,7 +120,6 @@ def write_annotation_csv(frames: AnnotatedFrames) -> str:
 
 ANNOTATION_CSV = AnnotationFormat(
     name="annotation_csv",
-    recognised_by="CSV with the columns frame, joint, x, y",
     suffixes=(".csv",),
     recognises=lambda start: set(_NEEDED) <= set(start.columns),
     read_file=read_annotation_csv,

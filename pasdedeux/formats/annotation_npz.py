@@ -74,7 +74,6 @@ def read_annotation_npz(
 
 ANNOTATION_NPZ = AnnotationFormat(
     name="annotation_npz",
-    recognised_by="npz archive with 'keypoints_px'",
     suffixes=(".npz",),
     recognises=lambda start: "keypoints_px" in start.array_names,
     read_file=read_annotation_npz,

@@ -268,7 +268,6 @@ def _read_rows(data: bytes | str, columns: Mapping[str, tuple[int, int]]) -> tup
 
 ASF_AMC = MotionFormat(
     name="asf_amc",
-    recognised_by="AMC with :FULLY-SPECIFIED or :DEGREES",
     suffixes=(".amc",),
     recognises=lambda start: _has(start, "fully-specified|degrees|radians") and not _has(start, "bonedata"),
     read=lambda data, companion: read_amc(data, read_asf(companion)),

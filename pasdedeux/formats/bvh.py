@@ -18,6 +18,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.euler import turn_joints
 from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
+from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import Lines, parse_integer, parse_number, parse_numbers, shorten
 from pasdedeux.skeletons import Skeleton
@@ -115,7 +116,6 @@ def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion
 
 BVH = MotionFormat(
     name="bvh",
-    recognised_by="starts with HIERARCHY",
     suffixes=(".bvh",),
     recognises=lambda start: start.text[:9].upper() == "HIERARCHY" and not start.text[9:10].isalnum(),
     read=lambda data, companion: read_bvh(data),
@@ -132,7 +132,6 @@ def _is_rows(start: FileStart) -> bool:
 
 ROTATION_ROWS = MotionFormat(
     name="rotation_rows",
-    recognised_by="rows of nothing but numbers, three for each joint",
     suffixes=(),
     recognises=_is_rows,
     read=read_rotation_rows,
@@ -140,21 +139,6 @@ ROTATION_ROWS = MotionFormat(
     companion_names=lambda name: ("template.bvh", "../template.bvh"),
 )
 """Rows of angles over a BVH template; they say nothing of rate, unit and axis."""
-
-
-def rate_from_frame_time(token: str) -> float:
-    """Return the frame rate that a frame time means as written.
-
-    Files cut the time to a few digits: 0.0333 is 30 Hz and 0.008333 is 120 Hz.  If exactly one whole number of frames
-    per second rounds or cuts to these digits it is meant; otherwise the inverse is (0.033367 is 29.97 Hz).
-    """
-    time = float(token)
-    mantissa, _, exponent = token.lower().partition("e")
-    num_decimals = len(mantissa.partition(".")[2]) - (int(exponent) if exponent else 0)
-    step = max(10.0**-num_decimals, time * 1e-12)
-    lowest, highest = 1.0 / (time + step), 1.0 / max(time - step, time * 1e-3)
-    first, last = np.ceil(lowest), np.floor(highest)
-    return float(first) if first == last and first > 0 else 1.0 / time
 
 
 @dataclass
@@ -261,7 +245,7 @@ def _read(data: bytes | str) -> tuple[BvhHierarchy, Array, float]:
         num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames", 1)
         frame_time = _stated(lines, "Frame Time:")
         parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
-        return hierarchy, hierarchy.read_rows(lines, num_frames), rate_from_frame_time(frame_time)
+        return hierarchy, hierarchy.read_rows(lines, num_frames), rate_from_frame_time(frame_time)[0]
 
 
 def _stated(lines: Lines, label: str) -> str:

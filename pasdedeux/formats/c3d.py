@@ -9,28 +9,24 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
-from pasdedeux.formats.positions_as_motion import source_from_positions
+from pasdedeux.formats.labelled_points import LabelledPoints
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
-from pasdedeux.skeletons import BODY22
+from pasdedeux.formats.text import MAX_COUNT
 
 _BLOCK = 512
 _MAGIC, _INTEL = 0x50, 84
 _MAX_FRAMES = 0xFFFF
+"""Frames that the header can count; longer files say the number elsewhere, or not at all."""
 _PER_LIST = 255
 """Labels that one parameter holds; more go on in LABELS2, LABELS3, ..."""
-_METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "inches": 0.0254, "ft": 0.3048}
-_MAX_PEOPLE = 26
+_LONG_FRAMES = ("POINT:LONG_FRAMES", "POINT:FRAMES")
 _DTYPES = {1: "<i1", 2: "<i2", 4: "<f4"}
 
 
@@ -42,16 +38,13 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
         labels: Names of the points.
         rate_hz: Frames per second.
         facts: Further parameters, texts, of the group PASDEDEUX, by their names.
-
-    Raises:
-        FormatError: There are more frames than a C3D file can count.
     """
     frames, count, _ = positions_m.shape
-    if frames > _MAX_FRAMES:
-        raise FormatError(f"a C3D file counts {_MAX_FRAMES} frames at most, here are {frames}; export fewer, or as glb")
+    shown_frames = min(frames, _MAX_FRAMES)
     point = _Group(1, "POINT")
     point.add("USED", np.array([count], "<i2"))
-    point.add("FRAMES", np.array([frames], "<u2").view("<i2"))
+    point.add("FRAMES", np.array([shown_frames], "<u2").view("<i2"))
+    point.add("LONG_FRAMES", np.array([frames], "<f4"))
     point.add("SCALE", np.array([-1.0], "<f4"))
     start = point.add("DATA_START", np.array([0], "<i2"))
     point.add("RATE", np.array([rate_hz], "<f4"))
@@ -73,7 +66,7 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
     parameters[:4] = bytes([1, _MAGIC, len(parameters) // _BLOCK, _INTEL])
     struct.pack_into("<h", parameters, 4 + start, first)
     header = bytearray(_BLOCK)
-    struct.pack_into("<BBHHHHHfHHf", header, 0, 2, _MAGIC, count, 0, 1, frames, 0, -1.0, first, 0, rate_hz)
+    struct.pack_into("<BBHHHHHfHHf", header, 0, 2, _MAGIC, count, 0, 1, shown_frames, 0, -1.0, first, 0, rate_hz)
     data = np.zeros((frames, count, 4), "<f4")
     data[..., :3] = 1e3 * positions_m
     body = data.tobytes()
@@ -104,17 +97,7 @@ class _Group:
         return len(self.data) - 1 - len(raw)
 
 
-@dataclass(frozen=True)
-class Points:
-    """The points of a C3D file: positions (frame, point, 3) in the file's unit, NaN where there is a gap."""
-
-    labels: tuple[str, ...]
-    positions: Array
-    rate_hz: float
-    unit: str
-
-
-def read_points(data: bytes) -> Points:
+def read_points(data: bytes) -> LabelledPoints:
     """Read the points of a C3D file.
 
     Raises:
@@ -130,7 +113,7 @@ def read_points(data: bytes) -> Points:
         raise FormatError(f"this is a damaged C3D file: {str(error)[:80] or type(error).__name__}") from None
 
 
-def _read_points(data: bytes) -> Points:
+def _read_points(data: bytes) -> LabelledPoints:
     block, magic, count, _, first, last, _, scale, start, _, rate_hz = struct.unpack_from("<BBHHHHHfHHf", data)
     if magic != _MAGIC or not block >= 2:
         raise FormatError("this is a damaged C3D file: its header does not begin as one")
@@ -144,8 +127,6 @@ def _read_points(data: bytes) -> Points:
         labels += parameters.get(name, [])
     if count == 0:
         raise FormatError("this C3D file holds analog data only: it has no points")
-    frames = last - first + 1
-    check_range(frames, "the number of frames of this damaged C3D file", 1, _MAX_FRAMES)
     if len(labels) < count:
         raise FormatError(f"this is a damaged C3D file: it has {count} points, but {len(labels)} labels")
     rate_hz = float(parameters.get("POINT:RATE", np.array([rate_hz]))[0])
@@ -155,6 +136,7 @@ def _read_points(data: bytes) -> Points:
     size, wide = (4, "<f4") if is_float else (2, "<i2")
     row = (4 * count + analog) * size
     place = (start - 1) * _BLOCK
+    frames = _num_frames(parameters, first, last, data[place:] if start >= 2 else b"", row)
     body = data[place : place + frames * row]
     if start < 2 or len(body) < frames * row:
         raise FormatError(
@@ -166,7 +148,33 @@ def _read_points(data: bytes) -> Points:
         positions = values[..., :3] * (1.0 if is_float else scale)
     positions[values[..., 3] < 0] = np.nan  # a residual below zero: the point was not seen
     unit = "".join(parameters.get("POINT:UNITS", [""])).strip().lower()
-    return Points(tuple(labels[:count]), positions, rate_hz, unit)
+    return LabelledPoints("C3D file", tuple(labels[:count]), positions, rate_hz, unit)
+
+
+def _num_frames(parameters: Mapping[str, Array | list[str]], first: int, last: int, body: bytes, row: int) -> int:
+    """Return how many frames of `row` bytes there are, also where the 16 bits of the header are too few.
+
+    Then a parameter says it; else the data do, whose last block is filled up with zeros.
+    """
+    frames = (last - first + 1) & _MAX_FRAMES or _MAX_FRAMES + 1
+    stated = [float(np.ravel(parameters[name])[0]) for name in _LONG_FRAMES if name in parameters]
+    start, end = (parameters.get(f"TRIAL:ACTUAL_{which}_FIELD") for which in ("START", "END"))
+    if isinstance(start, np.ndarray) and isinstance(end, np.ndarray) and start.size == end.size == 2:
+        low, high = (end.astype(np.int64) & _MAX_FRAMES) - (start.astype(np.int64) & _MAX_FRAMES)
+        stated.append(float(low + (high << 16) + 1))
+    if stated and _MAX_FRAMES < max(stated) < MAX_COUNT:
+        return int(max(stated))
+    there = len(body) // row
+    if last == _MAX_FRAMES:
+        while (
+            there > frames
+            and len(body) - (there - 1) * row < row + _BLOCK
+            and not any(body[(there - 1) * row : there * row])
+        ):
+            there -= 1
+        return max(there, frames)
+    wraps, left = divmod(there - frames, _MAX_FRAMES + 1)
+    return frames + wraps * (_MAX_FRAMES + 1) if wraps > 0 and left * row < _BLOCK else frames
 
 
 def _read_parameters(section: bytes) -> dict[str, Array | list[str]]:
@@ -204,49 +212,18 @@ def _read_parameters(section: bytes) -> dict[str, Array | list[str]]:
     return {f"{groups.get(number, '')}:{name}": values for (number, name), values in raw.items()}
 
 
-def read_c3d(data: bytes, companion: bytes = b"", *, person: int = 0) -> SourceMotion:
-    """Read a person of a C3D file whose points are the joints of body22, `A:pelvis` or, of one person, `pelvis`.
-
-    Rotations are swings only.
-
-    Raises:
-        FormatError: As `read_points`; the points are other markers, there are fewer people, or a point has a gap.
-    """
-    points = read_points(data)
-    subjects: dict[str, dict[str, int]] = {}
-    for at, label in enumerate(points.labels):
-        subject, _, joint = label.rpartition(":")
-        if joint in BODY22.joint_names:
-            subjects.setdefault(subject, {})[joint] = at
-    whole = [found for found in subjects.values() if len(found) == BODY22.num_joints]
-    if not whole:
-        missing = next(
-            (f"'{joint}'" for found in subjects.values() for joint in BODY22.joint_names if joint not in found), ""
-        )
-        raise FormatError(
-            f"the points of this C3D file are no joints of a person ({', '.join(points.labels[:4])}, ...); needed are "
-            f"those of body22, with a name and ':' before them where it holds several people"
-            + (f"; {missing} is missing" if missing else "")
-        )
-    if person >= len(whole):
-        raise FormatError(f"person {person}: it holds {len(whole)} people; the take names it more often")
-    positions = points.positions[:, [whole[person][joint] for joint in BODY22.joint_names]]
-    for frame, joint in np.argwhere(~(np.abs(positions) <= MAX_MAGNITUDE).all(axis=-1)):
-        raise FormatError(
-            f"frame {frame}: the point '{BODY22.joint_names[joint]}' is missing, not finite or absurdly large; fill "
-            "gaps in the program that captured it"
-        )
-    rate_hz = check_range(points.rate_hz, "the rate of this damaged C3D file", *RATE_HZ)
-    return source_from_positions(BODY22, positions, rate_hz=rate_hz, metres_per_unit=_METRES.get(points.unit))
+def read_c3d(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:
+    """Read a person of a C3D file, see `LabelledPoints.source`."""
+    return read_points(data).source(person)
 
 
 C3D = MotionFormat(
     name="c3d",
-    recognised_by="a binary file whose second byte is P, as C3D has it",
     suffixes=(".c3d",),
     recognises=lambda start: len(start.head) > 1 and 1 < start.head[0] < ord(" ") and start.head[1] == _MAGIC,
     read=read_c3d,
-    others=tuple(partial(read_c3d, person=person) for person in range(1, _MAX_PEOPLE)),
+    read_other=read_c3d,
+    count_people=lambda data: read_points(data).num_people,
     has_rotations=False,
 )
 """Labelled points of joints: it states its rate and its unit, not which axis points up."""

@@ -186,7 +186,6 @@ def _is_image_result(start: FileStart) -> bool:
 
 COCO = AnnotationFormat(
     name="coco",
-    recognised_by="JSON with 'annotations', 'images', 'image_id' or 'instances'",
     suffixes=(".json",),
     recognises=_is_coco,
     read_file=read_coco,
@@ -194,7 +193,6 @@ COCO = AnnotationFormat(
 """COCO keypoints: they may state the size of the images, seldom the rate."""
 IMAGE_RESULTS = AnnotationFormat(
     name="image_results",
-    recognised_by="JSON list of one image's people with 'keypoints'",
     suffixes=(".json",),
     recognises=_is_image_result,
     read_people=read_image_results,

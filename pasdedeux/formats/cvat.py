@@ -165,7 +165,6 @@ def _size(width: str, height: str, where: str) -> tuple[int, int]:
 
 CVAT = AnnotationFormat(
     name="cvat",
-    recognised_by="XML that begins with <annotations>",
     suffixes=(".xml",),
     recognises=lambda start: start.text.startswith("<") and "<annotations" in start.text,
     read_file=read_cvat,

@@ -9,8 +9,6 @@ in millimetres, Z up, 25 frames a second.  The data are given out for research o
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from pasdedeux.errors import FormatError
@@ -32,7 +30,7 @@ _RATE_HZ = 25.0
 _METRES_PER_UNIT = 1e-3
 
 
-def read_expi(data: bytes, companion: bytes = b"", *, person: int = 0) -> SourceMotion:
+def read_expi(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:
     """Read one person of a take as a motion whose rotations are swings only: 0 is the leader, 1 the follower.
 
     Raises:
@@ -69,11 +67,11 @@ def _is_number(token: str) -> bool:
 
 EXPI = MotionFormat(
     name="expi",
-    recognised_by="a line of names, then lines of 108 numbers separated by commas",
     suffixes=(".tsv",),
     recognises=_is_expi,
     read=read_expi,
-    others=(partial(read_expi, person=1),),
+    read_other=read_expi,
+    count_people=lambda data: _NUM_PERSONS,
     has_rotations=False,
 )
 """Positions of the two people of an ExPI take: 25 Hz, millimetres."""

@@ -94,13 +94,11 @@ class FileFormat:
 
     Args:
         name: Name in a study (`format = "bvh"`) and in the column `source_format`.
-        recognised_by: What its files have that others have not, in words, for a message about a file of no format.
         suffixes: Endings of such files, lower case with the dot: which files of a folder are inspected.
         recognises: Tells from its content whether a file is of this format; true for no good file of another format.
     """
 
     name: str
-    recognised_by: str
     suffixes: tuple[str, ...]
     recognises: Callable[[FileStart], bool]
 
@@ -120,9 +118,10 @@ class MotionFormat(FileFormat):
         companion_names: Returns where the companion of a file of this name may lie, relative to its folder, likeliest
             first.
         is_companion: Tells whether a file, of no format itself, is what files of this format need beside them.
+        check_companion: Reads such a companion and refuses a mangled one, so that faults get its own name.
         has_rotations: False when files hold positions only, so that rotations are swings.
-        others: Read the further people of a file that holds several; `read` reads the first.  A take names such a
-            file once for each.
+        read_other: Reads the person of a number, from 0, of a file that may hold several; `read` reads the first.
+        count_people: Returns how many people a file holds.
     """
 
     read: Callable[[bytes, bytes], SourceMotion]
@@ -131,7 +130,9 @@ class MotionFormat(FileFormat):
     companion_names: Callable[[str], Sequence[str]] = lambda name: ()
     is_companion: Callable[[FileStart], bool] = lambda start: False
     has_rotations: bool = True
-    others: tuple[Callable[[bytes, bytes], SourceMotion], ...] = ()
+    check_companion: Callable[[bytes], object] = lambda data: None
+    read_other: Callable[[bytes, bytes, int], SourceMotion] | None = None
+    count_people: Callable[[bytes], int] = lambda data: 1
 
     def read_person(self, number: int, data: bytes, companion: bytes = b"") -> SourceMotion:
         """Read the person that a take means where it names the file for the `number`-th time, from 0.
@@ -139,19 +140,27 @@ class MotionFormat(FileFormat):
         Raises:
             FormatError: The file holds several people, and fewer than that; or as `read`.
         """
-        if number == 0 or not self.others:
+        if number == 0 or self.read_other is None:
             return self.read(data, companion)
-        if number > len(self.others):
-            raise FormatError(f"it holds {1 + len(self.others)} people; the take names it more often")
-        return self.others[number - 1](data, companion)
+        count = self.count_people(data)
+        if number >= count:
+            held = "1 person" if count == 1 else f"{count} people"
+            raise FormatError(f"person {number}: it holds {held}; the take names it more often")
+        return self.read_other(data, companion, number)
 
     def read_head(self, data: bytes, companion: bytes = b"", *, number: int = 0) -> MotionHead:
         """Return skeleton and length of a person, as `read_person` counts them, after checking the file."""
-        if self.head:
+        if self.head and number == 0:
             return self.head(data, companion)
         source = self.read_person(number, data, companion)
-        stated = {"rate_hz": source.rate_hz, "metres_per_unit": source.metres_per_unit}
-        return MotionHead(SourceMotion.at_rest(source.skeleton, source.rest_offsets, **stated), source.num_frames)
+        rest = SourceMotion.at_rest(
+            source.skeleton,
+            source.rest_offsets,
+            rate_hz=source.rate_hz,
+            metres_per_unit=source.metres_per_unit,
+            notes=source.notes,
+        )
+        return MotionHead(rest, source.num_frames)
 
 
 @dataclass(frozen=True, kw_only=True)

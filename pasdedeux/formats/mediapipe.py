@@ -75,7 +75,6 @@ def _is_mediapipe(start: FileStart) -> bool:
 
 MEDIAPIPE = AnnotationFormat(
     name="mediapipe",
-    recognised_by="JSON of 'landmarks' or points with 'x' and 'y', or CSV with a column landmark or nose_x or x0",
     suffixes=(".json", ".csv"),
     recognises=_is_mediapipe,
     read_file=read_mediapipe,

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
+from pasdedeux.formats.foreign import refuse_foreign
 from pasdedeux.kinematics import Motion
 
 MAX_UNPACKED_BYTES = 1 << 30
@@ -78,6 +79,7 @@ def get_array(
 
 @contextmanager
 def _opened(data: bytes, what: str) -> Iterator[zipfile.ZipFile]:
+    refuse_foreign(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()

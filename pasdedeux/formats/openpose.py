@@ -43,7 +43,6 @@ def read_people(data: bytes | str) -> list[Detection]:
 
 OPENPOSE = AnnotationFormat(
     name="openpose",
-    recognised_by="JSON with 'people'",
     suffixes=(".json",),
     recognises=lambda start: start.has_key("people"),
     read_people=read_people,

@@ -1,6 +1,6 @@
 """Our npz of 3D joint positions without rotations.
 
-`positions_m` (frame, joint, 3) of one person, metres, `joint_names` (joint,) of texts,
+`positions_m` (frame, joint, 3) of one person or (frame, person, joint, 3), metres, `joint_names` (joint,) of texts,
 `parents` (joint,) with -1 for the root (optional when the names are those of body22), `rate_hz`.
 """
 
@@ -13,17 +13,24 @@ from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.npz import get_array, read_npz
 from pasdedeux.formats.positions_as_motion import source_from_positions
+from pasdedeux.formats.rates import plain_rate
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
 from pasdedeux.skeletons import BODY22, Skeleton
 
 _MAX_JOINTS = 1000
+_MAX_PEOPLE = 26
 
 
-def read_positions_npz(data: bytes, companion: bytes = b"") -> SourceMotion:
-    """Read an npz of 3D positions as a motion whose rotations are swings only, in metres."""
+def read_positions_npz(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:
+    """Read a person of an npz of 3D positions as a motion whose rotations are swings only, in metres."""
     arrays = read_npz(data, "archive of positions")
-    positions = get_array(arrays, "positions_m", "f", (None, None, 3)).astype(np.float64)
+    axes = np.ndim(arrays.get("positions_m", ()))
+    positions = get_array(arrays, "positions_m", "f", (None, None, None, 3) if axes == 4 else (None, None, 3))
+    if axes == 4:
+        check_range(positions.shape[1], "the number of people of array 'positions_m'", 1, _MAX_PEOPLE)
+        positions = positions[:, person]
+    positions = positions.astype(np.float64)
     num_frames, num_joints, _ = positions.shape
     check_range(num_frames, "the number of frames of array 'positions_m'", 1, np.inf)
     check_range(num_joints, "the number of joints of array 'positions_m'", 1, _MAX_JOINTS)
@@ -35,16 +42,22 @@ def read_positions_npz(data: bytes, companion: bytes = b"") -> SourceMotion:
         raise FormatError(f"frame {frame}: the position of '{names[joint]}' is not finite or absurdly large")
     rate_hz = None
     if "rate_hz" in arrays:
-        rate_hz = check_range(float(get_array(arrays, "rate_hz", "fiu", ())), "'rate_hz'", *RATE_HZ)
+        rate_hz = check_range(plain_rate(float(get_array(arrays, "rate_hz", "fiu", ()))), "'rate_hz'", *RATE_HZ)
     return source_from_positions(skeleton, positions, rate_hz=rate_hz, metres_per_unit=1.0)
+
+
+def _count_people(data: bytes) -> int:
+    shape = read_npz(data, "archive of positions", "positions_m".__eq__)["positions_m"].shape
+    return shape[1] if len(shape) == 4 else 1
 
 
 POSITIONS_NPZ = MotionFormat(
     name="positions_npz",
-    recognised_by="npz archive with 'positions_m'",
     suffixes=(".npz",),
     recognises=lambda start: "positions_m" in start.array_names,
     read=read_positions_npz,
+    read_other=read_positions_npz,
+    count_people=_count_people,
     has_rotations=False,
 )
 """Our npz of 3D positions: metres, y up; it may state its rate."""

@@ -18,16 +18,19 @@ from pasdedeux.formats.cvat import CVAT
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.expi import EXPI
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
+from pasdedeux.formats.foreign import refuse_foreign
 from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.smpl import SMPL
+from pasdedeux.formats.text import shorten
+from pasdedeux.formats.trc import TRC
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
 MOTION_FORMATS: Mapping[str, MotionFormat] = {
-    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, SMPL)
+    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, TRC, SMPL)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
     one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, CVAT, ANNOTATION_CSV, ANNOTATION_NPZ)
@@ -38,6 +41,7 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     """Return the format of a file by its content, never by its name."""
     if not data.strip():
         raise FormatError("this file is empty")
+    refuse_foreign(data)
     start = FileStart(data)
     known: list[MotionFormat | AnnotationFormat] = [*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()]
     for one in known:
@@ -46,23 +50,19 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     for one in MOTION_FORMATS.values():
         if one.is_companion(start):
             raise FormatError(f"this is the {one.companion} of files of the format '{one.name}', not a motion itself")
-    if start.head[:1] == b"\x80" and start.head[1:2] <= b"\x05":
-        raise FormatError(
-            "this is a pickle, which may run any program when it is opened and is never opened here; "
-            "docs/body-models.md has the lines that turn one into npz"
-        )
-    if start.head.startswith(b"glTF") or (start.has_key("asset") and start.has_key("meshes", "nodes")):
-        raise FormatError(
-            "this is a glTF scene, which is written here and not read: import it into Blender and export its armature "
-            "as BVH, a file for each person"
-        )
+    if start.has_key("asset") and start.has_key("meshes", "nodes"):
+        refuse_foreign(b"glTF")
+    shown = shorten(start.first_row) if start.first_row.isprintable() and "\ufffd" not in start.first_row else ""
+    holds = f"text that begins with '{shown}'" if shown else "binary data"
     raise FormatError(
-        "this file is none of the known formats: " + "; ".join(f"{one.name} ({one.recognised_by})" for one in known)
+        f"this file is none of the known formats, it holds {holds}; motions are read from BVH, ASF/AMC, C3D, TRC and "
+        "npz, 2D poses from JSON, CSV, XML and npz (docs/formats-and-units.md)"
     )
 
 
 def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
     """Return the format of this name, or for "auto" the one that a file's content shows."""
+    refuse_foreign(data)
     if name != "auto":
         return known[name]
     found = recognise_format(data).name

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,8 @@ from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.guess import guess_up_axis
-from pasdedeux.formats.npz import get_array, read_npz
+from pasdedeux.formats.npz import array_names, get_array, read_npz
+from pasdedeux.formats.rates import plain_rate
 from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
 from pasdedeux.kinematics import (
@@ -164,7 +165,7 @@ def read_body_model(data: bytes) -> BodyModel:
     return BodyModel(Skeleton(_KIND_OF_COUNT[count], names, parents), joints, shape)
 
 
-def read_smpl(data: bytes, companion: bytes = b"", *, person: int = 0) -> SourceMotion:
+def read_smpl(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:
     """Read the parameters of one person; of a file of two their arrays are `person1_trans`, `person2_trans`, ...
 
     The rest pose stands along the axis along which the body stands in the file, Y or Z, so that both are turned alike.
@@ -183,7 +184,7 @@ def read_smpl(data: bytes, companion: bytes = b"", *, person: int = 0) -> Source
         raise FormatError(f"frame {frame}: a parameter is not finite or absurdly large")
     rest, rate_hz = model.rest_m(_betas(arrays, len(rotvecs))), None
     if _RATE in arrays:
-        rate_hz = check_range(float(get_array(arrays, _RATE, "fiu", ())), "the frame rate", *RATE_HZ)
+        rate_hz = check_range(plain_rate(float(get_array(arrays, _RATE, "fiu", ()))), "the frame rate", *RATE_HZ)
     return _standing_in_file(
         SourceMotion(
             skeleton=model.skeleton,
@@ -231,9 +232,12 @@ def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
         who, bare = _base(name)
         if who == person or _CALLED[bare] == _RATE:
             found[_CALLED[bare]] = values
-    if "trans" not in found and person:
-        raise FormatError(f"person {person}: it holds 1 person; the take names it more often")
     return found
+
+
+def _count_people(data: bytes) -> int:
+    """Return 2 where there is `person2_trans`."""
+    return 1 + any(_base(name)[0] for name in array_names(data) if _is_parameter(name))
 
 
 def _rotvecs(arrays: Mapping[str, Any], model: BodyModel) -> Array:
@@ -297,14 +301,15 @@ def _is_smpl(start: FileStart) -> bool:
 
 SMPL = MotionFormat(
     name="smpl",
-    recognised_by="npz archive with 'trans' and 'poses' or 'root_orient', as AMASS and Inter-X",
     suffixes=(".npz",),
     recognises=_is_smpl,
     read=read_smpl,
     companion="body model",
     companion_names=lambda name: ("body_model.npz", "../body_model.npz", "../../body_model.npz"),
     is_companion=lambda start: set(_MODEL) <= start.array_names,
-    others=(partial(read_smpl, person=1),),
+    read_other=read_smpl,
+    count_people=_count_people,
+    check_companion=read_body_model,
 )
 """Parameters of SMPL, SMPL-H and SMPL-X: metres; the rate is stated by some."""
 

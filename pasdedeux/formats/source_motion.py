@@ -28,6 +28,7 @@ class SourceMotion:
         end_sites: Names of the joints that are End Sites.
         rate_hz: Frame rate the file states, None where it states none.
         metres_per_unit: Length of the file's unit if the file states it, else None.
+        notes: What the reader assumed or changed, a sentence each.
     """
 
     skeleton: Skeleton
@@ -37,6 +38,7 @@ class SourceMotion:
     end_sites: frozenset[str] = frozenset()
     rate_hz: float | None = None
     metres_per_unit: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def num_frames(self) -> int:
@@ -57,6 +59,7 @@ class SourceMotion:
         *,
         rate_hz: float | None = None,
         metres_per_unit: float | None = None,
+        notes: tuple[str, ...] = (),
     ) -> SourceMotion:
         """Return one frame of a rest pose, its root at the origin."""
         return cls(
@@ -66,6 +69,7 @@ class SourceMotion:
             local_unitquat=identity_unitquat(1, skeleton.num_joints),
             rate_hz=rate_hz,
             metres_per_unit=metres_per_unit,
+            notes=notes,
         )
 
     def to_motion(self, *, metres_per_unit: float, rate_hz: float, up_axis: str = "y") -> Motion:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
+from pasdedeux.formats.foreign import refuse_foreign
 
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
@@ -149,6 +150,7 @@ def decode(data: bytes | str, what: str) -> str:
     if isinstance(data, str):
         text = data
     else:
+        refuse_foreign(data)
         wide = wide_encoding(data)
         try:
             text = data.decode(wide or "utf-8-sig").removeprefix("\ufeff")

@@ -12,6 +12,7 @@ from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.c3d import write_c3d
 from pasdedeux.formats.cvat import write_cvat
+from pasdedeux.formats.trc import write_trc
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
@@ -353,6 +354,14 @@ def c3d_points(subjects: str = "A") -> bytes:
     return write_c3d(np.concatenate(people, axis=1), labels, rate_hz=30.0, facts={"CREDIT": "made up"})
 
 
+def trc_text(subjects: str = "A") -> str:
+    """Return the figure as markers of a TRC file, as often as there are letters, a metre beside each other."""
+    one, _ = figure_motion().world()
+    people = np.stack([one + np.array([1.0 * number, 0.0, 0.0]) for number in range(len(subjects))], axis=1)
+    labels = [f"{subject}:{joint}" for subject in subjects for joint in BODY22.joint_names]
+    return write_trc(people.reshape(len(one), -1, 3), labels, rate_hz=30.0, name="made_up.trc")
+
+
 _EXPI_SIDES = ("shoulder", "elbow", "wrist", "hip", "knee", "heel", "toes")
 EXPI_NAMES = [
     f"{who}-{joint}"
@@ -416,6 +425,7 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
     "positions_npz": (positions_npz(), b""),
     "expi": (expi_tsv(), b""),
     "c3d": (c3d_points(), b""),
+    "trc": (trc_text("AB").encode(), b""),
     "smpl": (amass(), body_model()),
 }
 """A good file of every format of motions, and what must lie beside it."""

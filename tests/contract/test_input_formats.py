@@ -25,9 +25,9 @@ from tests.builders.source_samples import GOOD_ANNOTATIONS, GOOD_MOTIONS
 GOOD = {name: data for name, (data, _) in GOOD_MOTIONS.items()} | {
     name: next(iter(files.values())) for name, files in GOOD_ANNOTATIONS.items()
 }
+JUNK = bytes(range(256)) * 8
 FORMATS: dict[str, FileFormat] = {**MOTION_FORMATS, **ANNOTATION_FORMATS}
 NUMBER = re.compile(rb"[-+]?\d+(\.\d+)?")
-JUNK = bytes(range(256)) * 8
 
 
 def read(name: str, data: bytes) -> object:
@@ -52,10 +52,65 @@ def test_a_format_is_known_from_every_other_by_its_content(name: str) -> None:
     assert recognise_format(GOOD[name]) is FORMATS[name]
 
 
-def test_a_file_of_no_format_is_told_what_formats_are_recognised_by() -> None:
-    with pytest.raises(FormatError, match="none of the known formats") as found:
-        recognise_format(b"hello")
-    assert all(f"{kind.name} ({kind.recognised_by})" in str(found.value) for kind in FORMATS.values())
+ZIPPED = io.BytesIO()
+with zipfile.ZipFile(ZIPPED, "w") as _archive:
+    _archive.writestr("dance/walk.bvh", "HIERARCHY")
+FOREIGN = {
+    b"Kaydara FBX Binary  \0\x1a\0": "an FBX scene, .*export its armature as BVH",
+    b"; FBX 7.4.0 project file\n": "an FBX scene",
+    b"version https://git-lfs.github.com/spec/v1\noid sha256:0": "a git-LFS pointer, .*git lfs pull",
+    b"\n<!DOCTYPE html><html>": "a web page, .*download the file again",
+    ZIPPED.getvalue(): "a zip archive of dance/walk.bvh: unpack it",
+    b"\x1f\x8b\x08\0": "a packed archive: unpack it",
+    b"\x80\x04\x95": "a pickle, which may run any program",
+    b"glTF\x02\0\0\0": "a glTF scene",
+    b'<?xml version="1.0"?>\n<COLLADA version="1.4">': "a COLLADA scene",
+    b'<?xml version="1.0"?>\n<!-- x -->\n<mvnx version="4">': "an MVNX file of Xsens",
+    b"\0\0\0 ftypisom": "a video",
+    b"\x89PNG\r\n": "a picture",
+    b"\x93NUMPY\x01\0": "a single array without names",
+}
+
+
+@pytest.mark.parametrize(("data", "says"), FOREIGN.items(), ids=FOREIGN.values())
+def test_a_file_of_another_kind_is_named_wherever_it_is_opened(data: bytes, says: str) -> None:
+    openings: list[Callable[[bytes], object]] = [recognise_format]
+    openings += [lambda data, one=one: find_format(ANNOTATION_FORMATS, one, data) for one in ANNOTATION_FORMATS]
+    openings += [lambda data, one=one: find_format(MOTION_FORMATS, one, data) for one in MOTION_FORMATS]
+    openings += [lambda data: read_body("x", data), lambda data: read("bvh", data), lambda data: read("asf_amc", data)]
+    for opening in openings:
+        with pytest.raises(FormatError, match=f"this is {says}") as error:
+            opening(data)
+        assert len(str(error.value)) < 200
+
+
+@pytest.mark.parametrize(("data", "holds"), [(b"hello", "text that begins with 'hello'"), (JUNK, "binary data")])
+def test_a_file_of_no_format_is_told_so_in_a_sentence(data: bytes, holds: str) -> None:
+    with pytest.raises(FormatError, match=f"none of the known formats, it holds {holds}; motions are read") as found:
+        recognise_format(data)
+    assert len(str(found.value)) < 300
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"])
+@pytest.mark.parametrize("name", ["bvh", "asf_amc", "trc", "rotation_rows", "expi"])
+def test_texts_are_read_in_any_unicode(name: str, encoding: str) -> None:
+    data, companion = GOOD_MOTIONS[name]
+    again = data.decode().encode(encoding)
+    assert recognise_format(again) is MOTION_FORMATS[name]
+    found, wanted = (MOTION_FORMATS[name].read(one, companion) for one in (again, data))
+    np.testing.assert_array_equal(found.local_unitquat, wanted.local_unitquat)
+
+
+@pytest.mark.parametrize("name", MOTION_FORMATS)
+def test_the_people_of_a_file_are_counted_and_no_more_are_read(name: str) -> None:
+    data, companion = GOOD_MOTIONS[name]
+    kind = MOTION_FORMATS[name]
+    count = kind.count_people(data)
+    for number in range(count):
+        assert kind.read_head(data, companion, number=number).num_frames > 1
+    if kind.read_other is not None:
+        with pytest.raises(FormatError, match=f"person {count}: it holds {count} pe"):
+            kind.read_person(count, data, companion)
 
 
 def test_a_motion_is_no_source_of_2d_poses_and_the_other_way_round() -> None:

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats import bvh_writer
-from pasdedeux.formats.bvh import rate_from_frame_time, read_bvh, read_bvh_head
+from pasdedeux.formats.bvh import read_bvh, read_bvh_head
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.euler import euler_from_unitquat, unitquat_from_euler
+from pasdedeux.formats.rates import plain_rate, rate_from_frame_time
 from pasdedeux.kinematics.rotations import angle_between
 from tests.builders.source_samples import BVH_SMALL, bvh_text, figure_motion
 
@@ -78,7 +79,26 @@ def test_rotation_channels_multiply_in_the_order_listed() -> None:
     ],
 )
 def test_a_cut_frame_time_gives_the_rate_that_was_meant(token: str, rate: float) -> None:
-    assert rate_from_frame_time(token) == pytest.approx(rate, rel=1e-12)
+    assert rate_from_frame_time(token)[0] == pytest.approx(rate, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("token", "rate"),
+    [("0.033", 30), ("0.017", 60), ("0.016", 60), ("0.0083", 120), ("0.008", 120), ("0.042", 24), ("0.03", 30)],
+)
+def test_a_frame_time_of_few_digits_is_the_usual_rate_and_is_said(token: str, rate: float) -> None:
+    found, note = rate_from_frame_time(token)
+    assert found == rate
+    assert (token in note and f"{rate} Hz" in note) or token == "0.042"
+    assert rate_from_frame_time("0.0166667")[1] == rate_from_frame_time("0.033367")[1] == ""
+
+
+@pytest.mark.parametrize(
+    ("stated", "meant"), [(30.0003, 30), (29.9997, 30), (119.99, 120), (29.97, 29.97), (59.94, 59.94)]
+)
+def test_a_rate_that_misses_a_whole_one_by_its_last_digits_is_that_one(stated: float, meant: float) -> None:
+    assert plain_rate(stated) == meant
+    assert plain_rate(1 / 0.0333330) == 30
 
 
 def test_windows_line_ends_byte_order_marks_and_braces_on_one_line_are_read() -> None:

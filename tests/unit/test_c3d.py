@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.c3d import C3D, read_c3d, read_points, write_c3d
+from pasdedeux.formats.c3d import C3D, _num_frames, read_c3d, read_points, write_c3d
+from pasdedeux.formats.labelled_points import LabelledPoints
 from pasdedeux.formats.registry import recognise_format
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store
@@ -60,6 +61,7 @@ def test_people_are_told_apart_by_what_stands_before_the_colon():
     data = c3d_points("AB")
     both = [C3D.read_person(number, data).to_motion(metres_per_unit=1e-3, rate_hz=30.0).world()[0] for number in (0, 1)]
     np.testing.assert_allclose(both[1] - both[0] - [1.0, 0.0, 0.0], 0.0, atol=1e-5)
+    assert C3D.count_people(data) == 2
     with pytest.raises(FormatError, match="person 2: it holds 2 people"):
         C3D.read_person(2, data)
 
@@ -79,7 +81,8 @@ def test_integers_are_scaled_as_the_file_says():
 @pytest.mark.parametrize(
     ("labels", "gap", "sentence"),
     [
-        (["LASI", "RASI", *NAMES[2:]], None, "no joints of a person (LASI, RASI, "),
+        ([f"M{at}" for at in range(22)], None, "no joints of a person (M0, M1, "),
+        (["LASI", "RASI", *NAMES[2:]], None, "the point 'pelvis' is missing"),
         (NAMES, (7, 21), "frame 7: the point 'right_wrist' is missing"),
     ],
 )
@@ -123,9 +126,48 @@ def test_a_parameter_that_states_endless_texts_is_refused_at_once():
         read_c3d(bytes(data))
 
 
-def test_more_frames_than_can_be_counted_are_refused():
-    with pytest.raises(FormatError, match="65535 frames at most, here are 65536"):
-        write_c3d(np.zeros((65536, 1, 3)), ["a"], rate_hz=30.0, facts={})
+@pytest.mark.parametrize("labels", [["A_pelvis", "B_pelvis"], ["anna.pelvis", "anna.head"], ["a:LASI", "b:RASI"]])
+def test_points_that_are_no_whole_bodies_are_nobody(labels):
+    assert LabelledPoints("file", tuple(labels), np.zeros((1, 2, 3)), 30.0, "m").people == []
+
+
+@pytest.mark.parametrize("form", ["{}:{}", "{}_{}", "{}.{}", "sub-{}|{}", "{} {}"])
+def test_a_person_who_lacks_a_joint_stays_that_person(form):
+    labels = [form.format(who, joint) for who in "AB" for joint in NAMES]
+    labels[NAMES.index("left_knee")] = "marker 7"
+    points = LabelledPoints("C3D file", tuple(labels), np.tile(POSITIONS_M, (1, 2, 1)), 30.0003, "mm")
+    assert points.num_people == 2
+    with pytest.raises(FormatError, match=re.escape(f"the point '{form.format('A', 'left_knee')}' is missing")):
+        points.source(0)
+    assert (points.source(1).num_frames, points.source(1).rate_hz) == (12, 30.0)
+
+
+def _long(data, header=None):
+    """Return a file of 70,000 frames as programs write it that know only the 16 bits of the header."""
+    data = bytearray(data.replace(b"LONG_FRAMES", b"SOME_OTHERS"))
+    struct.pack_into("<H", data, 8, 0xFFFF if header is None else header)
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [bytes, _long, lambda data: _long(data, 70_000 & 0xFFFF)],
+    ids=["a parameter says it", "the header is full", "the header wraps around"],
+)
+@pytest.mark.parametrize("num_points", [1, 3, 22])
+def test_seventy_thousand_frames_are_seventy_thousand(spoil, num_points):
+    points = np.random.default_rng(0).normal(size=(70_000, num_points, 3))
+    data = write_c3d(points, [f"p{at}" for at in range(num_points)], rate_hz=120.0, facts={})
+    found = read_points(spoil(data)).positions
+    assert found.shape == points.shape
+    np.testing.assert_allclose(found[-1], 1e3 * points[-1], rtol=1e-5)
+
+
+def test_frames_that_another_program_counts_in_a_trial_are_read():
+    fields = {"START": [1, 0], "END": [65_600 - 65_536, 1]}
+    parameters = {f"TRIAL:ACTUAL_{which}_FIELD": np.array(words, "<i2") for which, words in fields.items()}
+    assert _num_frames(parameters, 1, 0xFFFF, b"", 16) == 65_600
+    assert _num_frames(parameters | {"TRIAL:ACTUAL_END_FIELD": np.array([70, 0], "<i2")}, 1, 70, b"", 16) == 70
 
 
 def test_a_scene_of_somebody_else_is_told_how_to_come_in():

@@ -69,7 +69,7 @@ def test_a_take_names_the_file_once_for_each_person(tmp_path: Path) -> None:
         expected = people[:, :, EXPI18.index(joint)].swapaxes(0, 1) + np.array([0.0, floor, 0.0])
         np.testing.assert_allclose(body22[:, :, BODY22.index(joint)], expected, atol=0.01)
     section["takes"] = [{"id": "a", "files": [str(path)] * 3, "up_axis": "z"}]
-    with pytest.raises(InputError, match=r"take a: mocap_cleaned\.tsv: it holds 2 people"):
+    with pytest.raises(InputError, match=r"take a: mocap_cleaned\.tsv: person 2: it holds 2 people"):
         ingest.plan(StageInputs({}, seed=0), ingest.IngestParameters.model_validate(section))
 
 

@@ -1,0 +1,51 @@
+"""Frame rates that files mean where they state them rounded."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_USUAL_HZ = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 150, 180, 200, 240, 250, 300, 360, 480, 500)
+"""Whole rates that cameras and capture systems run at."""
+_SAME = 2e-4
+"""Share by which a stated rate may miss a whole number that is meant; 29.97 misses 30 by five times as much."""
+_ROUGH = 0.01
+"""Share of a rate within which the digits of a frame time must hold it."""
+_RESOLUTION = 1e-12
+"""Share of a time that the digits of a float tell."""
+
+
+def plain_rate(rate_hz: float) -> float:
+    """Return the whole rate that a rate means, such as 30 for 30.0003; another as it is, such as 29.97.
+
+    >>> plain_rate(30.0003), plain_rate(29.97)
+    (30.0, 29.97)
+    """
+    whole = round(rate_hz) if abs(rate_hz) < 1e6 else 0
+    return float(whole) if whole and abs(rate_hz - whole) <= _SAME * whole else rate_hz
+
+
+def rate_from_frame_time(token: str) -> tuple[float, str]:
+    """Return the frame rate that a frame time means as written, and a note where that had to be chosen.
+
+    Files cut the time to a few digits: 0.0333 is 30 Hz and 0.008333 is 120 Hz.  If exactly one whole number of frames
+    per second rounds or cuts to these digits it is meant; of several the one that is usual, 0.033 is 30 Hz; else the
+    inverse is (0.033367 is 29.97 Hz).
+    """
+    time = float(token)
+    mantissa, _, exponent = token.lower().partition("e")
+    step = 10.0 ** -(len(mantissa.partition(".")[2]) - (int(exponent) if exponent else 0))
+    step = max(step, time * _RESOLUTION)
+    lowest, highest = 1.0 / (time + step), 1.0 / max(time - step, time * 1e-3)
+    first, last = np.ceil(lowest), np.floor(highest)
+    if first == last and first > 0:
+        return float(first), ""
+    rate_hz = plain_rate(1.0 / time)
+    if rate_hz in _USUAL_HZ:
+        return rate_hz, ""
+    # Rounding moves a time by half a step either way, cutting by up to a step down.
+    usual = [rate for rate in _USUAL_HZ if -0.5 * step <= 1.0 / rate - time < step and lowest < rate < highest]
+    if len(usual) == 1:
+        return float(usual[0]), f"its frame time {token} is rounded: {usual[0]} Hz is taken, not {1.0 / time:.4g}"
+    is_rough = len(usual) > 1 and highest - lowest > _ROUGH * rate_hz
+    doubt = f"its frame time {token} has few digits: {rate_hz:.4g} Hz may be off, compare with the length of the take"
+    return rate_hz, doubt if is_rough else ""

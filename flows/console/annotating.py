@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import typer
 from pydantic import ValidationError
 
-from flows.console.context import say
+from flows.console.context import echo, say
 from flows.console.display import format_table
 from flows.exports.export_format import write_film, write_text
 from flows.study_files import toml_value
@@ -91,7 +90,7 @@ def annotate_film(
         except InputError as error:
             failed.append(type(error)(f"{one.parameters.id}: {error}"))
     for reason in failed if made else failed[:-1]:
-        typer.echo(f"skipped: {reason}", err=True)
+        echo(f"skipped: {reason}", err=True)
     if not made:
         raise failed[-1]
     write_text(target, write(join_frames([shot.frames for _, shot in made])))
@@ -99,7 +98,7 @@ def annotate_film(
     rows = [_row(one, shot, frames) for (one, shot), frames in zip(made, wanted, strict=True)]
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
     for lost in {one.film.num_lost for one, _ in made if one.film.num_lost}:
-        typer.echo(f"{film.name} states {lost} frames more than can be read", err=True)
+        echo(f"{film.name} states {lost} frames more than can be read", err=True)
     cells: list[Image] = []
     for (one, shot), frames in zip(made, wanted, strict=True):
         cells += _cells(one, shot, frames, has_faces) if sheet is not None else ()
@@ -110,7 +109,7 @@ def annotate_film(
         drawn = (image for one, shot in made for image in _drawn(one, shot, has_faces))
         write_film(overlay, drawn, made[0][1].frames.rate_hz or 30.0)
     written = (target, sheet if cells else None, overlay)
-    typer.echo(f"written: {', '.join(str(path) for path in written if path is not None)}", err=True)
+    echo(f"written: {', '.join(str(path) for path in written if path is not None)}", err=True)
 
 
 def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:

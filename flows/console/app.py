@@ -6,7 +6,6 @@ Most commands bring half of the science along, which the others need not wait fo
 from __future__ import annotations
 
 import importlib
-import sys
 import traceback
 import warnings
 from collections.abc import Sequence
@@ -16,7 +15,8 @@ import typer
 import typer.core
 from typer import Option
 
-from flows.console.context import Context, app
+from flows.console.context import Context, app, echo
+from pasdedeux.plain_text import visible
 
 if TYPE_CHECKING:
     from tasks.graph import Graph
@@ -100,6 +100,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
     try:
         code = app(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
     except _UsageError as error:
+        error.message = visible(error.message)
         error.show()
         return _BAD_INPUT
     except (KeyboardInterrupt, typer.Abort):
@@ -108,16 +109,16 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
         from tasks.shards import ShardError
 
         if context.is_debug:
-            traceback.print_exception(error, file=sys.stderr)
+            echo("".join(traceback.format_exception(error)), err=True)
             if isinstance(error, ShardError):
-                typer.echo(error.trace, err=True)
+                echo(error.trace, err=True)
         else:
-            typer.echo(f"error: {_sentence(error)}", err=True)
+            echo(f"error: {_sentence(error)}", err=True)
         return exit_code_of(error)
     if code == _INTERRUPTED:
         # Python warns of Prefect's calls that were cut off when it collects them, after this.
         warnings.filterwarnings("ignore", message="coroutine .* was never awaited", category=RuntimeWarning)
-        typer.echo("interrupted; the same command continues the work", err=True)
+        echo("interrupted; the same command continues the work", err=True)
     return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
 
 
@@ -159,7 +160,7 @@ def _say_version(is_asked: bool) -> None:
     if is_asked:
         from storage_schema.provenance import code_version
 
-        typer.echo(f"pasdedeux {code_version()}")
+        echo(f"pasdedeux {code_version()}")
         raise typer.Exit
 
 

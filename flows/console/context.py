@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
+from pasdedeux.plain_text import visible
+
 if TYPE_CHECKING:
     from storage_schema import Store
     from tasks.graph import Graph
@@ -101,21 +103,30 @@ def wrapped(line: str, width: int) -> list[str]:
     >>> wrapped("  waltz: hands drift", 14)
     ['  waltz: hands', '      drift']
     """
+    line = visible(line)
     indent = " " * (len(line) - len(line.lstrip()) + 4)
     whole = textwrap.TextWrapper(width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return whole.wrap(line) or [""]
+
+
+def echo(text: str, *, err: bool = False) -> None:
+    """Print text on standard output, or standard error: every command does it here.
+
+    Names, notes and credits that others wrote cannot drive the terminal: controls are written out.
+    """
+    typer.echo(visible(text), err=err)
 
 
 def say(lines: Iterable[str], *, err: bool = False) -> None:
     """Print lines on standard output, or standard error; a terminal gets them broken at words."""
     width = shutil.get_terminal_size().columns if (sys.stderr if err else sys.stdout).isatty() else None
     for line in lines:
-        typer.echo(line if width is None else "\n".join(wrapped(line, width)), err=err)
+        echo(line if width is None else "\n".join(wrapped(line, width)), err=err)
 
 
 def answer(value: Any, lines: Iterable[str], *, as_json: bool) -> None:
     """Print a value as JSON, or the same as lines for people."""
     if as_json:
-        typer.echo(json.dumps(value, indent=1, ensure_ascii=False))
+        echo(json.dumps(value, indent=1, ensure_ascii=False))
     else:
         say(lines)

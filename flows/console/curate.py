@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
 from typer import Argument, Option
 
-from flows.console.context import StoreOption, app, open_store
+from flows.console.context import StoreOption, app, echo, open_store
 
 CURATION = Path("curation.txt")
 CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File of choices; made when missing.")]
@@ -64,6 +63,6 @@ def curate(
                 f"'{reference}' names several things, {meant[1]} (row 0) to {last[1]} (row {num_rows - 1}); add a row "
                 f"of the one that is meant, such as '{reference}#0'"
             )
-    typer.echo(Choosing(curation).decide(decision, *meant, reason))
+    echo(Choosing(curation).decide(decision, *meant, reason))
     if decision == "reject":
-        typer.echo(f"exports leave it out with --curation {curation}, or if the study names the file ([curation] file)")
+        echo(f"exports leave it out with --curation {curation}, or if the study names the file ([curation] file)")

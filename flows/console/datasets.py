@@ -13,6 +13,7 @@ from flows.console.display import counted
 from flows.planning import PlanError
 from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, mixture, read_last_run
+from pasdedeux.plain_text import visible
 from storage_schema import (
     ArtifactRef,
     Dataset,
@@ -76,7 +77,8 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
     found = list_datasets(opened)
     labels = {dataset.label for dataset in found}
     lines = [
-        f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  {dataset.note}".rstrip()
+        f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  "
+        f"{visible(dataset.note, is_line=True)}".rstrip()
         for dataset in found
     ]
     lines += [

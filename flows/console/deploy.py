@@ -18,6 +18,7 @@ from flows.console.context import (
     StudyArgument,
     WorkersOption,
     app,
+    echo,
     graph_of,
     open_store,
 )
@@ -92,6 +93,6 @@ def deploy(
     }
     name = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)
     when = f"at '{cron}' UTC" if cron else f"every {every:g} s" if every else "when it is asked for"
-    typer.echo(f"{name}: {when}, study {parameters['study']}, store {parameters['store']}")
-    typer.echo(f"now, if it is not running yet: prefect worker start --pool {pool}")
-    typer.echo(f"at once: prefect deployment run {name}; to pause or remove it: prefect deployment --help")
+    echo(f"{name}: {when}, study {parameters['study']}, store {parameters['store']}")
+    echo(f"now, if it is not running yet: prefect worker start --pool {pool}")
+    echo(f"at once: prefect deployment run {name}; to pause or remove it: prefect deployment --help")

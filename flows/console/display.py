@@ -8,9 +8,7 @@ import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-import typer
-
-from flows.console.context import wrapped
+from flows.console.context import echo, wrapped
 from flows.costs import Cost, Work
 from flows.machine import GIB
 from flows.outcomes import Outcome
@@ -18,6 +16,7 @@ from flows.planning import Plan, StagePlan, State
 from flows.progress import Listener, Progress
 from flows.records import last_manifests, read_last_run
 from pasdedeux.evaluation.verdicts import verdict_words
+from pasdedeux.plain_text import visible
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, Store
 from tasks.stage import Shard
@@ -84,7 +83,7 @@ class LineListener(Listener):
 
     def _say(self, text: str) -> None:
         self._last_line = time.monotonic()
-        typer.echo(f"[{time.monotonic() - self._started:6.1f} s] {text}", err=True)
+        echo(f"[{time.monotonic() - self._started:6.1f} s] {text}", err=True)
 
 
 class BarListener(LineListener):
@@ -117,6 +116,7 @@ class BarListener(LineListener):
         from rich.console import Group
         from rich.progress_bar import ProgressBar
         from rich.table import Table
+        from rich.text import Text
 
         progress, now = self._progress, time.monotonic()
         bar, rows = Table.grid(padding=(0, 1), expand=True), Table.grid(padding=(0, 1), expand=True)
@@ -130,7 +130,8 @@ class BarListener(LineListener):
         bar.add_row(line, done * is_known, duration_text(now - self._started), left_text(progress))
         for one in progress.running[:_NAMED]:
             took = duration_text(now - self._since.get(one.key, now))
-            rows.add_row(f"  {one.stage} {one.partition}", _part_text(progress, one), one.name, took)
+            words = (f"  {one.stage} {one.partition}", _part_text(progress, one), one.name, took)
+            rows.add_row(*(Text(visible(word, is_line=True)) for word in words))
         if (more := len(progress.running) - _NAMED) > 0:
             rows.add_row(f"  and {more} more")
         return Group(bar, rows)
@@ -272,7 +273,10 @@ def format_table(
     header: Sequence[str], rows: Iterable[Sequence[object]], *, text_columns: Collection[int] = (0,)
 ) -> list[str]:
     """Return rows as aligned lines under a header; columns of text to the left, the others (numbers) to the right."""
-    cells = [tuple(f"{cell:.1f}" if isinstance(cell, float) else str(cell) for cell in row) for row in (header, *rows)]
+    cells = [
+        tuple(f"{cell:.1f}" if isinstance(cell, float) else visible(str(cell), is_line=True) for cell in row)
+        for row in (header, *rows)
+    ]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
 
     def line(row: Sequence[str]) -> str:

@@ -16,6 +16,7 @@ from flows.console.context import (
     StoreOption,
     WorkersOption,
     app,
+    echo,
     graph_of,
     next_command,
     open_store,
@@ -95,11 +96,11 @@ def restart(
         out.mkdir(parents=True, exist_ok=True)
         path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
     if not as_json:
-        typer.echo(f"the draw is the seed in {path}; its study is {name}")
+        echo(f"the draw is the seed in {path}; its study is {name}")
     build_and_report(Run(study, graph, opened, Selection(until="chains")), cluster, as_json=as_json)
     if not as_json:
-        typer.echo(f"new draws: {next_command('show', f'draws:{name}', store=store)}")
-        typer.echo(f"how the chains went: {next_command('show', f'chain_info:{name}', store=store)}")
+        echo(f"new draws: {next_command('show', f'draws:{name}', store=store)}")
+        echo(f"how the chains went: {next_command('show', f'chain_info:{name}', store=store)}")
 
 
 def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
@@ -173,7 +174,7 @@ def complete(
     for name, own, apart in zip("AB", is_known, np.moveaxis(spread, 1, 0), strict=True):
         if not own.all():
             far_cm = 100.0 * float(np.median(apart[:, ~own]))
-            typer.echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
+            echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
     near_m = found.neighbours.distance_m
-    typer.echo(f"{len(near_m)} of {len(known.pairs_m)} draws within {100 * near_m.max():.1f} cm (D_I)")
-    typer.echo(f"written: {target}")
+    echo(f"{len(near_m)} of {len(known.pairs_m)} draws within {100 * near_m.max():.1f} cm (D_I)")
+    echo(f"written: {target}")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
-from flows.console.context import StoreOption, WorkersOption, app, graph_of, open_store
+from flows.console.context import StoreOption, WorkersOption, app, echo, graph_of, open_store
 from flows.console.display import counted
 from flows.console.run import build_and_report
 from flows.exports.credits import CREDITS_NAME, add_notice
@@ -72,7 +72,7 @@ def cmu(
         else dict.fromkeys(_numbers(subjects, "subjects"), _numbers(takes, "takes") if takes else None)
     )
     items = list(_told(fetch_cmu(wanted, out, base_url=base_url)))
-    typer.echo(f"{counted(len(items), 'file')} in {out}\n{_credit().strip()}")
+    echo(f"{counted(len(items), 'file')} in {out}\n{_credit().strip()}")
 
 
 @_group.command("database")
@@ -94,20 +94,20 @@ def database(
     chosen, graph = load_study(study, graph_of(context), settings=folders)
     names = [f"{subject}_{take}.amc" for subject, takes in wanted.items() for take in takes]
     to_come_mb, all_mb = (_MB_PER_TAKE * number for number in (sum(not (out / n).exists() for n in names), len(names)))
-    typer.echo(
+    echo(
         f"study {chosen.name}: {counted(len(names), 'take')} of CMU; about {to_come_mb:.0f} MB come into {out}, in "
         f"{to_come_mb / _MB_PER_S / 60:.0f} minutes at {_MB_PER_S:g} MB a second; the database is built of them in "
         f"some {all_mb * _BUILD_S_PER_MB / 60:.0f} minutes of one core and has {all_mb * _BUILT_MB_PER_MB:.0f} MB in "
         f"{store}\n{_credit().strip()}"
     )
     if not is_agreed:
-        typer.echo("nothing was done yet; the same command with --yes begins")
+        echo("nothing was done yet; the same command with --yes begins")
         return
     items = list(_told(fetch_cmu(wanted, out, base_url=base_url)))
-    typer.echo(f"{counted(len(items), 'file')} in {out}")
+    echo(f"{counted(len(items), 'file')} in {out}")
     where = cluster_settings(workers, WORKER_MEMORY_GB, None)
     build_and_report(Run(chosen, graph, open_store(store)), where, as_json=False)
-    typer.echo(f"now: pasdedeux reconstruct DIR --database projections:{chosen.name} --store {store} --out out")
+    echo(f"now: pasdedeux reconstruct DIR --database projections:{chosen.name} --store {store} --out out")
 
 
 @_group.command("detector")
@@ -119,10 +119,10 @@ def detector(
 
     network = network_address(address)
     if not network.kept.exists():
-        typer.echo(f"{network.url} is fetched, {_MAX_NETWORK_BYTES / 1e6:.0f} MB at most")
+        echo(f"{network.url} is fetched, {_MAX_NETWORK_BYTES / 1e6:.0f} MB at most")
         fetch_network(network)
     check_network(network)
-    typer.echo(f"{network.kept}: its digest is the stated one")
+    echo(f"{network.kept}: its digest is the stated one")
 
 
 def fetch_network(network: NetworkAddress) -> None:
@@ -148,7 +148,7 @@ def _told(items: Iterable[Fetched]) -> Iterator[Fetched]:
     """Give files on, and a line about each as it comes."""
     for item in items:
         state = "was there" if item.was_there else "fetched"
-        typer.echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
+        echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
         yield item
 
 

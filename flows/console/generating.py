@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from flows.console.context import say
+from flows.console.context import echo, say
 from flows.console.retargeting import find_model, find_take
 from flows.exports import write_credits
 from flows.exports.own_skeletons import RigFiles, people_of_take
@@ -95,7 +95,7 @@ def _generate(
             scale = np.full(BODY22.num_joints, scales[index % len(scales)]) if scales else None
             variant_id = variant_name(weights.model.name, index)
             variant = sampler.sample(variant_id, sampling_stream(seed, take.take_id, index), scale)
-            typer.echo(f"{index + 1} of {num}: {_said(variant, keys)}")
+            echo(f"{index + 1} of {num}: {_said(variant, keys)}")
             if variant.verdict.level is Level.FAIL:
                 continue
             if files is None:
@@ -107,11 +107,11 @@ def _generate(
     finally:  # also where it is interrupted: what lies there has its units beside it
         written = () if files is None else files.close()
     if files is None:
-        typer.echo(f"error: none of {num} motions is usable, nothing was written", err=True)
+        echo(f"error: none of {num} motions is usable, nothing was written", err=True)
         raise typer.Exit(1)
     say(map(str, (*written, credits_path)))
     known = "was" if is_known else "was not"
-    typer.echo(f"{num_usable} of {num} motions are usable; {weights.model.name} {known} trained on take {take.take_id}")
+    echo(f"{num_usable} of {num} motions are usable; {weights.model.name} {known} trained on take {take.take_id}")
 
 
 def _said(variant: Variant, keys: KeyFrames | None) -> str:

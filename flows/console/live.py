@@ -13,6 +13,7 @@ from typing import Any, TextIO
 import numpy as np
 import typer
 
+from flows.console.context import echo
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, check_anatomy, in_pixels
 from pasdedeux.formats.detections import Detection, join_detections
@@ -151,7 +152,7 @@ def follow_lines(
     layout: str | None = None
     for file in files:
         if file.problem:
-            typer.echo(f"{file.path.name} was skipped: {file.problem}", err=True)
+            echo(f"{file.path.name} was skipped: {file.problem}", err=True)
             continue
         frame = file.frame
         times.start(file)
@@ -171,7 +172,7 @@ def follow_lines(
         times.worked()
         lines.write(poses, times)
     lines.write(people.finish(), times)
-    typer.echo(times.in_words(), err=True)
+    echo(times.in_words(), err=True)
 
 
 class _Times:

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import typer
 from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
-from flows.console.context import open_store, say
+from flows.console.context import echo, open_store, say
 from flows.console.display import Steps, format_table, make_listener
 from flows.console.fetch import small_database_words
 from flows.console.live import STOP_NAME, follow_folder, follow_lines
@@ -92,7 +91,7 @@ def follow_video(
         statures_m=statures_m,
         options=options,
     )
-    typer.echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
+    echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
     # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
     with ExitStack() as stack:
         lines = None
@@ -104,7 +103,7 @@ def follow_video(
         files = follow_folder(video.path, idle_s=idle_s, is_stopped=is_stopped)
         follow_lines(people, files, lines, rate_hz=rate_hz)
     for name in sorted(statures_m.keys() - people.person_ids - {EVERYBODY_ELSE}):
-        typer.echo(f"a stature is stated for person {name}, who never came", err=True)
+        echo(f"a stature is stated for person {name}, who never came", err=True)
 
 
 def annotation_source(path: Path, settings: Sequence[str]) -> AnnotationOptions:
@@ -202,9 +201,9 @@ def reconstruct_video(
     finally:
         listener.close()
     for reason in failed if num_made else failed[:-1]:
-        typer.echo(f"skipped: {reason}", err=True)
+        echo(f"skipped: {reason}", err=True)
     if of_nobody := stated_of_nobody(named_m, known):
-        typer.echo(of_nobody, err=True)
+        echo(of_nobody, err=True)
     if not num_made:
         raise failed[-1]
 
@@ -245,13 +244,13 @@ def _write_sequence(
     write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), units_text(motion, units))
     people = names.path(sequence.sequence_id, "people", suffix=".csv")
     write_text(people, write_decisions(sequence.decisions))
-    typer.echo(f"{people}: who is who; --set people_file=COPY with changes overrules it", err=True)
+    echo(f"{people}: who is who; --set people_file=COPY with changes overrules it", err=True)
     page = names.path(sequence.sequence_id, suffix=".html")
     write_text(page, player_page(sequence.sequence_id, [_shown(found, sequence.sequence_id)]))
-    typer.echo(f"look at it: {page}")
+    echo(f"look at it: {page}")
     for person_id, reason in found.skipped.items():
-        typer.echo(f"person {person_id} was skipped: {reason}", err=True)
-    typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
+        echo(f"person {person_id} was skipped: {reason}", err=True)
+    echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
 def _shown(tracks_found: ReconstructedTracks, sequence_id: str) -> Picture:
@@ -344,5 +343,5 @@ def _databases(
         cameras = (DatabaseCamera(math.radians(pitch_deg)),)
     level, take_ids, _ = read_database(store, refs)
     if words := small_database_words(level.num_rows, len(set(take_ids))):
-        typer.echo(words, err=True)
+        echo(words, err=True)
     return [replace(level, camera=camera) for camera in cameras], take_ids

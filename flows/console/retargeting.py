@@ -10,9 +10,8 @@ from pathlib import Path
 from string import ascii_uppercase
 
 import numpy as np
-import typer
 
-from flows.console.context import open_store, say
+from flows.console.context import echo, open_store, say
 from flows.console.display import format_table
 from flows.exports import RestPose, Units, write_credits
 from flows.exports.export_format import write_text
@@ -219,7 +218,7 @@ def retarget_take(
         name = take_id if is_known else f"{take_id} ({ref.key[:12]})"
         positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=take.contacts))
         verdict = solver.assess(Variation("retarget", bone_scale), positions_m).verdict
-        typer.echo(f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}", err=True)
+        echo(f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}", err=True)
     out.mkdir(parents=True, exist_ok=True)
     files = RigFiles(out, rest_pose=rest_pose, units=units)
     files.write_variant("retarget", people, positions_m, bone_scale)
@@ -232,15 +231,15 @@ def retarget_take(
         header = ("person", "body", "size", "bones", "misfit mean", "greatest", "between")
         say(format_table(header, rows, text_columns=(0, 1, 3, 6)))
     for person, worst_m in contradictions:
-        typer.echo(
+        echo(
             f"warning: the body for person {person.letter} is missed by {1e3 * worst_m:.0f} mm: "
             "its distances contradict each other, or are not those of one person",
             err=True,
         )
     captured = verdict_of(store.manifest(ref))
     if captured is not None and captured.level is not Level.PASS:
-        typer.echo(f"take {take_id}: {verdict_words(captured)}", err=True)
-    typer.echo(verdict_words(verdict))
+        echo(f"take {take_id}: {verdict_words(captured)}", err=True)
+    echo(verdict_words(verdict))
 
 
 def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ from flows.console.context import (
     WorkersOption,
     answer,
     app,
+    echo,
     graph_of,
     next_command,
     open_store,
@@ -118,7 +119,7 @@ def run(
     to_build = Run(chosen, graph, opened, selection, is_profiled=is_profiled)
     build_and_report(to_build, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
-        typer.echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
+        echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
 
 
 def _has_takes(study: Study) -> bool:
@@ -226,7 +227,7 @@ def plan(
     if as_json:
         return
     refuse_nothing(made.missing)
-    typer.echo(
+    echo(
         "everything is fresh"
         if made.is_fresh
         else f"run it with: {next_command('run', study, *selection.words, store=store, settings=settings)}"

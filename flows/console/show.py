@@ -9,10 +9,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import typer
 from typer import Argument, Option
 
-from flows.console.context import JsonOption, StoreOption, answer, app, open_store, say
+from flows.console.context import JsonOption, StoreOption, answer, app, echo, open_store, say
 from flows.console.display import counted, format_table
 from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, export_selection
 from pasdedeux.evaluation.score_tables import mean_table, score_table
@@ -155,10 +154,10 @@ def export(
 
     data = Data(opened, curation)
     if left_out := data.left_out(reference):
-        typer.echo(f"left out, as somebody rejected it: {len(left_out)} of {parse_reference(reference).table}")
+        echo(f"left out, as somebody rejected it: {len(left_out)} of {parse_reference(reference).table}")
     if pictures := data.pictures(reference):
         (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
-        typer.echo(f"look at it: {out / LOOK}")
+        echo(f"look at it: {out / LOOK}")
 
 
 def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from flows.console.context import JsonOption, SettingOption, answer, app, graph_of, say
+from flows.console.context import JsonOption, SettingOption, answer, app, echo, graph_of, say
 from flows.console.display import format_table
 from flows.reasons import shorten
 from flows.study import load_study
@@ -50,13 +50,13 @@ def show(
       pasdedeux study show sampling_paper --resolved
     """
     if not is_resolved and not as_json and not settings:
-        typer.echo(study_text(name, Path.cwd()), nl=False)
+        echo(study_text(name, Path.cwd()), nl=False)
         return
     study, _ = load_study(name, graph_of(context), settings=settings or ())
     if as_json:
         answer(study.resolved(), (), as_json=True)
     else:
-        typer.echo("\n".join(_toml_lines("", study.resolved())))
+        echo("\n".join(_toml_lines("", study.resolved())))
 
 
 @_group.command()
@@ -105,7 +105,7 @@ def new(
     from flows.console.study_new import write_new_study
 
     say(write_new_study(file, sources or []))
-    typer.echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
+    echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 
 
 def _describe(name: str, graph: Graph) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import typer
 from typer import Argument
 
 import pasdedeux.benchmarks
-from flows.console.context import JsonOption, StoreOption, answer, app
+from flows.console.context import JsonOption, StoreOption, answer, app, echo
 from flows.console.display import format_table
 from flows.machine import GIB, free_bytes, kernel_cache, memory_bytes, nearest_folder, usable_cores
 from flows.planning import PlanError
@@ -126,7 +126,7 @@ def bench(
     results: list[tuple[str, BenchmarkResult]] = []
     for name in [one for one in found if one not in (_COMMANDS, _FULL_SCALE)] if stage is None else [stage]:
         for label, function in found[name].items():
-            typer.echo(f"measuring {name}: {label}", err=True)
+            echo(f"measuring {name}: {label}", err=True)
             results.append((name, function()))
     described = [{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results]
     rows = [(r.name, _rate(r.fast_per_s), _rate(r.plain_per_s), f"{r.unit}/s", f"x {r.ratio:.1f}") for _, r in results]

@@ -6,10 +6,9 @@ import contextlib
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from typer import Argument, Option
 
-from flows.console.context import StoreOption, WorkersOption, app, open_store
+from flows.console.context import StoreOption, WorkersOption, app, echo, open_store
 from flows.console.curate import CURATION, CurationOption
 
 
@@ -61,7 +60,7 @@ def view(
         viewer = Viewer(shelf, port=port, at=at, choosing=Choosing(curation))
         offer_saving(viewer)
         Editor(viewer, Path("restarts"), workers)
-        typer.echo(f"{viewer.url} shows it; Ctrl-C ends it")
+        echo(f"{viewer.url} shows it; Ctrl-C ends it")
         with contextlib.suppress(KeyboardInterrupt):
             viewer.ended.wait()
         viewer.stop()

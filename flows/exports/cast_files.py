@@ -7,6 +7,7 @@ from pathlib import Path
 
 from flows.exports.casts import Cast
 from flows.exports.export_format import Export, FileNames, write_text, write_units
+from pasdedeux.plain_text import csv_line
 
 
 class CastFiles:
@@ -35,7 +36,7 @@ class CastFiles:
         self._paths.append(path)
         if len(cast.labels) > 1 and "B" not in more:
             index = self._names.path(*cast.parts, "frames", suffix=".csv", is_apart=self.is_apart(cast))
-            rows = (f"{frame},{label}\n" for frame, label in enumerate(cast.labels))
+            rows = (f"{csv_line(frame, label)}\n" for frame, label in enumerate(cast.labels))
             self._paths.append(write_text(index, "frame,reference\n" + "".join(rows)))
         return path
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flows.exports.export_format import write_text
+from pasdedeux.plain_text import visible
 from storage_schema import ArtifactRef, SourceCredit
 
 CREDITS_NAME = "CREDITS.txt"
@@ -31,7 +32,9 @@ def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef],
     exports.add(f"Exported from {text} by pasdedeux.")
     artifacts |= {f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in refs}
     for source in credited:
-        name, licence, credit = (" ".join(said.split()) for said in (source.name, source.licence, source.credit))
+        name, licence, credit = (
+            visible(" ".join(said.split())) for said in (source.name, source.licence, source.credit)
+        )
         sources.add(f"{name}\n  licence: {licence}\n  credit:  {credit}")
     parts = (_lines(exports), f"\n{_SOURCES}\n\n", _lines(sources, "\n\n"), f"{_ARTIFACTS}\n", _lines(artifacts))
     return _write(path, _with_notice(_OURS.sub("", before), "".join(parts)))

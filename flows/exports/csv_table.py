@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames
+from pasdedeux.plain_text import cell_text
 from pasdedeux.skeletons.working import WORKING_SKELETONS
 from storage_schema import TABLES, TableData
 from storage_schema.columns import Column
@@ -23,7 +24,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     columns = TABLES[export.reference.table].columns
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([name for column in columns for name in _names(column)])
+        writer.writerow([cell_text(name) for column in columns for name in _names(column)])
         for batch in export.batches():
             cells = [_cells(column, batch) for column in columns]
             for index in range(batch.num_rows):
@@ -53,4 +54,4 @@ def _cells(column: Column, batch: TableData) -> list[list[Any]]:
         return [[json.dumps(np.asarray(value).tolist())] for value in values]
     if column.shape:
         return values.reshape(batch.num_rows, math.prod(column.shape)).tolist()
-    return [[value] for value in values.tolist()]
+    return [[cell_text(value) if isinstance(value, str) else value] for value in values.tolist()]

@@ -12,6 +12,7 @@ from flows.exports.export_format import Export, ExportFormat, FileNames, write_t
 from flows.records import read_last_run
 from flows.templates import render
 from pasdedeux.learning.registry import Weights, write_weights
+from pasdedeux.plain_text import markdown_text
 from storage_schema import Manifest, Store, latest_studies
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.stage import verdict_of
@@ -73,4 +74,5 @@ def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
         rows = store.read(scores.ref, "scores")
         for row in map(rows.row, range(rows.num_rows)):
             if row["method"] == ModelFacts.of(manifest).model and row["item"] == "all" and np.isnan(row["at"]):
-                yield f"| {row['metric']}, {row['split']} | {row['value']:.4g} {row['unit']} | |"
+                words = [markdown_text(row[name]) for name in ("metric", "split", "unit")]
+                yield f"| {words[0]}, {words[1]} | {row['value']:.4g} {words[2]} | |"

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
+from pasdedeux.plain_text import markdown_value
+
 
 def render(template: str, **values: Any) -> str:
     """Return a template with its gaps filled."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # here: other commands need not wait for it
 
-    loader = PackageLoader("flows")
-    environment = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+    environment = Environment(
+        loader=PackageLoader("flows"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+        finalize=markdown_value if template.endswith(".md") else None,
+    )
     return environment.get_template(template).render(**values)

@@ -13,6 +13,7 @@ from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import figure_words, verdict_words
+from pasdedeux.plain_text import markdown_value
 from pasdedeux.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def _coded(text: str) -> Markup:
 
 
 @cache
-def _environment() -> Environment:
+def _environment(is_markdown: bool) -> Environment:
     from jinja2 import Environment, PackageLoader, select_autoescape  # here: planning need not wait for it
 
     environment = Environment(
@@ -68,6 +69,7 @@ def _environment() -> Environment:
         autoescape=select_autoescape(("html",)),
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=markdown_value if is_markdown else None,
     )
     environment.filters |= {"figure_words": figure_words, "verdict_words": verdict_words, "coded": _coded}
     return environment
@@ -75,4 +77,4 @@ def _environment() -> Environment:
 
 def render(template: str, **values: Any) -> str:
     """Return a template with its gaps filled; the same values always give the same text."""
-    return _environment().get_template(template).render(**values)
+    return _environment(template.endswith(".md")).get_template(template).render(**values)

@@ -32,6 +32,7 @@ from pasdedeux.formats.annotated_frames import (
 from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange, number_people
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.text import MISSING, Lines, parse_integer, parse_number, shorten
+from pasdedeux.plain_text import csv_line, from_cell
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence", "status")
@@ -67,7 +68,7 @@ def read_annotation_csv(
         for row in lines.table(_NEEDED, COLUMNS)[1]:
             frame, word = parse_integer(row["frame"], "frame"), row.get("person", "0")
             person = word if any(map(str.isalpha, word)) else parse_integer(word, "person")
-            joints = people.setdefault((row.get("sequence") or sequence_id, frame, person), {})
+            joints = people.setdefault((from_cell(row.get("sequence", "")) or sequence_id, frame, person), {})
             if row["joint"] in joints:
                 raise FormatError(f"'{shorten(row['joint'])}' twice for person {person} in frame {frame}")
             x, y = (math.nan if row[axis].lower() in MISSING else parse_number(row[axis], axis) for axis in "xy")
@@ -112,9 +113,9 @@ def write_annotation_csv(frames: AnnotatedFrames) -> str:
     lines = [*notes, ",".join(COLUMNS if frames.status is not None else COLUMNS[:-1])]
     for row, keypoint in np.argwhere(frames.confidence > 0).tolist():
         x, y = frames.keypoints_px[row, keypoint]
-        head = f"{frames.sequence_id[row]},{frames.frame[row]},{frames.person_id[row]},{names[keypoint]}"
-        end = "" if frames.status is None else f",{KeypointStatus(frames.status[row, keypoint]).name.lower()}"
-        lines.append(f"{head},{x:.2f},{y:.2f},{frames.confidence[row, keypoint]:.3g}{end}")
+        place = (frames.sequence_id[row], frames.frame[row], frames.person_id[row], names[keypoint])
+        end = [] if frames.status is None else [KeypointStatus(frames.status[row, keypoint]).name.lower()]
+        lines.append(csv_line(*place, f"{x:.2f}", f"{y:.2f}", f"{frames.confidence[row, keypoint]:.3g}", *end))
     return "".join(f"{line}\n" for line in lines)
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from pasdedeux.arrays import Integers
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.text import Lines, parse_integer, shorten
+from pasdedeux.plain_text import csv_line, from_cell
 
 COLUMNS = ("sequence", "first_frame", "last_frame", "person", "is")
 PARTNER = "partner"
@@ -53,7 +54,7 @@ class Decision:
     def in_words(self) -> str:
         """Return it as its row says it."""
         name = NOBODY if self.is_person < 0 else str(self.is_person)
-        return f"{self.sequence_id},{self.first_frame},{self.last_frame},{self.person},{name}"
+        return csv_line(self.sequence_id, self.first_frame, self.last_frame, self.person, name)
 
     def as_joined(self) -> str:
         """Say that it was decided here, and the row that says otherwise."""
@@ -74,7 +75,7 @@ def read_decisions(data: bytes | str) -> list[Decision]:
             if last < first:
                 raise FormatError(f"frames {first} to {last} end before they begin")
             partner = parse_integer(row[PARTNER], PARTNER) if row.get(PARTNER) else None
-            one = Decision(row["sequence"], first, last, person, is_person, partner)
+            one = Decision(from_cell(row["sequence"]), first, last, person, is_person, partner)
             for other in found:
                 is_same = (other.sequence_id, other.person) == (one.sequence_id, one.person)
                 if is_same and other.first_frame <= last and first <= other.last_frame:

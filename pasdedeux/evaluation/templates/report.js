@@ -243,8 +243,9 @@ document.querySelectorAll("details.table").forEach((folded) => {
     });
   });
   folded.querySelector("button.copy").addEventListener("click", async (event) => {
+    const plain = (text) => /^[=+\-@]/.test(text) && isNaN(text) ? "'" + text : text; // shown, not computed
     const lines = [...table.rows].filter((row) => !row.hidden).map((row) =>
-      [...row.cells].map((cell) => '"' + cell.textContent.trim().replace(/"/g, '""') + '"').join(","));
+      [...row.cells].map((cell) => '"' + plain(cell.textContent.trim()).replace(/"/g, '""') + '"').join(","));
     const text = document.createElement("textarea");
     text.value = lines.join("\n") + "\n";
     document.body.append(text);

@@ -46,6 +46,12 @@ below the first nothing would be left."""
 MAX_SHARE = 2.0
 MAX_NEGATIVE = 0.2
 """Shares of the image: greatest coordinate, and greatest part of the coordinates below 0 (3D ones come to a half)."""
+MAX_HIPS_AT_ORIGIN = 0.02
+"""Distance of the hips from the origin of 3D landmarks, which is there."""
+MAX_OTHER_SHAPE = 0.02
+"""Difference of the aspect ratios of two sizes of one video: sides are whole pixels."""
+MAX_MARGIN, MAX_OUTSIDE = 0.1, 0.2
+"""Shares of the image by which people leave it, and of the keypoints that lie further outside."""
 SURE_STRETCH, MAX_STRETCH = 0.36, 0.6
 """Dancers come to 0.20 to 0.31 in their own layout, with any noise and junk, and to 0.39 to 0.8 in wrong ones (tested):
 below the first the layout is right, above the second it is wrong, and between them another one may be better."""
@@ -154,6 +160,10 @@ class AnnotatedFrames:
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
+    def remark(self, words: str) -> AnnotatedFrames:
+        """Return the same with something said once."""
+        return replace(self, remarks=tuple(dict.fromkeys((*self.remarks, words))))
+
     def rows(self, chosen: Flags) -> AnnotatedFrames:
         """Return some of the rows, chosen by a mask (row,)."""
         return replace(
@@ -237,9 +247,9 @@ def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> A
 
 
 def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
-    """Return annotations in pixels: coordinates that are shares of the image, 0 to 1, are multiplied by its size.
+    """Return annotations in pixels: shares of the image, 0 to 1 or -1 to 1 across it, are multiplied by its size.
 
-    Shares lie about 0 to 1, a little outside where people leave the image; a person in pixels is larger than that.
+    Shares lie in that range, a little outside where people leave the image; a person in pixels is larger than that.
 
     Raises:
         InputError: The coordinates are shares and the size is not known, or they lie about 0 as 3D coordinates do.
@@ -247,10 +257,11 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
     points = frames.keypoints_px
     if not np.isfinite(points).any() or np.nanpercentile(np.abs(points), 90) > MAX_SHARE:
         return frames
-    if np.nanmean(points < 0) > MAX_NEGATIVE:
+    is_centred = bool(np.nanmean(points < 0) > MAX_NEGATIVE)
+    if is_centred and (np.nanpercentile(np.abs(points), 90) > 1 or _has_hips_at_origin(frames)):
         raise InputError(
             "the coordinates lie about 0 within 2: they are neither pixels nor shares of the image, but perhaps "
-            "MediaPipe's world landmarks or another scale; pixels, or 0 to 1 across the image, are needed"
+            "MediaPipe's world landmarks or another scale; pixels, or 0 to 1 or -1 to 1 across the image, are needed"
         )
     sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
     known = [size for size in sizes if size is not None]
@@ -259,7 +270,65 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
             "nearly all coordinates lie within 2; they seem to be shares of the image, not pixels: say the size of the "
             "image (image_size_px), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
         )
+    points = (points + 1) / 2 if is_centred else points
+    frames = frames.remark("coordinates from -1 to 1 across the image") if is_centred else frames
     return replace(frames, keypoints_px=points * np.array(known, dtype=np.float64).reshape(-1, 1, 2))
+
+
+def _has_hips_at_origin(frames: AnnotatedFrames) -> bool:
+    """Tell whether the middle of the hips is always the origin, as it is of 3D landmarks."""
+    names = get_keypoint_layout(frames.layout).keypoint_names
+    hips = [names.index(name) for name in ("left_hip", "right_hip")]
+    middle = np.abs(frames.keypoints_px[:, hips].mean(axis=1))
+    return not np.isfinite(middle).any() or bool(np.nanpercentile(middle, 90) < MAX_HIPS_AT_ORIGIN)
+
+
+def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> AnnotatedFrames:
+    """Return annotations in pixels of an image of the size stated, scaled where the file states another.
+
+    Raises:
+        InputError: The image that the file states has another shape.
+    """
+    told = {name: size for name, size in frames.image_size_px.items() if stated_px and size != stated_px}
+    if not told or not stated_px:
+        return frames
+    scale = {}
+    for name, (width, height) in told.items():
+        sides = f"{width} x {height}", f"{stated_px[0]} x {stated_px[1]}"
+        if abs(stated_px[0] * height / (width * stated_px[1]) - 1) > MAX_OTHER_SHAPE:
+            raise InputError(
+                f"the file has keypoints of an image of {sides[0]}, and the image is {sides[1]}: another shape; give "
+                "the keypoints of this image"
+            )
+        scale[name] = stated_px[0] / width
+        frames = frames.remark(f"keypoints of an image of {sides[0]} scaled to {sides[1]}")
+    factors = np.array([scale.get(name, 1.0) for name in frames.sequence_id])
+    return replace(
+        frames,
+        keypoints_px=frames.keypoints_px * factors[:, None, None],
+        focal_px={name: focal * scale.get(name, 1.0) for name, focal in frames.focal_px.items()},
+        image_size_px={**frames.image_size_px, **dict.fromkeys(told, stated_px)},
+    )
+
+
+def check_inside(frames: AnnotatedFrames) -> None:
+    """Refuse keypoints of which many lie outside the image: they are of an image of another size.
+
+    Raises:
+        InputError: With both sizes.
+    """
+    for name, (width, height) in frames.image_size_px.items():
+        points = frames.keypoints_px[[one == name for one in frames.sequence_id]]
+        points = points[np.isfinite(points).all(axis=-1)]
+        sides = np.array([width, height])
+        is_outside = ((points < -MAX_MARGIN * sides) | (points > (1 + MAX_MARGIN) * sides)).any(axis=-1)
+        if len(points) and is_outside.mean() > MAX_OUTSIDE:
+            reach = " x ".join(f"{side:.0f}" for side in points.max(axis=0))
+            raise InputError(
+                f"{is_outside.mean():.0%} of the keypoints of '{name}' lie outside the image: they reach {reach}, and "
+                f"the image is {width} x {height}; give the keypoints of an image of this size, or a file that states "
+                "the size of its images"
+            )
 
 
 def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:

@@ -21,6 +21,7 @@ from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import Lines, parse_integer, parse_number, parse_numbers, shorten
+from pasdedeux.formats.yolo import YOLO
 from pasdedeux.skeletons import Skeleton
 
 MAX_JOINTS = 1000
@@ -127,7 +128,8 @@ BVH = MotionFormat(
 def _is_rows(start: FileStart) -> bool:
     """Tell whether the first line is at least three triples of numbers."""
     words = start.first_row.split()
-    return len(words) >= 9 and len(words) % 3 == 0 and all(re.fullmatch(r"[-+0-9.eE]+", word) for word in words)
+    is_numbers = len(words) >= 9 and len(words) % 3 == 0 and all(re.fullmatch(r"[-+0-9.eE]+", word) for word in words)
+    return is_numbers and not YOLO.recognises(start)
 
 
 ROTATION_ROWS = MotionFormat(

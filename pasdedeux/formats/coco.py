@@ -14,6 +14,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
 from pasdedeux.formats.detections import (
+    CONFIDENCE_OF_VISIBILITY,
     MAX_CONFIDENCE,
     Detection,
     image_size,
@@ -25,8 +26,6 @@ from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
 from pasdedeux.skeletons.layouts import KeypointLayout
 
-_CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
-"""COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible."""
 _ID_KEYS = ("track_id", "idx", "person_id", "instance_id")
 """Where a person's number stands: COCO's and trackers' `track_id`, AlphaPose's `idx`."""
 _FRAME_KEYS = ("frame_id", "frame_index", "frame")
@@ -46,9 +45,10 @@ class _Item:
 def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
     """Read COCO keypoints: annotations, or results as mmpose, ViTPose, Detectron2, Ultralytics, AlphaPose write them.
 
-    With a list `images`, the third number of a keypoint is COCO's visibility (0 means missing), and an image is of its
-    `video_id` and the frame `frame_id`; else the frame that its file name tells, else of its place in the list.  In a
-    list of results the third number is a confidence, and `image_id` is the frame or the name of the image.  mmpose's
+    With a list `images`, the third number of a keypoint is COCO's visibility (0 means missing) or a confidence, and an
+    image is of its `video_id` and the frame `frame_id`; else the frame that its file name tells, else of its place in
+    the list.  CVAT writes `track_id` and `keyframe` as `attributes`; what is no key frame is interpolated.  In a list
+    of results the third number is a confidence, and `image_id` is the frame or the name of the image.  mmpose's
     own form has a list of frames with `instances`, whose keypoints and `keypoint_scores` stand apart.  People are
     numbered by `track_id` or AlphaPose's `idx` where everybody has one of their own, else by their order.
     """
@@ -64,8 +64,11 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
     places, sizes = _places_of_images(named.get("images")) if is_annotations else (_places_of_ids(items), {})
     footage = known_footage(content)
     categories = _names_of_categories(named)
+    if isinstance(meta := named.get("meta_info"), dict) and isinstance(meta.get("keypoint_id2name"), dict):
+        categories = {None: tuple(map(str, meta["keypoint_id2name"].values()))}
     if footage.image_size_px:
         sizes = sizes or {video: footage.image_size_px for video, _ in places.values()}
+    has_keyframes = is_annotations and any("keyframe" in _attributes(item.content) for item in items)
     detections = []
     for item in items:
         if not isinstance(item.image, int | str) or item.image not in places:
@@ -74,10 +77,11 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
         status = _own_status(item.content, item.where) if is_annotations else None
         if status is not None:
             table[:, 2] = np.where(table[:, 2] > 0, item.content["keypoint_scores"], 0.0)
-        elif is_annotations:
-            if not np.isin(table[:, 2], [0, 1, 2]).all():
-                raise FormatError(f"{item.where}: a visibility is none of 0, 1, 2")
-            table[:, 2] = _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)]
+        elif is_annotations and not (np.isnan(seen := table[:, 2]) | (abs(seen - 0.5) <= 0.5) | (seen == 2)).all():
+            raise FormatError(f"{item.where}: a visibility is none of 0, 1, 2, and no confidence up to 1")
+        if has_keyframes:
+            is_key = _attributes(item.content).get("keyframe", True)
+            status = (KeypointStatus.ANNOTATED if is_key else KeypointStatus.INTERPOLATED,) * len(table)
         names = _names_of(item.content, categories, len(table))
         detections.append(Detection(places[item.image], _person_id(item.content), table, item.where, status, names))
     return join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, rate_hz=footage.rate_hz)
@@ -135,7 +139,7 @@ def write_coco(frames: AnnotatedFrames) -> str:
     people = []
     for row in range(frames.num_rows):
         sure, points = frames.confidence[row], np.nan_to_num(np.round(frames.keypoints_px[row], 2))
-        visibility = np.where(sure > _CONFIDENCE_OF_VISIBILITY[1], 2, np.where(sure > 0, 1, 0))
+        visibility = np.where(sure > CONFIDENCE_OF_VISIBILITY[1], 2, np.where(sure > 0, 1, 0))
         seen = points[sure > 0]
         low, sides_px = seen.min(axis=0), np.ptp(seen, axis=0)
         triples = [[x, y, int(v)] for (x, y), v in zip(points.tolist(), visibility, strict=True)]
@@ -201,7 +205,11 @@ IMAGE_RESULTS = AnnotationFormat(
 
 
 def _people(listed: list[Any]) -> Iterator[_Item]:
-    """Yield those who have keypoints, of a list of annotations, of results, or of frames with `instances`."""
+    """Yield those who have keypoints, of a list of annotations, of results, or of frames with `instances`.
+
+    COCO has an empty list for crowds, and other tools boxes without keypoints; a file of nothing else is refused.
+    """
+    missing = ""
     for index, one in enumerate(listed):
         where = f"annotation {index}"
         content = one if isinstance(one, dict) else {}
@@ -211,10 +219,16 @@ def _people(listed: list[Any]) -> Iterator[_Item]:
         else:
             image, people = content.get("image_id"), [(one, where)]
         for person, inside in people:
-            if not isinstance(person, dict) or not isinstance(person.get("keypoints"), list):
+            keypoints = person.get("keypoints") if isinstance(person, dict) else ""
+            if keypoints is not None and not isinstance(keypoints, list):
                 raise FormatError(f"{inside} has no list 'keypoints'")
-            if person["keypoints"]:  # COCO has an empty list for crowds
+            if keypoints is None:
+                missing = missing or inside
+            elif keypoints:
+                missing = "-"
                 yield _Item(image, person, inside)
+    if missing not in ("", "-"):
+        raise FormatError(f"{missing} has no list 'keypoints'")
 
 
 def _keypoint_table(content: dict[str, Any], where: str) -> Array:
@@ -226,6 +240,8 @@ def _keypoint_table(content: dict[str, Any], where: str) -> Array:
             raise FormatError(f"{where}: 'keypoints' have no lists 'x' and 'y' of one length")
         numbers, scores = [list(point) for point in zip(x, y, strict=True)], scores or [1.0] * len(x)
     if all(isinstance(point, list) for point in numbers):
+        if scores is None and all(len(point) == 3 for point in numbers):
+            scores = [point[2] for point in numbers]
         if not isinstance(scores, list) or len(scores) != len(numbers) or any(len(point) < 2 for point in numbers):
             raise FormatError(f"{where}: 'keypoints' are points, which need as many 'keypoint_scores'")
         numbers = [value for point, score in zip(numbers, scores, strict=True) for value in (*point[:2], score)]
@@ -236,7 +252,8 @@ def _keypoint_table(content: dict[str, Any], where: str) -> Array:
 
 def _person_id(content: dict[str, Any]) -> int | str | None:
     """Return the number or name of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
-    value = next((content[key] for key in _ID_KEYS if content.get(key) is not None), None)
+    stated = {**_attributes(content), **content}
+    value = next((stated[key] for key in _ID_KEYS if stated.get(key) is not None), None)
     while isinstance(value, list):
         value = value[0] if value else None
     if isinstance(value, float) and value.is_integer():
@@ -244,15 +261,34 @@ def _person_id(content: dict[str, Any]) -> int | str | None:
     return value if _is_count(value) or (isinstance(value, str) and value) else None
 
 
+def _attributes(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the attributes that CVAT gives an annotation."""
+    attributes = content.get("attributes")
+    return attributes if isinstance(attributes, dict) else {}
+
+
+def _place_of_number(number: int) -> Place | None:
+    """Return video and frame of a number, None of one that is none.
+
+    PoseTrack's have eleven digits: after a 1, six of the video and four of the frame.
+    """
+    if number <= MAX_COUNT:
+        return "", number
+    return (str(number)[1:7], number % 10_000) if 10**10 <= number < 2 * 10**10 else None
+
+
 def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:
     """Return video and frame by what results call their images: numbers are frames, names tell theirs."""
     for item in items:
-        if not _is_count(item.image) and not (isinstance(item.image, str) and item.image):
+        is_number = isinstance(item.image, int) and not isinstance(item.image, bool) and item.image >= 0
+        if not (is_number and _place_of_number(item.image)) and not (isinstance(item.image, str) and item.image):
             allowed = f"a whole number from 0 to {MAX_COUNT}, or an image's name"
             raise FormatError(f"{item.where}: 'image_id' or 'frame_id' must be {allowed}")
     ids = {item.image for item in items}
     if all(isinstance(image, int) for image in ids):
-        return {image: ("", image) for image in ids}
+        found = {image: _place_of_number(image) or ("", 0) for image in ids}
+        is_alone = len({video for video, _ in found.values()}) == 1
+        return {image: ("" if is_alone else video, frame) for image, (video, frame) in found.items()}
     places = places_of_names(str(image) for image in ids)
     return {image: places[str(image)] for image in ids}
 
@@ -270,9 +306,12 @@ def _places_of_images(images: object) -> tuple[dict[int | str, Place], dict[str,
             raise FormatError(f"image {index} has no 'id'")
         if image["id"] in known:
             raise FormatError(f"image {index}: its id {str(image['id'])[:40]!r} appears twice")
-        if image.get("frame_id") is not None and not _is_count(image["frame_id"]):
+        number, video = image.get("frame_id"), image.get("video_id", image.get("vid_id"))
+        if type(number) is int and number > MAX_COUNT and (place := _place_of_number(number)):
+            video, number = place if video is None else (video, place[1])
+        if number is not None and not _is_count(number):
             raise FormatError(f"image {index}: 'frame_id' must be a whole number from 0 to {MAX_COUNT}")
-        known[image["id"]] = image
+        known[image["id"]] = {**image, "frame_id": number, "video_id": video}
     is_stated = any(image.get(key) is not None for image in known.values() for key in ("video_id", "frame_id"))
     names = [image.get("file_name") for image in known.values()]
     by_name: dict[str, Place] = {}

@@ -41,6 +41,11 @@ MIN_NAMED = 6
 """Joints whose names must be known for a layout to be told by names."""
 _MAX_LISTED = 12
 """Names that a message lists."""
+_NUM_FACE, _MAX_FACE = 11, 0.33
+"""Landmarks of MediaPipe before the shoulders, and their distance from the nose against that of the shoulders: about
+0.2 on a face, and 0.4 and more where other layouts have shoulders, elbows and wrists."""
+CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
+"""COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible; without any 2 in a file, 1 is visible."""
 MAX_CONFIDENCE = 10.0
 """Confidences are heights of a heat map: about 1 at most, but not exactly."""
 
@@ -148,6 +153,8 @@ def join_detections(
         raise InputError(f"sequence '{sequence_id}': {error}") from None
     table = arranged.table
     confidence = np.nan_to_num(table[..., 2])
+    if confidence.max(initial=0.0) == 2 and np.isin(confidence, [0, 1, 2]).all():
+        confidence = CONFIDENCE_OF_VISIBILITY[confidence.astype(int)]
     if (confidence < 0).any() or (confidence > MAX_CONFIDENCE).any():
         row = int(np.flatnonzero(((confidence < 0) | (confidence > MAX_CONFIDENCE)).any(axis=1))[0])
         raise FormatError(f"{detections[row].where}: a confidence lies outside 0..{MAX_CONFIDENCE:g}")
@@ -247,10 +254,10 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
     table = np.stack([one.table for one in detections])
     known = LAYOUTS_OF_COUNT.get(count, ())
     landmarks = KEYPOINT_LAYOUTS["mediapipe33"]
-    is_cut = may_be_cut and MIN_NAMED < count < landmarks.num_keypoints
+    is_cut = may_be_cut and _NUM_FACE + 2 <= count < landmarks.num_keypoints and _begins_with_face(table)
     asked = get_keypoint_layout(layout) if layout != "auto" else None
     if asked is None and (known or is_cut):
-        asked = _most_like_people((*known, landmarks) if is_cut else known, table, is_cut=is_cut)
+        asked = landmarks if is_cut else _most_like_people(known, table)
     is_fitting = asked is not None and (
         asked in known or asked.num_keypoints == count or (is_cut and asked is landmarks)
     )
@@ -267,9 +274,21 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
     return Arranged(asked, table, np.array(statuses) if len(statuses) == len(detections) else None)
 
 
-def _most_like_people(
-    layouts: Sequence[KeypointLayout], table: npt.NDArray[np.float64], *, is_cut: bool
-) -> KeypointLayout:
+def _begins_with_face(table: npt.NDArray[np.float64]) -> bool:
+    """Tell whether the first points (row, K, 3) are MediaPipe's face: all near the nose, unlike the shoulders."""
+    is_seen = (table[..., 2] > 0) & (table[..., :2] != 0).any(axis=-1)
+    points = np.where(is_seen[..., None], table[..., :2], np.nan)
+    far = np.linalg.norm(points - points[:, :1], axis=-1)
+    ears = (0, 7, 8)  # turned away, these are half as far as a shoulder
+    face, shoulders = np.delete(far[:, :_NUM_FACE], ears, axis=1), far[:, _NUM_FACE : _NUM_FACE + 2]
+    is_told = np.isfinite(face).any(axis=1) & np.isfinite(shoulders).any(axis=1)
+    if not is_told.any():
+        return False
+    ratio = np.nanmax(face[is_told], axis=1) / np.maximum(np.nanmax(shoulders[is_told], axis=1), 1e-9)
+    return bool(np.median(ratio) < _MAX_FACE)
+
+
+def _most_like_people(layouts: Sequence[KeypointLayout], table: npt.NDArray[np.float64]) -> KeypointLayout:
     """Return the layout in whose order keypoints (row, K, 3) have clearly the shortest segments of a body.
 
     Raises:
@@ -283,7 +302,7 @@ def _most_like_people(
     told = sorted((lengths[one.name], one.name) for one in layouts if np.isfinite(lengths[one.name]))
     if told and told[0][0] <= MAX_STRETCH and all(told[0][0] < CLEARLY_SHORTER * length for length, _ in told[1:]):
         return KEYPOINT_LAYOUTS[told[0][1]]
-    usual = [one for one in layouts if one.name in USUAL_LAYOUTS and not is_cut]
+    usual = [one for one in layouts if one.name in USUAL_LAYOUTS]
     if usual:
         return usual[0]
     raise FormatError(

@@ -1,14 +1,16 @@
-"""Reading MediaPipe's 33 pose landmarks as programs export them: JSON of frames, and tables by landmark or by frame.
+"""Reading points as programs export them: MediaPipe's landmarks and those of other detectors, in JSON and tables.
 
 MediaPipe itself writes no file.  What is read is what people's programs have in common: a frame is a list of points, in
 order or by name, alone or one list for each person; a table has a row for each landmark (`frame, landmark_id, x, y, z,
-visibility`) or a row for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, ...`).
+visibility`) or a row for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, ...`, with several people `p1_nose_x`),
+also with the rows of DeepLabCut above it (`scorer`, `individuals`, `bodyparts`, `coords`).
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -18,24 +20,28 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import UNKNOWN, Detection, join_detections, known_footage
+from pasdedeux.formats.detections import MIN_NAMED, UNKNOWN, Detection, join_detections, known_footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.text import MAX_COUNT, Lines, decode, parse_json, parse_number, parse_triples, shorten
+from pasdedeux.formats.image_names import places_of_names
+from pasdedeux.formats.text import MAX_COUNT, MISSING, Lines, decode, parse_json, parse_number, parse_triples, shorten
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
 _LIST_KEYS = ("frames", "poses", "results", "data", "landmarks", "pose_landmarks")
 _POSE_KEYS = ("landmarks", "pose_landmarks", "poselandmarks", "landmark", "keypoints", "pose")
-_FRAME_KEYS = ("frame", "frame_id", "frame_index", "frame_idx", "frame_number", "frame_num")
-_PERSON_KEYS = ("person", "person_id", "track_id", "pose_index", "pose_id")
+_FRAME_KEYS = ("frame", "frame_id", "frame_index", "frame_idx", "frame_number", "frame_num", "frame_no")
+_PERSON_KEYS = ("person", "person_id", "track_id", "pose_index", "pose_id", "individual", "id")
 _VIDEO_KEYS = ("video", "video_name", "sequence", "filename")
-_LANDMARK_KEYS = ("landmark_name", "landmark", "landmark_id", "landmark_index", "landmark_idx")
-_SEEN_KEYS = ("visibility", "vis", "v", "confidence", "score")
-_COLUMN = re.compile(
-    r"(?P<axis>x|y|z|v|vis|visibility)_?(?P<index>\d{1,2})|(?P<name>.+?)_(?P<of>x|y|z|v|vis|visibility)"
+_LANDMARK_KEYS = (
+    *("landmark_name", "landmark", "landmark_id", "landmark_index", "landmark_idx"),
+    *("keypoint_name", "keypoint", "keypoint_id", "bodypart", "joint_name", "joint_id"),
 )
-_MIN_COLUMNS = 12
-"""Landmarks that a table with a row for each frame has at least."""
+_SEEN_KEYS = ("visibility", "vis", "v", "confidence", "score", "likelihood", "conf")
+_AXIS = r"x|y|z|v|vis|visibility|c|s|conf|confidence|score|likelihood|p"
+_COLUMN = re.compile(
+    rf"(?:(?P<who>(?:p|person|player|dancer|id|ind)_?\d+)[_. ])?"
+    rf"(?:(?P<axis>{_AXIS})_?(?P<index>\d{{1,3}})|(?P<name>.+?)[_. ](?P<of>{_AXIS})|(?P<by>[xyv])_(?P<of_name>[^\d].+))"
+)
 
 
 def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
@@ -50,8 +56,9 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLa
         footage = known_footage(content)
         detections = list(_of_frames(content))
     else:
+        is_deeplabcut = decode(data, what).lstrip()[:6].lower() == "scorer"
         with Lines(data, what) as lines:
-            detections = _of_table(lines)
+            detections = _of_table(lines, is_deeplabcut=is_deeplabcut)
     videos = {one.place[0] for one in detections}
     if len(videos) == 1:
         detections = [replace(one, place=("", one.place[1])) for one in detections]
@@ -59,18 +66,25 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLa
         detections,
         sequence_id=sequence_id,
         layout=layout,
-        sizes_px=dict.fromkeys(videos, footage.image_size_px) if footage.image_size_px else {},
+        sizes_px=dict.fromkeys({one.place[0] for one in detections}, size) if (size := footage.image_size_px) else {},
         rate_hz=footage.rate_hz,
+        may_be_cut=True,
     )
 
 
 def _is_mediapipe(start: FileStart) -> bool:
-    """Tell whether the file is JSON of landmarks, or a table whose columns are theirs."""
+    """Tell whether the file is JSON of landmarks or of lists of points, or a table whose columns are theirs."""
     if start.is_json:
-        return not start.has_key("people") and (start.has_points or start.has_key("landmarks", "pose_landmarks"))
-    header = [cell.strip().strip('"').lower() for cell in start.first_row.split(",")]
-    is_by_landmark = {"x", "y"} <= set(header) and bool(set(header) & set(_LANDMARK_KEYS))
-    return is_by_landmark or len(_columns_by_landmark(header)) >= _MIN_COLUMNS
+        is_lists = re.match(r'(\[\s*){3,5}(-?\d|null|NaN)|\{\s*"\d+"\s*:\s*(\[\s*){0,4}[\]\d-]', start.text) is not None
+        has_points = start.has_points or start.has_key("landmarks", "pose_landmarks")
+        return is_lists or (has_points and not start.has_key("people"))
+    if start.columns[0] == "scorer":
+        return True
+    keys = {_plain(column) for column in start.columns}
+    if {"x", "y", "joint"} <= keys:  # our own
+        return False
+    is_by_landmark = {"x", "y"} <= keys and any(_plain(key) in keys for key in _LANDMARK_KEYS)
+    return is_by_landmark or any(len(points) >= MIN_NAMED for points in _columns_by_landmark(start.columns).values())
 
 
 MEDIAPIPE = AnnotationFormat(
@@ -107,15 +121,17 @@ def _of_frames(content: Any) -> Iterator[Detection]:
             if low and not any(key in low for key in _POSE_KEYS) and not _is_pose(low):
                 has_world = any("world" in key for key in low)
                 raise FormatError("no landmarks of the image are there" + (", only of the world" if has_world else ""))
-            own = person if isinstance(person, int) and 0 <= person <= MAX_COUNT else None
-            for pose in _poses(low or frame):
-                yield Detection(("", number), own, pose, where)
+            is_number = isinstance(person, int) and 0 <= person <= MAX_COUNT
+            own = person if is_number or (isinstance(person, str) and person) else None
+            for pose, names in _poses(low or frame):
+                yield Detection(("", number), own, pose, where, names=names)
 
 
 def _is_point(value: Any) -> bool:
     if isinstance(value, dict):
         return "x" in value and "y" in value
-    return isinstance(value, list) and 2 <= len(value) <= 5 and all(isinstance(one, int | float) for one in value)
+    is_numbers = isinstance(value, list) and all(one is None or isinstance(one, int | float) for one in value)
+    return is_numbers and 2 <= len(value) <= 5
 
 
 def _is_pose(value: Any) -> bool:
@@ -124,17 +140,19 @@ def _is_pose(value: Any) -> bool:
     return len(points) > 2 and all(_is_point(point) for point in points)
 
 
-def _poses(value: Any) -> Iterator[Array]:
-    """Yield the points (33, 3) of everybody in a value."""
+def _poses(value: Any) -> Iterator[tuple[Array, tuple[str, ...] | None]]:
+    """Yield the points (K, 3) of everybody in a value, and their names where they have some."""
     if value is None or value in ([], {}):
         return
     if _is_pose(value):
-        if isinstance(value, dict):
-            table = np.zeros((len(_NAMES), 3))
-            table[[_known_landmark(name) for name in value]] = np.concatenate(list(map(_triple, value.values())))
-            yield table
-        else:
-            yield np.concatenate(list(map(_triple, value)))
+        points = list(value.values()) if isinstance(value, dict) else value
+        names = (
+            list(value)
+            if isinstance(value, dict)
+            else [_first(one, ("name", "part")) for one in points if isinstance(one, dict)]
+        )
+        has_names = len(names) == len(points) and all(isinstance(name, str) and name for name in names)
+        yield _table(points), tuple(names) if has_names else None
     elif isinstance(value, list):
         for one in value:
             yield from _poses(one)
@@ -144,82 +162,150 @@ def _poses(value: Any) -> Iterator[Array]:
         raise FormatError("something is no list of points with x and y")
 
 
-def _triple(point: Any) -> Array:
-    """Return x, y and visibility (1, 3) of a point: an object, or x, y, z and perhaps visibility."""
-    if isinstance(point, dict):
-        seen = _first(point, _SEEN_KEYS)
-        values = [point["x"], point["y"], 1.0 if seen is None else seen]
-    else:
-        values = [*point[:2], point[3] if len(point) > 3 else 1.0]
-    return parse_triples([math.nan if one is None else one for one in values], "a point")
+def _table(points: Sequence[Any]) -> Array:
+    """Return x, y and visibility (K, 3) of points: objects, or lists of x, y, perhaps z, and perhaps visibility.
+
+    The third number of three is a confidence where none of them is negative, as depths are, and else a depth.
+    """
+    thirds = [point[2] for point in points if isinstance(point, list) and len(point) == 3]
+    has_depth = any(one is not None and not 0 <= one <= 1 for one in thirds)
+    values: list[Any] = []
+    for point in points:
+        if isinstance(point, dict):
+            seen = _first(point, _SEEN_KEYS)
+            values += [point["x"], point["y"], 1.0 if seen is None else seen]
+        else:
+            at = 3 if len(point) > 3 else 2 if len(point) == 3 and not has_depth else None
+            values += [*point[:2], 1.0 if at is None else point[at]]
+    return parse_triples(values, "a point")
 
 
-def _landmark(name: str) -> int | None:
-    """Return the landmark of a name as MediaPipe's languages spell it, or of a number."""
-    plain = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name.strip())
-    plain = re.sub(r"[^a-z0-9]+", "_", plain.lower()).strip("_").removeprefix("landmark_")
-    plain = plain.replace("foot_index", "big_toe")
-    if plain.isdigit() and int(plain) < len(_NAMES):
-        return int(plain)
-    return _NAMES.index(plain) if plain in _NAMES else None
-
-
-def _known_landmark(name: str) -> int:
-    landmark = _landmark(name)
-    if landmark is None:
-        raise FormatError(f"'{shorten(name)}' is no landmark; known: {', '.join(_NAMES)}")
-    return landmark
-
-
-def _of_table(lines: Lines) -> list[Detection]:
+def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
     """Return the people of a table."""
-    header, rows = lines.table(())
+    header, rows = _deeplabcut(lines) if is_deeplabcut else lines.table(())
+    plain = {_plain(column): column for column in reversed(header)}
     frame_key, person_key, video_key, landmark_key, seen_key = (
-        next((key for key in keys if key in header), None)
+        next((plain[_plain(key)] for key in keys if _plain(key) in plain), None)
         for keys in (_FRAME_KEYS, _PERSON_KEYS, _VIDEO_KEYS, _LANDMARK_KEYS, _SEEN_KEYS)
     )
-    columns = _columns_by_landmark(header)
-    if landmark_key is None and len(columns) < _MIN_COLUMNS:
+    by_person = _columns_by_landmark(header)
+    if landmark_key is None and not any(len(points) >= MIN_NAMED for points in by_person.values()):
         raise FormatError("no columns of landmarks; known: landmark, x and y, or nose_x, nose_y ...")
-    if landmark_key is not None and (frame_key is None or not {"x", "y"} <= set(header)):
+    if landmark_key is not None and (frame_key is None or not {"x", "y"} <= set(plain)):
         raise FormatError("a row for each landmark needs the columns frame, x and y")
-    people: dict[tuple[str, int, int | None], Detection] = {}
+    people: dict[tuple[str, int, int | str | None, int], dict[str, list[float]]] = {}
+    numbers: dict[tuple[str, int, int | str | None, int], int] = {}
+    seen: Counter[tuple[str, int, int | str | None]] = Counter()
     for position, row in enumerate(rows):
         frame = position if frame_key is None else _count(row[frame_key], frame_key)
-        person = None if person_key is None else _count(row[person_key], person_key)
-        place = (row[video_key] if video_key else "", frame)
-        one = Detection(place, person, np.zeros((len(_NAMES), 3)), f"line {lines.number}")
-        table = people.setdefault((*place, person), one).table
-        points = columns if landmark_key is None else {_known_landmark(row[landmark_key]): ("x", "y", seen_key)}
-        for landmark, keys in points.items():
-            table[landmark] = [1.0 if key is None else _number(row[key], key) for key in keys]
+        person = None if person_key is None else _person(row[person_key], person_key)
+        video = row[video_key] if video_key else ""
+        if landmark_key is not None:
+            name = row[landmark_key]
+            if name.isdigit() and int(name) >= len(_NAMES):
+                raise FormatError(f"'{shorten(name)}' is no landmark; known: 0 to {len(_NAMES) - 1}, or names")
+            points = {name: [_value(row, key) for key in (plain["x"], plain["y"], seen_key)]}
+            place = (video, frame, person)
+            # Of people without numbers, the next one begins where a landmark comes again.
+            seen[place] += name in people.get((*place, seen[place]), {}) and person is None
+            key = (*place, seen[place])
+            if name in people.get(key, {}):
+                raise FormatError(f"'{shorten(name)}' twice for person {person} in frame {frame}")
+            people.setdefault(key, {}).update(points)
+            numbers.setdefault(key, lines.number)
+            continue
+        for who, columns in by_person.items():
+            place = (video, frame, person if person is not None or len(by_person) == 1 else who)
+            key = (*place, seen[place])
+            seen[place] += 1
+            people[key] = {name: [_value(row, column) for column in axes] for name, axes in columns.items()}
+            numbers[key] = lines.number
     if not people:
         raise InputError("this table of landmarks has no rows: nobody was detected")
-    return list(people.values())
+    names = tuple(sorted(dict.fromkeys(name for points in people.values() for name in points), key=_by_number))
+    if all(name.isdigit() for name in names):
+        names = tuple(map(str, range(int(names[-1]) + 1)))
+    missing = [math.nan, math.nan, 0.0]
+    return [
+        Detection(
+            (video, frame),
+            person,
+            np.array([points.get(name, missing) for name in names]),
+            f"line {numbers[key]}",
+            names=names,
+        )
+        for key, points in people.items()
+        for video, frame, person, _ in (key,)
+    ]
 
 
-def _columns_by_landmark(header: list[str]) -> dict[int, tuple[str, str, str | None]]:
-    """Return the columns of x, y and visibility of each landmark, where a table has a row for each frame."""
-    found: dict[int, dict[str, str]] = {}
-    numbers = []
+def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:
+    """Return columns and rows of a table of DeepLabCut, whose first rows say what a column is."""
+    rows, head = lines.rows(), dict[str, list[str]]()
+    while "coords" not in head:
+        row = next(rows, None)
+        if row is None:
+            raise FormatError("the table of DeepLabCut has no row 'coords'")
+        head[row[0].lower()] = row
+    if "bodyparts" not in head or len(set(map(len, head.values()))) > 1:
+        raise FormatError("the table of DeepLabCut has no row 'bodyparts' as long as 'coords'")
+    who = head.get("individuals", [""] * len(head["coords"]))
+    index = [at for at, axis in enumerate(head["coords"]) if at == 0 or not axis]
+    people = (
+        {name: f"p{number}_" for number, name in enumerate(dict.fromkeys(who[len(index) :]))} if any(who) else {"": ""}
+    )
+    columns = zip(who, head["bodyparts"], head["coords"], strict=True)
+    header = [f"{people.get(name, '')}{part}_{axis}".lower() for name, part, axis in columns][len(index) :]
+    read = [([row[at] for at in index], row[len(index) :], lines.number) for row in rows]
+    images = ["/".join(filter(None, words)) for words, _, _ in read]
+    places = {} if all(map(str.isdigit, images)) else places_of_names(images)
+    frames = [str(places[image][1]) if places else image for image in images]
+    found = []
+    for frame, (_, row, number) in zip(frames, read, strict=True):
+        if len(row) != len(header):
+            raise FormatError(f"row {number} has {len(row)} values where {len(header)} are needed")
+        found.append({"frame": frame, **dict(zip(header, row, strict=True))})
+    return ["frame", *header], found
+
+
+def _columns_by_landmark(header: Sequence[str]) -> dict[str, dict[str, tuple[str, str, str | None]]]:
+    """Return the columns of x, y and visibility of each landmark of each person, where a row is a frame."""
+    found: dict[str, dict[str, dict[str, str]]] = {}
     for column in header:
-        match = _COLUMN.fullmatch(column)
-        landmark = _landmark(match["index"] or match["name"]) if match else None
-        if match is None or (landmark is None and match["index"] != str(len(_NAMES))):
-            continue
-        number = int(match["index"]) if match["index"] else int(landmark or 0)
-        numbers.append(number)
-        found.setdefault(number, {})[(match["axis"] or match["of"])[0]] = column
-    shift = 1 if numbers and max(numbers) == len(_NAMES) else 0
-    return {
-        number - shift: (axes["x"], axes["y"], axes.get("v"))
-        for number, axes in found.items()
-        if "x" in axes and "y" in axes and number >= shift
-    }
+        if match := _COLUMN.fullmatch(column):
+            name = match["index"] or match["name"] or match["of_name"]
+            axis = match["axis"] or match["of"] or match["by"]
+            axes = found.setdefault(match["who"] or "", {}).setdefault(name.lstrip("0") or "0", {})
+            axes[axis if axis in ("x", "y", "z") else "v"] = column
+    people = {}
+    for who, names in found.items():
+        both = {name: axes for name, axes in names.items() if {"x", "y"} <= axes.keys()}
+        points = {name: (axes["x"], axes["y"], axes.get("v")) for name, axes in both.items()}
+        numbered = {int(name): columns for name, columns in points.items() if name.isdigit()}
+        shift = min(1, min(numbered, default=0))
+        people[who] = {str(number - shift): columns for number, columns in numbered.items()} or points
+    most = max(map(len, people.values()), default=0)
+    return {who: points for who, points in people.items() if 2 * len(points) > most}
+
+
+def _plain(column: str) -> str:
+    return re.sub(r"[\W_]+", "", column.lower())
+
+
+def _by_number(name: str) -> int:
+    return int(name) if name.isdigit() else 0
+
+
+def _value(row: Mapping[str, str], key: str | None) -> float:
+    return 1.0 if key is None else _number(row[key], key)
+
+
+def _person(token: str, what: str) -> int | str:
+    return token if any(map(str.isalpha, token)) else _count(token, what)
 
 
 def _number(token: str, what: str) -> float:
-    return math.nan if token.lower() in ("", "nan", "none") else parse_number(token, what)
+    return math.nan if token.lower() in MISSING else parse_number(token, what)
 
 
 def _count(token: str, what: str) -> int:

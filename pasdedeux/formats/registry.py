@@ -7,7 +7,14 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy, in_pixels, without_doubtful
+from pasdedeux.formats.annotated_frames import (
+    AnnotatedFrames,
+    check_anatomy,
+    check_inside,
+    in_pixels,
+    in_size,
+    without_doubtful,
+)
 from pasdedeux.formats.annotation_csv import ANNOTATION_CSV
 from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
 from pasdedeux.formats.asf_amc import ASF_AMC
@@ -25,6 +32,7 @@ from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.smpl import SMPL
 from pasdedeux.formats.text import shorten
 from pasdedeux.formats.trc import TRC
+from pasdedeux.formats.yolo import YOLO
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)
@@ -33,7 +41,7 @@ MOTION_FORMATS: Mapping[str, MotionFormat] = {
     one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, TRC, SMPL)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
-    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, CVAT, ANNOTATION_CSV, ANNOTATION_NPZ)
+    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, CVAT, YOLO, ANNOTATION_CSV, ANNOTATION_NPZ)
 }
 
 
@@ -82,6 +90,7 @@ def read_annotations(
     video: Footage = UNKNOWN,
     min_confidence: float | None = 0.0,
     skip_unreadable: bool = False,
+    frame_offset: int = 0,
 ) -> AnnotatedFrames:
     """Read a source of 2D poses in pixels and check that they look like people; sequences are named after it.
 
@@ -94,14 +103,18 @@ def read_annotations(
         video: What the video file beside them states; used where neither does.
         min_confidence: Keypoints of less are missing; None for the usual, see `without_doubtful`.
         skip_unreadable: Skip frames whose file is damaged.
+        frame_offset: Added to the numbers of frames; -1 where a tool counts from 1.
 
     Raises:
         InputError: A file is mangled (named), the keypoints are not in the layout asked for, are not people, or lie
-            in an image of unknown size.
+            in an image of unknown or another size; or a frame's number is negative after the offset.
     """
     frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
     if isinstance(layout, str) and layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
+    if frames.frame.min() + frame_offset < 0:
+        raise InputError(f"frame {frames.frame.min()} would be {frames.frame.min() + frame_offset} (frame_offset)")
+    frames = replace(frames, frame=frames.frame + frame_offset)
     frames = clean_annotations(frames, stated=stated, video=video, min_confidence=min_confidence)
     own = f"{source_id}."
     names = {
@@ -121,9 +134,14 @@ def clean_annotations(
     """Return 2D poses in pixels, with all that is known of the footage and without doubtful keypoints.
 
     Raises:
-        InputError: They are not people, or lie in an image of unknown size.
+        InputError: They are not people, or lie in an image of unknown or another size.
     """
-    frames = without_doubtful(in_pixels(_with_footage(frames, stated, video)), min_confidence)
+    known = _with_footage(frames, stated, video)
+    pixels = in_pixels(known)
+    if pixels is known:
+        pixels = _with_footage(in_size(frames, stated.image_size_px), stated, video)
+    frames = without_doubtful(pixels, min_confidence)
+    check_inside(frames)
     check_anatomy(frames)
     return frames
 

@@ -86,7 +86,7 @@ class Lines:
         """
         for _ in self.notes():
             pass
-        rows = self._rows()
+        rows = self.rows()
         columns = [name.lower() for name in next(rows, [])]
         if not columns:
             raise FormatError("the file ends without a header line")
@@ -118,7 +118,7 @@ class Lines:
                 parse_number(word, column)
         raise FormatError(f"the file ends after {count} of {num_rows or 1} frames")
 
-    def _rows(self) -> Iterator[list[str]]:
+    def rows(self) -> Iterator[list[str]]:
         """Yield the cells of the lines left that are not blank."""
         last = self.number
         delimiter = find_delimiter(next((text for text in self._texts[last:] if text.strip()), ""))

@@ -430,12 +430,25 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
 }
 """A good file of every format of motions, and what must lie beside it."""
 
+
+def yolo_text(*, people: int = 2, seed: int = 0, has_scores: bool = True, tail: str = "") -> str:
+    """Return the people of one image of 640 x 480 as YOLO writes them; the right wrist is not detected."""
+    lines = []
+    for frame, _, table in people_of(seed + 1, people):
+        if frame == seed:
+            table = table / (640.0, 480.0, 1.0)
+            values = (table if has_scores else table[:, :2]).reshape(-1).tolist()
+            lines.append(f"0 0.4 0.5 0.2 0.6 {' '.join(f'{value:.6f}' for value in values)}{tail}")
+    return "\n".join(lines) + "\n"
+
+
 GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
     "openpose": {f"w_{frame}_keypoints.json": openpose_text(people=2, seed=frame).encode() for frame in range(3)},
     "coco": {"c.json": coco_text().encode()},
     "image_results": {f"w_{frame}.json": image_text("mmpose", seed=frame).encode() for frame in range(3)},
     "mediapipe": {"m.json": landmark_texts()["frames"].encode()},
     "cvat": {"c.xml": write_cvat(read_annotation_csv(csv_text())).encode()},
+    "yolo": {f"clip_{frame}.txt": yolo_text(seed=frame).encode() for frame in range(3)},
     "annotation_csv": {"t.csv": csv_text().encode()},
     "annotation_npz": {"a.npz": write_annotation_npz(read_annotation_csv(csv_text()))},
 }

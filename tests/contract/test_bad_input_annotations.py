@@ -91,7 +91,7 @@ def test_an_empty_folder_and_a_missing_one_are_named(folder: Path, capsys: pytes
     (folder / "walk").mkdir()
     assert (
         refused(capsys, folder / "bad.toml")
-        == f"annotations walk: folder {folder / 'walk'} holds no files of 2D poses (.csv, .json, .npz, .xml)"
+        == f"annotations walk: folder {folder / 'walk'} holds no files of 2D poses (.csv, .json, .npz, .txt, .xml)"
     )
 
 

@@ -27,7 +27,7 @@ def write_frames(folder: Path, front: str = "", count: int = 6, *, layout: str =
     return folder
 
 
-def write_video(path: Path, *, rate_hz: float = 12.0, size: tuple[int, int] = (320, 240)) -> None:
+def write_video(path: Path, *, rate_hz: float = 12.0, size: tuple[int, int] = (640, 480)) -> None:
     path.parent.mkdir(exist_ok=True)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate_hz, size)
     for _ in range(3):
@@ -98,8 +98,8 @@ def test_rate_and_size_come_from_the_option_else_the_file_else_the_video_beside_
     write_video(tmp_path / "walk.avi")
     write_video(tmp_path / "other.avi", rate_hz=50.0)
     (found,) = found_in(path)
-    assert (found.read().rate_hz, found.read().image_size_px) == (pytest.approx(12.0), {"clip": (320, 240)})
-    assert "12 frames a second (walk.avi), 320 x 240 (walk.avi)" in found.in_words()
+    assert (found.read().rate_hz, found.read().image_size_px) == (pytest.approx(12.0), {"clip": (640, 480)})
+    assert "12 frames a second (walk.avi), 640 x 480 (walk.avi)" in found.in_words()
     (found,) = found_in(path, rate_hz=25.0, image_size_px=(640, 480), fov_deg=90.0)
     assert (found.read().rate_hz, found.read().image_size_px) == (25.0, {"clip": (640, 480)})
     assert found.read().focal_px["clip"] == pytest.approx(320.0)

@@ -111,13 +111,13 @@ def test_the_last_file_may_be_cut_off_and_costs_its_frame() -> None:
         kind.read(openpose_files(texts[0][:90]), sequence_id="s")
 
 
-def shares(layout: str = "coco18", shift: float = 0.0) -> dict[str, bytes]:
-    """Return OpenPose files whose coordinates are shares of an image of 400 x 320."""
+def shares(layout: str = "coco18", shift: tuple[float, float] = (0.0, 0.0), scale: float = 1.0) -> dict[str, bytes]:
+    """Return OpenPose files whose coordinates are shares of an image of 400 x 320, shifted and scaled."""
     files = []
     for seed in range(6):
         content = json.loads(openpose_text(layout, seed=seed))
         values = np.array(content["people"][0]["pose_keypoints_2d"]).reshape(-1, 3)
-        values[:, :2] = values[:, :2] / (400.0, 320.0) - shift
+        values[:, :2] = scale * (values[:, :2] / (400.0, 320.0) - shift)
         content["people"][0]["pose_keypoints_2d"] = values.reshape(-1).tolist()
         files.append(json.dumps(content))
     return openpose_files(*files)
@@ -129,8 +129,12 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
         read_annotations(kind, shares(), source_id="s")
     found = read_annotations(kind, shares(), source_id="s", stated=Footage((400, 320)))
     np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
-    with pytest.raises(InputError, match="world landmarks"):
-        read_annotations(kind, shares(shift=0.4), source_id="s", stated=Footage((400, 320)))
+    centred = read_annotations(kind, shares(shift=(0.5, 0.5), scale=2.0), source_id="s", stated=Footage((400, 320)))
+    np.testing.assert_allclose(centred.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
+    assert centred.remarks == ("coordinates from -1 to 1 across the image",)
+    for hips_at_origin in (shares(shift=(0.25, 0.594)), shares(shift=(0.25, 0.594), scale=1.5)):
+        with pytest.raises(InputError, match="world landmarks"):
+            read_annotations(kind, hips_at_origin, source_id="s", stated=Footage((400, 320)))
 
 
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)

@@ -1,0 +1,251 @@
+"""What tools in use write: each kind is the same two people, or one, in the frames and with the numbers they have."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.coco import read_coco
+from pasdedeux.formats.detections import Footage
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tests.builders.source_samples import coco_text, people_of, yolo_text
+
+FRAMES = 6
+NAMES = KEYPOINT_LAYOUTS["coco17"].keypoint_names
+SIZE_PX = (640, 480)
+
+
+def listed(people: int = 2, layout: str = "coco17") -> list[tuple[int, int, np.ndarray]]:
+    return list(people_of(FRAMES, people, layout))
+
+
+def wide(people: int, name_of: Callable[[int, str], str], layout: str = "coco17") -> list[str]:
+    """Return a table with a row for each frame and people beside each other."""
+    names = KEYPOINT_LAYOUTS[layout].keypoint_names
+    rows = [
+        ["frame", *(f"{name_of(person, name)}_{axis}" for person in range(people) for name in names for axis in "xyc")]
+    ]
+    for frame in range(FRAMES):
+        tables = [table for at, _, table in listed(people, layout) if at == frame]
+        rows.append([str(frame), *(f"{value:.3f}" for table in tables for value in table.ravel())])
+    return [",".join(row) for row in rows]
+
+
+def long(people: int, columns: str, row: str) -> str:
+    """Return a table with a row for each keypoint."""
+    values = [(f, p, "AB"[p], NAMES[k], *xyc) for f, p, table in listed(people) for k, xyc in enumerate(table.tolist())]
+    return "\n".join([columns, *(row.format(*one) for one in values)])
+
+
+def deeplabcut(people: int, index: Callable[[int], list[str]]) -> list[str]:
+    lead, parts = [""] * (len(index(0)) - 1), [(who, name) for who in range(people) for name in NAMES]
+    rows = [["scorer", *lead, *["net"] * 3 * len(parts)]]
+    rows += [["individuals", *lead, *(f"dancer {'AB'[who]}" for who, _ in parts for _ in "xyl")]] if people > 1 else []
+    rows += [["bodyparts", *lead, *(name for _, name in parts for _ in "xyl")]]
+    rows += [["coords", *lead, *["x", "y", "likelihood"] * len(parts)]]
+    for frame in range(FRAMES):
+        tables = [table for at, _, table in listed(people) if at == frame]
+        rows.append([*index(frame), *(f"{value:.3f}" if value else "" for table in tables for value in table.ravel())])
+    return [",".join(row) for row in rows]
+
+
+def coco_of(change: Callable[[dict[str, object], int, int], dict[str, object]], images: list[dict[str, object]]) -> str:
+    people = [
+        change({"image_id": frame, "keypoints": table.ravel().tolist(), "category_id": 1}, frame, person)
+        for frame, person, table in listed()
+    ]
+    return json.dumps({"images": images, "annotations": people, "categories": [{"id": 1, "keypoints": NAMES}]})
+
+
+def with_null(one: dict[str, object], frame: int, person: int) -> dict[str, object]:
+    keypoints = one["keypoints"]
+    assert isinstance(keypoints, list)
+    return one | {"keypoints": [value or None for value in keypoints]}
+
+
+IMAGES: list[dict[str, object]] = [{"id": frame, "file_name": f"frame_{frame:06d}.PNG"} for frame in range(FRAMES)]
+POSETRACK = [10_003_420_000 + frame for frame in range(FRAMES)]
+POSETRACK_IMAGES = [
+    {"id": at, "frame_id": at, "vid_id": "000342", "file_name": f"val/000342_mpii/{frame:06d}.jpg"}
+    for frame, at in enumerate(POSETRACK)
+]
+POSETRACK_PEOPLE = [
+    {"image_id": POSETRACK[frame], "track_id": person, "keypoints": table.ravel().tolist()}
+    for frame, person, table in listed()
+]
+BOXES = [{"image_id": 0, "bbox": [1, 2, 3, 4]}, {"image_id": 3, "keypoints": None}]
+BY_FRAME = [[table.tolist() for at, _, table in listed() if at == frame] for frame in range(FRAMES)]
+ALONE = [table.tolist() for _, _, table in listed(1)]
+NAMED = [
+    [
+        {"name": name, "x": x, "y": y, "score": sure}
+        for name, (x, y, sure) in reversed(list(zip(NAMES, one, strict=True)))
+    ]
+    for one in ALONE
+]
+ONE, TWO = wide(1, lambda person, name: name), wide(2, lambda person, name: f"p{person + 1}_{name}")
+
+TEXTS = {
+    "COCO with confidences as v": coco_of(lambda one, frame, person: one | {"track_id": person}, IMAGES),
+    "COCO with names of people": coco_of(lambda one, frame, person: one | {"track_id": "AB"[person]}, IMAGES),
+    "COCO of CVAT": coco_of(
+        lambda one, frame, person: one | {"attributes": {"track_id": person, "keyframe": frame % 3 == 0}}, IMAGES
+    ),
+    "COCO with null": coco_of(with_null, IMAGES),
+    "COCO of PoseTrack": json.dumps({"images": POSETRACK_IMAGES, "annotations": POSETRACK_PEOPLE}),
+    "results of PoseTrack": json.dumps(POSETRACK_PEOPLE),
+    "results with boxes alone": json.dumps(
+        BOXES + [{"image_id": frame, "keypoints": table.tolist()} for frame, _, table in listed()]
+    ),
+    "lists of lists": json.dumps(BY_FRAME),
+    "lists of lists of one person": json.dumps(ALONE),
+    "lists by frame": json.dumps({str(frame): people for frame, people in enumerate(BY_FRAME)}),
+    "points with names, one person": json.dumps([{"frame": at, "keypoints": one} for at, one in enumerate(NAMED)]),
+    "wide table, one person": "\n".join(ONE),
+    "wide table in camel case, one person": "\n".join(wide(1, lambda person, name: name.title().replace("_", ""))),
+    "wide table of two people": "\n".join(TWO),
+    "wide table with semicolons, one person": "\n".join(ONE).replace(",", ";").replace(".", ","),
+    "wide table with tabs, one person": "\n".join(ONE).replace(",", "\t"),
+    "rows by name with a person": long(2, "Frame,Person,Keypoint,X,Y,Score", "{0},{1},{3},{4},{5},{6}"),
+    "rows by name without a person": long(2, "Frame,Bodypart,X,Y,Likelihood", "{0},{3},{4},{5},{6}"),
+    "our rows with names of people": long(2, "frame;person;joint;x;y;confidence", "{0};{2};{3};{4};{5};{6}"),
+    "DeepLabCut, one person": "\n".join(deeplabcut(1, lambda frame: [str(frame)])),
+    "DeepLabCut of two people": "\n".join(deeplabcut(2, lambda frame: [str(frame)])),
+    "DeepLabCut of images, one person": "\n".join(deeplabcut(1, lambda at: ["labels", "film", f"img{at:04d}.png"])),
+}
+ORDERED = ("null", "boxes", "lists", "one person", "without a person")
+"""Kinds whose people have no numbers."""
+
+
+def check(
+    found: AnnotatedFrames, people: int, *, is_numbered: bool, layout: str = "coco17", confidence: bool = True
+) -> None:
+    assert (found.layout, found.has_identities) == (layout, is_numbered or people == 0)
+    assert found.frame.tolist() == [frame for frame, _, _ in people_of(FRAMES, people, layout)]
+    if is_numbered:
+        assert found.person_id.tolist() == [person for _, person, _ in people_of(FRAMES, people, layout)]
+    for row, (_, _, table) in enumerate(people_of(FRAMES, people, layout)):
+        np.testing.assert_allclose(found.keypoints_px[row], np.where(table[:, 2:] > 0, table[:, :2], np.nan), atol=2e-3)
+        if confidence:
+            np.testing.assert_allclose(found.confidence[row], table[:, 2], atol=1e-3)
+
+
+def variants(text: str) -> Iterator[bytes]:
+    yield text.encode()
+    yield text.encode("utf-8-sig")
+    yield text.encode("utf-16")
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_files_of_every_tool_are_recognised_and_are_the_same_people(kind: str) -> None:
+    text, people = TEXTS[kind], 1 if "one person" in kind else 2
+    is_numbered = not any(word in kind for word in ORDERED)
+    for data in variants(text):
+        found = read_annotations(recognise_format(data), {"a": data}, source_id="s")  # type: ignore[arg-type]
+        numbers = found.person_id - found.person_id.min()
+        check(found, people, is_numbered=is_numbered)
+        assert set(found.sequence_id) == {"s.000342" if kind == "COCO of PoseTrack" else "s"}
+        assert numbers.max() == people - 1
+
+
+def test_what_is_no_key_frame_of_cvat_is_interpolated() -> None:
+    found = read_coco(TEXTS["COCO of CVAT"], "s")
+    assert found.status is not None
+    for frame, row, sure in zip(found.frame, found.status, found.confidence, strict=True):
+        expected = KeypointStatus.ANNOTATED if frame % 3 == 0 else KeypointStatus.INTERPOLATED
+        assert set(row[sure > 0].tolist()) == {expected}
+
+
+@pytest.mark.parametrize("has_scores", [True, False])
+@pytest.mark.parametrize("tail", ["", " 0.870000", " 0.870000 3"])
+@pytest.mark.parametrize("name", ["clip_{}.txt", "image ({}).txt"])
+def test_a_folder_of_yolo_is_read(has_scores: bool, tail: str, name: str) -> None:
+    files = {
+        name.format(frame): yolo_text(seed=frame, has_scores=has_scores, tail=tail).encode() for frame in range(FRAMES)
+    }
+    kind = recognise_format(next(iter(files.values())))
+    assert kind is ANNOTATION_FORMATS["yolo"]
+    found = read_annotations(kind, files, source_id="s", stated=Footage(SIZE_PX))
+    check(found, 2, is_numbered=False, confidence=has_scores)
+    with pytest.raises(InputError, match="image_size_px"):
+        read_annotations(kind, files, source_id="s")
+
+
+def test_visibilities_are_judged_by_the_file_and_not_by_the_person() -> None:
+    """Somebody who is hidden everywhere has 1s alone, and the same confidence as what is hidden of others."""
+    content = json.loads(coco_text(num_frames=3, people=2))
+    for one in content["annotations"][::2]:
+        one["keypoints"][2::3] = [min(1.0, v) for v in one["keypoints"][2::3]]
+    found = read_coco(json.dumps(content), "s")
+    assert {*found.confidence[::2].ravel().tolist()} == {0.0, 0.5}
+    assert {*found.confidence[1::2].ravel().tolist()} == {0.0, 0.5, 1.0}
+    for one in content["annotations"]:
+        one["keypoints"][2::3] = [min(1.0, v) for v in one["keypoints"][2::3]]
+    assert {*read_coco(json.dumps(content), "s").confidence.ravel().tolist()} == {0.0, 1.0}
+
+
+@pytest.mark.parametrize("count", [17, 25])
+def test_the_first_landmarks_of_mediapipe_are_no_other_detectors(count: int) -> None:
+    rows = listed(1, "mediapipe33")
+    by_row = [
+        "Frame,LandmarkID,X,Y",
+        *(f"{f},{k},{x},{y}" for f, _, t in rows for k, (x, y, _) in enumerate(t[:count])),
+    ]
+    wide_rows = [
+        ",".join(f"x{k},y{k},v{k}" for k in range(count)),
+        *(",".join(map(str, t[:count].ravel())) for _, _, t in rows),
+    ]
+    lists = json.dumps(
+        [{"landmarks": [{"x": x, "y": y, "visibility": v} for x, y, v in t[:count].tolist()]} for _, _, t in rows]
+    )
+    for text in ("\n".join(by_row), "\n".join(wide_rows), lists):
+        data = text.encode()
+        found = read_annotations(recognise_format(data), {"a": data}, source_id="s")  # type: ignore[arg-type]
+        assert found.layout == "mediapipe33"
+        for row, (_, _, table) in enumerate(rows):
+            px = np.where(table[:count, 2:] > 0, table[:count, :2], np.nan)
+            np.testing.assert_allclose(found.keypoints_px[row, :count], px)
+            assert np.isnan(found.keypoints_px[row, count:]).all()
+
+
+@pytest.mark.parametrize("layout", ["coco17", "coco18", "body25", "body25b", "h36m17"])
+def test_points_of_other_detectors_by_number_are_theirs(layout: str) -> None:
+    tables = [t.tolist() for _, _, t in listed(1, layout)]
+    data = json.dumps([{"landmarks": [{"x": x, "y": y} for x, y, _ in one]} for one in tables]).encode()
+    found = read_annotations(recognise_format(data), {"a": data}, source_id="s")  # type: ignore[arg-type]
+    assert found.layout == layout
+
+
+def test_keypoints_of_another_size_are_scaled_where_the_file_states_it_and_refused_elsewhere() -> None:
+    content = {"images": [{"id": f, "width": 1280, "height": 960} for f in range(FRAMES)]}
+    people = [{"image_id": f, "track_id": p, "keypoints": (t * (2, 2, 1)).ravel().tolist()} for f, p, t in listed()]
+    kind = ANNOTATION_FORMATS["coco"]
+
+    def read(content: Mapping[str, object], size_px: tuple[int, int]) -> AnnotatedFrames:
+        data = json.dumps({**content, "annotations": people}).encode()
+        return read_annotations(kind, {"a": data}, source_id="s", stated=Footage(size_px))
+
+    found = read(content, SIZE_PX)
+    check(found, 2, is_numbered=True)
+    assert found.image_size_px == {"s": SIZE_PX}
+    assert found.remarks == ("keypoints of an image of 1280 x 960 scaled to 640 x 480",)
+    with pytest.raises(InputError, match="an image of 1280 x 960, and the image is 640 x 360: another shape"):
+        read(content, (640, 360))
+    with pytest.raises(
+        InputError, match=r"\d\d% of the keypoints of 's' lie outside the image: they reach .*640 x 480"
+    ):
+        read({"images": [{"id": f} for f in range(FRAMES)]}, SIZE_PX)
+
+
+def test_an_offset_moves_frames_that_a_tool_counts_from_1() -> None:
+    data = "\n".join(ONE).encode()
+    found = read_annotations(ANNOTATION_FORMATS["mediapipe"], {"a": data}, source_id="s", frame_offset=7)
+    assert found.frame.tolist() == [at + 7 for at in range(FRAMES)]
+    with pytest.raises(InputError, match=r"frame 0 would be -1 \(frame_offset\)"):
+        read_annotations(ANNOTATION_FORMATS["mediapipe"], {"a": data}, source_id="s", frame_offset=-1)

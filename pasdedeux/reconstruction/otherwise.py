@@ -11,15 +11,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.lying import is_on_floor, laid_down, searcher_over
 from pasdedeux.reconstruction.reconstruct import Matches, Searcher, match_track
 from pasdedeux.reconstruction.scene import SceneEstimate
 from pasdedeux.reconstruction.tracks import Track
 
-_STEEP_RAD, _LIES = float(np.deg2rad(15.0)), 1.2
-"""Before a camera that looks down by more, who lies with the feet to it looks upright; poses laid down that are no
-farther than so many times the match may be the right ones: 1.0 of one who lies so, 1.4 and more of 30 who stand."""
+_STEEP_RAD, _LIES, _STANDS, _LIES_SURELY = float(np.deg2rad(15.0)), 1.2, 1.4, 0.7
+"""Before a camera that looks down by more, somebody who lies with the feet to it looks upright.  Distances of poses
+laid down, as multiples of the match's: up to 1.2 over the track both may be right (1.0 of one who lies so, 1.4 and more
+of 30 who stand), unless a second of it is at 1.4 or more, which shows somebody who stands.  A second at 0.7 or less
+shows somebody who lies then: 0.09 to 0.59 of eight walkers laid down for the last third, 0.74 and more of 28 clips of
+people on their feet."""
 _MIN_LENS, _MIN_HEIGHT_M = 0.5, 0.45
 """Hardly any lens is as wide over the assumed, and hardly any camera stands as low: of 90 clips before cameras that
 look up by 8 degrees at most, one, whose camera was below the floor."""
@@ -44,7 +48,7 @@ def seen_otherwise(searcher: Searcher, matched: Sequence[tuple[Track, Matches]])
             f"person {name} may lie, feet to the steep camera, which looks the same: key frames in 3D help"
         )
         for track, matches in upright
-        if _times_as_far(laid, track, matches) < _LIES
+        if may_lie(*_distances_m(laid, track, matches), frames_per_s=track.rate_hz / _STRIDE)
     }
 
 
@@ -62,8 +66,24 @@ def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_give
     )
 
 
-def _times_as_far(other: Searcher, track: Track, matches: Matches) -> float:
-    """Return the distance of what another searcher finds over that of what was found; medians over frames."""
+def may_lie(laid_m: Array, upright_m: Array, *, frames_per_s: float) -> bool:
+    """Tell whether somebody who was matched upright may lie.
+
+    Args:
+        laid_m: Distances of the nearest poses laid down (frame,), metres.
+        upright_m: Distances of the matches (frame,), metres.
+        frames_per_s: Compared frames in a second.
+    """
+    if not len(laid_m) or not np.median(upright_m) > 0:
+        return False
+    seconds = np.array_split(np.arange(len(laid_m)), max(1, round(len(laid_m) / frames_per_s)))
+    ratios = np.array([np.median(laid_m[at]) / max(np.median(upright_m[at]), 1e-9) for at in seconds])
+    is_alike = np.median(laid_m) < _LIES * np.median(upright_m) and ratios.max() < _STANDS
+    return bool(is_alike or ratios.min() <= _LIES_SURELY)
+
+
+def _distances_m(other: Searcher, track: Track, matches: Matches) -> tuple[Array, Array]:
+    """Return the distances of what another searcher finds and of what was found (frame,), in every fifth frame."""
     thinned = replace(
         track,
         keypoints_px=track.keypoints_px[::_STRIDE],
@@ -71,8 +91,9 @@ def _times_as_far(other: Searcher, track: Track, matches: Matches) -> float:
         rate_hz=track.rate_hz / _STRIDE,
     )
     try:
-        found = match_track(other, thinned).neighbours.distance_m[:, 0]
+        laid_m = match_track(other, thinned).neighbours.distance_m[:, 0]
     except InputError:
-        return float("inf")
-    before = np.median(matches.neighbours.distance_m[:, 0])
-    return float(np.median(found)) / float(before) if np.isfinite(before) and before > 0 else float("inf")
+        return np.zeros(0), np.zeros(0)
+    upright_m = matches.neighbours.distance_m[::_STRIDE, 0]
+    is_matched = np.isfinite(laid_m) & np.isfinite(upright_m)
+    return laid_m[is_matched], upright_m[is_matched]

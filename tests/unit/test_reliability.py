@@ -15,10 +15,10 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
-from pasdedeux.reconstruction.otherwise import doubt_of_camera
+from pasdedeux.reconstruction.otherwise import doubt_of_camera, may_lie, seen_otherwise
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
-from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, reconstruct_track
+from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.reliability import (
     Place,
     Reliability,
@@ -287,6 +287,37 @@ def test_what_may_be_seen_otherwise_fails_and_says_how(
     (judged,) = judge_tracks(found).verdicts.values()
     assert bool(says) == (judged.level is Level.FAIL)
     assert says in judged.reason
+
+
+@pytest.mark.parametrize(
+    ("ratios", "is_doubt"),
+    [
+        ([1.05] * 4, True),
+        ([1.05, 1.05, 1.05, 2.5], False),
+        ([1.05, 2.5, 1.05, 1.05], False),
+        ([2.5] * 4, False),
+        ([4.0, 4.0, 4.0, 0.3], True),
+        ([1.3] * 4, False),
+    ],
+)
+def test_who_stands_on_one_leg_for_a_while_does_not_lie_and_who_lies_down_late_may(
+    ratios: list[float], is_doubt: bool
+) -> None:
+    upright = 0.02 + 0.01 * np.random.default_rng(1).random(20)
+    assert may_lie(upright * np.repeat(ratios, 5), upright, frames_per_s=5.0) == is_doubt
+    assert not may_lie(np.zeros(0), np.zeros(0), frames_per_s=5.0)
+
+
+def test_who_lies_down_for_the_last_third_of_a_clip_is_doubted(walkers: tuple[Searcher, np.ndarray]) -> None:
+    standing = walk(96, seed=2, turn_rad=0.0)
+    world = np.concatenate([standing[:64], (standing @ ON_BELLY.T)[64:]])
+    pitch_rad = float(np.deg2rad(40.0))
+    middle = mid_hip(world).mean(axis=0)
+    camera = look_at_camera(middle, distance_m=5.0, yaw_rad=np.pi, pitch_rad=pitch_rad, focal_px=1400.0)
+    searcher = walkers[0].pitched(pitch_rad)
+    for motion, is_doubt in ((world, True), (standing, False)):
+        track = Track(camera.project(motion).px, np.ones((96, 14)), 24.0, LENS)
+        assert bool(seen_otherwise(searcher, [(track, match_track(searcher, track))])) == is_doubt
 
 
 def test_a_camera_that_looks_up_from_below_the_floor_is_found_and_said(walkers: tuple[Searcher, np.ndarray]) -> None:

@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= store
 
-.PHONY: demo test lint setup blender film soak faults clean
+.PHONY: demo test lint setup blender film soak faults mutants clean
 
 $(VENV)/.installed: pyproject.toml deploy/constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; say make PYTHON=python3.11"'
@@ -39,6 +39,13 @@ soak: $(VENV)/.tested
 # Plants faults in copies of the sources and tells which of them no test notices, half an hour; not among the tests.
 faults: $(VENV)/.tested
 	$(BIN)/python -m tests.planted_faults
+
+# Draws mutants of the packages and tells which of them no test notices, an hour or two; not among the tests.
+N ?= 100
+SEED ?= 0
+mutants: $(VENV)/.tested
+	$(BIN)/python -m pip install --quiet --constraint deploy/constraints.txt --group mutants
+	$(BIN)/python -m tests.mutants --number $(N) --seed $(SEED)
 
 # Loads files of `pasdedeux reconstruct` into Blender; its module is large and GPL, so it has an environment of its own.
 blender:

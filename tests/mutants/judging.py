@@ -1,0 +1,284 @@
+"""Which tests run a mutant, and whether one of them notices it: they run in forks of this process, over a copy."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.mutants.drawing import Mutant
+
+BUDGET_S = 15.0
+"""Tests of a mutant run, the quick ones first, as long as all took together when they were recorded."""
+MAX_CASES = 2
+"""So many cases of a parametrised test come before the others."""
+PLAIN_S = 0.2
+"""Only tests that took less than this run with the compiler off: they take a hundred times as long then."""
+FILE_S = 0.3
+"""Seconds that collecting one more file is worth."""
+FIRST = 8
+"""So many tests run before the files of all others are collected."""
+PATIENCE = 20.0, 8.0
+"""A test has failed that takes so many seconds, and so many times what it took, longer."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """`killed` by a test, `survived` a number of tests, or `not covered` by any."""
+
+    word: str
+    killer: str = ""
+    num_tests: int = 0
+
+
+class Tests:
+    """What was recorded: the seconds of every test that passes and the lines that it runs."""
+
+    def __init__(self, path: Path) -> None:
+        self.seconds: dict[str, float] = {}
+        self._by_line: dict[tuple[str, int], list[str]] = defaultdict(list)
+        for record in map(json.loads, path.read_text().splitlines()):
+            if record["passed"]:
+                self.seconds[record["test"]] = record["s"]
+                for file, lines in record["lines"].items():
+                    for line in lines:
+                        self._by_line[file, line].append(record["test"])
+
+    def of(self, root: Path, mutant: Mutant) -> list[str]:
+        """Return the tests that run the statement of a mutant, the quick ones first.
+
+        A statement outside functions runs when its module is imported: its tests are those that run a function of the
+        module, then those that run one of a module that imports it.
+        """
+        inside, lines = _statement(root / mutant.file, mutant.line)
+        if inside:
+            return self._in_order({test for line in lines for test in self._by_line.get((mutant.file, line), ())})
+        near = self._of_functions(root, mutant.file)
+        far = {test for file in _importers(root, mutant.file) for test in self._of_functions(root, file)}
+        return self._in_order(near) + self._in_order(far - near)
+
+    def _of_functions(self, root: Path, file: str) -> set[str]:
+        lines = _lines_of_functions(root / file)
+        return {test for line in lines for test in self._by_line.get((file, line), ())}
+
+    def _in_order(self, tests: set[str]) -> list[str]:
+        """Put quick tests first, those of files that have many of them before others, and further cases last."""
+        files = Counter(test.partition("::")[0] for test in tests)
+        places = {file: place for place, (file, _) in enumerate(sorted(files.items(), key=lambda of: (-of[1], of[0])))}
+        cost = {test: self.seconds[test] + FILE_S * places[test.partition("::")[0]] for test in tests}
+        cases: Counter[str] = Counter()
+        order = []
+        for test in sorted(tests, key=lambda test: (cost[test], test)):
+            cases[test.partition("[")[0]] += 1
+            order.append((cases[test.partition("[")[0]] > MAX_CASES, len(order), test))
+        return [test for *_, test in sorted(order)]
+
+
+@cache
+def _spans(path: Path) -> list[tuple[int, int, bool]]:
+    """Return first and last line of each statement's own part, and whether it is inside a function."""
+    spans = []
+
+    def visit(node: ast.AST, inside: bool) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.stmt | ast.excepthandler):
+                body = getattr(child, "body", None)
+                last = body[0].lineno - 1 if body else child.end_lineno
+                first = min([child.lineno, *(one.lineno for one in getattr(child, "decorator_list", ()))])
+                spans.append((first, max(last or first, child.lineno), inside))
+            visit(child, inside or isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef))
+
+    visit(ast.parse(path.read_text()), False)
+    return spans
+
+
+def _statement(path: Path, line: int) -> tuple[bool, range]:
+    around = [span for span in _spans(path) if span[0] <= line <= span[1]]
+    first, last, inside = max(around, key=lambda span: (span[0], -span[1]), default=(line, line, False))
+    return inside, range(first, last + 1)
+
+
+@cache
+def _lines_of_functions(path: Path) -> set[int]:
+    return {line for first, last, inside in _spans(path) if inside for line in range(first, last + 1)}
+
+
+@cache
+def _texts(root: Path) -> dict[str, str]:
+    folders = ("pasdedeux", "storage_schema", "tasks", "flows")
+    return {
+        path.relative_to(root).as_posix(): path.read_text() for name in folders for path in (root / name).rglob("*.py")
+    }
+
+
+def _importers(root: Path, file: str) -> list[str]:
+    *above, name = Path(file).with_suffix("").parts
+    package = ".".join(above)
+    module = re.escape(package if name == "__init__" else f"{package}.{name}")
+    imports = re.compile(rf"(from|import) {module}\b|from {re.escape(package)} import [^\n]*\b{name}\b")
+    return [other for other, text in _texts(root).items() if other != file and imports.search(text)]
+
+
+class Judge:
+    """Runs tests over a copy of the sources in which one mutant at a time is planted.
+
+    Files with compiled kernels are judged with the compiler off, which takes minutes for each mutant.  A test kills a
+    mutant only if it passes without it, under the same limits.
+    """
+
+    def __init__(self, root: Path, tests: Tests, scratch: Path) -> None:
+        self._root, self._tests = root, tests
+        self._answer, self._log = scratch / "answer.json", scratch / "pytest.log"
+        self._broken: dict[bool, set[str]] = {False: set(), True: set()}
+        self._sound: dict[bool, set[str]] = {False: set(), True: set()}
+        _import_heavy_packages()
+
+    def judge(self, mutant: Mutant) -> Outcome:
+        """Return what the tests of a mutant say."""
+        plain = "@compiled" in (text := (self._root / mutant.file).read_text()) or "@inner_kernel" in text
+        waiting = self._tests.of(self._root, mutant)
+        if not waiting:
+            return Outcome("not covered")
+        if plain:
+            waiting = [test for test in waiting if self._tests.seconds[test] < PLAIN_S] or waiting[:1]
+        waiting = self._within_budget([test for test in waiting if test not in self._broken[plain]])
+        num_run = 0
+        while waiting:
+            tests = waiting[:FIRST] if num_run == 0 else waiting
+            with _planted(self._root, mutant):
+                killer, num_passed = self._run(tests, plain)
+            num_run += num_passed
+            waiting = waiting[num_passed:] if killer else waiting[len(tests) :]
+            if killer is None:
+                continue
+            if killer in self._sound[plain] or self._run([killer], plain)[0] is None:
+                self._sound[plain].add(killer)
+                return Outcome("killed", killer, num_run + 1)
+            self._broken[plain].add(killer)
+            waiting.remove(killer)
+        return Outcome("survived" if num_run else "not covered", num_tests=num_run)
+
+    def _within_budget(self, tests: list[str]) -> list[str]:
+        left, chosen = BUDGET_S, []
+        for test in tests:
+            left -= self._tests.seconds[test]
+            if chosen and left < 0:
+                break
+            chosen.append(test)
+        return chosen
+
+    def _run(self, tests: list[str], plain: bool) -> tuple[str | None, int]:
+        """Return the first test that fails, or None, and the number of those before it that passed."""
+        self._answer.write_text(json.dumps([tests[0], 0, "began"]))
+        limits = {test: PATIENCE[0] + PATIENCE[1] * self._tests.seconds[test] for test in tests}
+        child = os.fork()
+        if child == 0:
+            os._exit(_run_here(self._root, limits, plain, self._answer, self._log))
+        limit = time.monotonic() + 60.0 + sum(limits.values())
+        while os.waitpid(child, os.WNOHANG)[0] == 0:
+            if time.monotonic() > limit:
+                with suppress(ProcessLookupError):
+                    os.killpg(child, signal.SIGKILL)
+            time.sleep(0.05)
+        with suppress(ProcessLookupError):  # what the tests have started and left
+            os.killpg(child, signal.SIGKILL)
+        test, num_passed, word = json.loads(self._answer.read_text())
+        return None if word == "passed" else test, num_passed
+
+
+class _Chosen:
+    """A plugin that runs the chosen tests in their order, each within its limit, and writes how far they came."""
+
+    def __init__(self, limits: dict[str, float], answer: Path) -> None:
+        self._limits, self._path, self._num_passed = limits, answer, 0
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        by_name = {item.nodeid: item for item in items}
+        items[:] = [by_name[test] for test in self._limits if test in by_name]
+        for item in items:
+            item.add_marker(pytest.mark.timeout(self._limits[item.nodeid], method="signal"), append=False)
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self._path.write_text(json.dumps([nodeid, self._num_passed, "began"]))
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.failed:
+            self._path.write_text(json.dumps([report.nodeid, self._num_passed, "failed"]))
+        elif report.when == "teardown":
+            self._num_passed += 1
+
+    def pytest_sessionfinish(self, exitstatus: int) -> None:
+        if exitstatus == 0:
+            self._path.write_text(json.dumps(["", self._num_passed, "passed"]))
+
+
+def _run_here(root: Path, limits: dict[str, float], plain: bool, answer: Path, log: Path) -> int:
+    os.setsid()
+    handle = os.open(log, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
+    for stream in (1, 2):
+        os.dup2(handle, stream)
+    os.chdir(root)
+    os.environ["PYTHONPATH"] = str(root)
+    sys.path.insert(0, str(root))
+    for name in [name for name in sys.modules if name.partition(".")[0] == "tests"]:
+        del sys.modules[name]
+    if plain:
+        os.environ["NUMBA_DISABLE_JIT"] = "1"
+        import numba
+
+        numba.config.DISABLE_JIT = 1
+    files = list(dict.fromkeys(test.partition("::")[0] for test in limits))
+    options = ["-q", "-x", "-p", "no:cacheprovider", "--hypothesis-profile", "planted"]
+    options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    code = int(pytest.main([*options, *files], plugins=[_Chosen(limits, answer)]))
+    sys.stdout.flush()
+    return code
+
+
+@contextmanager
+def _planted(root: Path, mutant: Mutant) -> Iterator[None]:
+    path = root / mutant.file
+    kept = path.with_suffix(".kept")
+    text = mutant.text(root)
+    shutil.copy2(path, kept)
+    try:
+        path.write_text(text)
+        yield
+    finally:
+        kept.replace(path)
+
+
+def _import_heavy_packages() -> None:
+    """Import what tests wait for, once; nothing of the packages themselves."""
+    import anyio.pytest_plugin  # noqa: F401
+    import cv2  # noqa: F401
+    import distributed  # noqa: F401
+    import fastapi.testclient  # noqa: F401
+    import hypothesis.extra.numpy  # noqa: F401
+    import numba  # noqa: F401
+    import pandas  # noqa: F401
+    import pyarrow.dataset
+    import pyarrow.parquet  # noqa: F401
+    import pydantic  # noqa: F401
+    import scipy.optimize
+    import scipy.signal
+    import scipy.spatial
+    import scipy.stats  # noqa: F401
+    import torch  # noqa: F401
+    import typer.testing  # noqa: F401
+    import xdist.plugin  # noqa: F401

@@ -1,18 +1,20 @@
-"""What a motion file does not state, estimated from its content: up axis, length unit."""
+"""What a motion file does not state, estimated from its content: up axis, length unit, whether it is mirrored."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
+from pasdedeux.formats.own_skeleton import body_map
+from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
-from pasdedeux.kinematics.rotations import identity_unitquat
-from pasdedeux.skeletons.layouts import find_layout
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.layouts import Layout, find_layout
+from pasdedeux.skeletons.skeleton import by_side
 
 UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001, "CMU unit": 0.0254 / 0.45}
 """Length units that motion files come in: so far apart that only one of them can make an adult of a body."""
@@ -25,6 +27,18 @@ STATURE_OF_CHAIN = 1.13
 
 _SAMPLE = 200
 """Frames that a guess is made from."""
+_STANDS, _CLEARLY, _AT_REST = 0.7, 0.9, 0.5
+"""Mean cosine between body and axis from which the body stands along it, and clearly; confidence in a rest pose."""
+_WALKS = 0.5
+"""Share of the stature by which feet move of somebody who does not lie."""
+_LEVEL = 0.05
+"""Share of the stature by which hands that stand may change their height."""
+_BENT, _HARDLY, _CLEAR = 0.03, 0.3, 0.5
+"""Share of a leg by which a bent knee leaves its line; share of that which tells nothing; cosine that is clear."""
+_HIPS, _KNEES, _ANKLES, _TOES, _SHOULDERS, _WRISTS = (
+    BODY22.indices(by_side("left", joint)) for joint in ("hip", "knee", "ankle", "toe", "shoulder", "wrist")
+)
+_TOE_NAMES = by_side("left", "toe")
 
 
 @dataclass(frozen=True)
@@ -53,6 +67,14 @@ class UnitGuess:
 
 
 @dataclass(frozen=True)
+class MirrorGuess:
+    """Whether a file exchanges left and right, and how clearly: from 0 (a guess) to 1."""
+
+    is_mirrored: bool
+    confidence: float
+
+
+@dataclass(frozen=True)
 class MotionGuess:
     """What a motion file seems to be.
 
@@ -60,41 +82,99 @@ class MotionGuess:
         layout: Name of the layout that its joints belong to, None when no known one fits.
         up: Its up axis.
         unit: Its length unit.
+        mirror: Whether left and right are exchanged in it.
         rate_hz: Frame rate the file states, None if it states none.
     """
 
     layout: str | None
     up: AxisGuess
     unit: UnitGuess
+    mirror: MirrorGuess
     rate_hz: float | None
 
 
-def guess_up_axis(source: SourceMotion) -> AxisGuess:
-    """Return the axis along which the body stands; how clearly is the mean cosine between them.
+def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGuess:
+    """Return the axis along which the body stands, feet below head; how clearly is the mean cosine between them.
 
-    A body that lies as much as it stands gives y, with little confidence: most files are y-up.
+    A body that does not stand clearly has the axis of its rest pose, where that stands, else y, with little confidence:
+    most files are y-up.  Hands beyond the head that keep one height, while feet do not, may stand on the floor: that
+    leaves half of the confidence.  Who does not walk may lie, where the rest pose stands along another axis.
+
+    Args:
+        source: The motion.
+        layout: What its joints are, where that is known; else it is found.
     """
-    step = max(1, source.num_frames // _SAMPLE)
-    positions, _ = forward_kinematics(
-        source.skeleton, source.rest_offsets, source.root_translation[::step], source.local_unitquat[::step]
-    )
-    layout = find_layout(source.skeleton, source.rest_offsets)
-    if layout is None:
-        # The root sits between legs and trunk; the leaves farthest from it on either side are head and feet.
-        ends = [j for j in range(source.skeleton.num_joints) if not source.skeleton.children(j)]
-        spread = positions[:, ends] - positions[:, source.skeleton.root][:, None]
-        extent = np.abs(spread).max(axis=1).mean(axis=0)
-        axis = int(np.argmax(extent))
-        clearness = 1.0 - np.partition(extent, 1)[1] / max(extent[axis], 1e-12)
-        return AxisGuess(list(UP_AXES)[axis], float(np.clip(clearness, 0.0, 1.0)))
-    body22 = layout.joint_map("body22")
-    top, *low = source.skeleton.indices(map(body22.carrier, ("neck", "left_ankle", "right_ankle")))
-    body = positions[:, top] - positions[:, low].mean(axis=1)
-    length = np.linalg.norm(body, axis=-1, keepdims=True)
-    mean = (body / np.where(length > 0, length, 1.0)).mean(axis=0)
-    axis = int(np.argmax(np.abs(mean)))
-    confidence = float(np.abs(mean[axis]))
-    return AxisGuess(list(UP_AXES)[axis], confidence) if confidence > 0.7 else AxisGuess("y", min(confidence, 0.3))
+    positions, body = _sample(source, layout)
+    if body is None:
+        return _axis_of_leaves(source, positions)
+    feet, neck = body[:, _ANKLES].mean(axis=1), body[:, BODY22.index("neck")]
+    stature = float(np.median(np.linalg.norm(neck - feet, axis=-1)))
+    stands = _axis_of(_directions(neck - feet).mean(axis=0))
+    at_rest = _axis_at_rest(source, layout)
+    is_other = at_rest.confidence > _CLEARLY and at_rest.axis != stands.axis
+    if is_other and stands.confidence < _CLEARLY:
+        return replace(at_rest, confidence=_AT_REST)
+    if at_rest.confidence <= _CLEARLY and stands.confidence <= _STANDS:
+        return AxisGuess("y", min(stands.confidence, 0.3))
+    if is_other and float(np.ptp(feet, axis=0).max()) < _WALKS * stature:
+        return replace(stands, confidence=_AT_REST)
+    heights = body[..., "xyz".index(stands.axis[-1])] * (-1.0 if stands.axis[0] == "-" else 1.0)
+    hands, soles = heights[:, _WRISTS].min(axis=1), heights[:, _ANKLES].min(axis=1)
+    are_above = float(np.mean(hands > heights[:, BODY22.index("head")])) > _STANDS
+    if are_above and np.ptp(hands) < min(np.ptp(soles) / 2.0, _LEVEL * stature):
+        return replace(stands, confidence=stands.confidence / 2.0)
+    return stands
+
+
+def _axis_at_rest(source: SourceMotion, layout: Layout | None) -> AxisGuess:
+    """Return the axis along which the rest pose stands, and how clearly."""
+    _, body = _sample(SourceMotion.at_rest(source.skeleton, source.rest_offsets), layout)
+    assert body is not None
+    return _axis_of(_directions(body[:, BODY22.index("neck")] - body[:, _ANKLES].mean(axis=1))[0])
+
+
+def _axis_of(direction: Array) -> AxisGuess:
+    axis = int(np.argmax(np.abs(direction)))
+    return AxisGuess("-" * bool(direction[axis] < 0) + "xyz"[axis], float(np.abs(direction[axis])))
+
+
+def _axis_of_leaves(source: SourceMotion, positions: Array) -> AxisGuess:
+    """Return the axis of the two ends farthest from the root, which sits between legs and trunk: head and feet."""
+    ends = [joint for joint in range(source.skeleton.num_joints) if not source.skeleton.children(joint)]
+    spread = positions[:, ends] - positions[:, source.skeleton.root][:, None]
+    extent = np.abs(spread).max(axis=1).mean(axis=0)
+    axis = int(np.argmax(extent))
+    clearness = 1.0 - np.partition(extent, 1)[1] / max(extent[axis], 1e-12)
+    return AxisGuess("xyz"[axis], float(np.clip(clearness, 0.0, 1.0)))
+
+
+def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> MirrorGuess:
+    """Return whether left and right are exchanged: whether toes point, and knees bend, to the back of the body.
+
+    The front is to the right of the line from the right hip and shoulder to the left ones, seen from above.  Toes that
+    are derived from that line tell nothing.
+
+    Args:
+        source: The motion.
+        layout: What its joints are, where that is known; else it is found.
+    """
+    layout = layout or find_layout(source.skeleton, source.rest_offsets)
+    _, body = _sample(source, layout)
+    if layout is None or body is None:
+        return MirrorGuess(False, 0.0)
+    feet = body[:, _ANKLES]
+    up = body[:, BODY22.index("neck")] - body[:, _HIPS].mean(axis=1)
+    left = sum(body[:, pair[0]] - body[:, pair[1]] for pair in (_HIPS, _SHOULDERS))
+    front = _directions(np.cross(left, up))[:, None]
+    told = [at for at, joint in enumerate(_TOE_NAMES) if layout.parts[joint] in source.skeleton.joint_names]
+    toes = (_directions(body[:, _TOES] - feet)[:, told] * front).sum(axis=-1)
+    knees = body[:, _KNEES] - (body[:, _HIPS] + feet) / 2.0
+    legs = np.linalg.norm(body[:, _HIPS] - feet, axis=-1)
+    bent = (knees * front).sum(axis=-1) / np.where(legs > 0, legs, 1.0)
+    knee = float(np.clip(np.median(bent) / _BENT, -1.0, 1.0))
+    toe = float(np.median(toes)) if told else knee
+    forward = (toe + knee) / 2.0 if abs(knee) > _HARDLY else toe
+    return MirrorGuess(forward < 0, min(abs(forward) / _CLEAR, 1.0))
 
 
 def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
@@ -108,9 +188,14 @@ def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
     return next((guess for guess in clear if guess.axis == "y"), clear[0])
 
 
-def guess_unit(source: SourceMotion) -> UnitGuess:
-    """Return the file's own unit where it states one; else the known unit that makes an adult of the body."""
-    height = _body_height(source)
+def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
+    """Return the file's own unit where it states one; else the known unit that makes an adult of the body.
+
+    Args:
+        source: The motion.
+        layout: What its joints are, where that is known; else it is found.
+    """
+    height = _body_height(source, layout)
     if source.metres_per_unit is not None:
         return UnitGuess(source.metres_per_unit, 1.0, "the file states its unit", height * source.metres_per_unit)
     if height <= 0:
@@ -129,32 +214,39 @@ def guess_motion(source: SourceMotion) -> MotionGuess:
     layout = find_layout(source.skeleton, source.rest_offsets)
     return MotionGuess(
         layout=layout.name if layout else None,
-        up=guess_up_axis(source),
-        unit=guess_unit(source),
+        up=guess_up_axis(source, layout),
+        unit=guess_unit(source, layout),
+        mirror=guess_mirrored(source, layout),
         rate_hz=source.rate_hz,
     )
 
 
-def _body_height(source: SourceMotion) -> float:
-    """Return the stature in file units by the chain ankle, hip, neck, ear; else the extent of the rest pose."""
-    layout = find_layout(source.skeleton, source.rest_offsets)
-    num_joints = source.skeleton.num_joints
-    rest, _ = forward_kinematics(source.skeleton, source.rest_offsets, np.zeros(3), identity_unitquat(num_joints))
+def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array | None]:
+    """Return positions of the joints and of body22 (frame, joint, 3) in some frames; no body22 without a layout."""
+    step = max(1, source.num_frames // _SAMPLE)
+    positions, world = forward_kinematics(
+        source.skeleton, source.rest_offsets, source.root_translation[::step], source.local_unitquat[::step]
+    )
+    layout = layout or find_layout(source.skeleton, source.rest_offsets)
     if layout is None:
-        lowest, highest = rest.min(axis=0), rest.max(axis=0)
-        return float((highest - lowest).max())
-    names = list(source.skeleton.joint_names)
-    places = layout.joint_map("body22")
+        return positions, None
+    return positions, body_map(layout, source.skeleton, source.rest_offsets).positions(positions, world)
 
-    def place(joint: str) -> Array:
-        weights = {name: weight for name, weight in places.weights(joint).items() if name in names}
-        return np.asarray(sum(weight * rest[names.index(name)] for name, weight in weights.items()))
 
-    def chain(*joints: str) -> float:
-        points = [place(joint) for joint in joints]
-        return float(sum(np.linalg.norm(b - a) for a, b in pairwise(points)))
+def _directions(vectors: Array) -> Array:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
-    leg = np.mean([chain(f"{side}_hip", f"{side}_knee", f"{side}_ankle") for side in ("left", "right")])
-    hips = (place("left_hip") + place("right_hip")) / 2
-    trunk = float(np.linalg.norm(place("spine1") - hips)) + chain("spine1", "spine2", "spine3", "neck", "head")
-    return (float(leg) + trunk) * STATURE_OF_CHAIN
+
+def _body_height(source: SourceMotion, layout: Layout | None) -> float:
+    """Return the stature in file units by the chain ankle, hip, neck, ear as it moves; else the extent of the body."""
+    positions, body = _sample(source, layout)
+    if body is None:
+        return float(np.median(np.ptp(positions, axis=1).max(axis=-1)))
+
+    def chain(*points: Array) -> Array:
+        return np.asarray(sum(np.linalg.norm(after - before, axis=-1) for before, after in pairwise(points)))
+
+    legs = [chain(*(body[:, joint] for joint in limb)) for limb in BODY22.legs]
+    trunk = (body[:, BODY22.index(joint)] for joint in ("spine1", "spine2", "spine3", "neck", "head"))
+    return float(np.median(sum(legs) / 2.0 + chain(body[:, _HIPS].mean(axis=1), *trunk))) * STATURE_OF_CHAIN

@@ -12,7 +12,14 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
 
-UP_AXES = {"x": (0.0, 0.0, np.pi / 2), "y": (0.0, 0.0, 0.0), "z": (-np.pi / 2, 0.0, 0.0)}
+UP_AXES = {
+    "x": (0.0, 0.0, np.pi / 2),
+    "y": (0.0, 0.0, 0.0),
+    "z": (-np.pi / 2, 0.0, 0.0),
+    "-x": (0.0, 0.0, -np.pi / 2),
+    "-y": (np.pi, 0.0, 0.0),
+    "-z": (np.pi / 2, 0.0, 0.0),
+}
 """Axes that may point up in a file, each with the rotation vector that turns it to y, as it is inside the project."""
 
 
@@ -51,6 +58,21 @@ class SourceMotion:
             self, root_translation=self.root_translation[start:stop], local_unitquat=self.local_unitquat[start:stop]
         )
 
+    def mirrored(self, up_axis: str = "y") -> SourceMotion:
+        """Return the motion as a mirror shows it, joints under their names: mends a file that swaps left and right.
+
+        The mirror stands upright: across x, or across z where x points up.  Twice mirrored is the same motion.
+        """
+        upright_from_file(up_axis)
+        sign = np.array([1.0, 1.0, -1.0] if up_axis.endswith("x") else [-1.0, 1.0, 1.0])
+        return replace(
+            self,
+            rest_offsets=self.rest_offsets * sign,
+            root_translation=self.root_translation * sign,
+            # A turn about an axis in the mirror goes on about the same axis, one across it turns the other way.
+            local_unitquat=self.local_unitquat * np.append(-sign, 1.0),
+        )
+
     @classmethod
     def at_rest(
         cls,
@@ -78,7 +100,7 @@ class SourceMotion:
         Args:
             metres_per_unit: Length of the file's unit, metres.
             rate_hz: True frame rate.
-            up_axis: Axis of the file that points up: x, y or z.  The axes are turned, never mirrored.
+            up_axis: Axis of the file that points up, as in `UP_AXES`.  The axes are turned, never mirrored.
         """
         world_from_file = upright_from_file(up_axis)
         check_positive(metres_per_unit, "the length of the file's unit in metres")

@@ -35,7 +35,7 @@ TAKES = Table(
         float64("rate_hz", "Frame rate of the poses", unit="Hz"),
         float64("source_rate_hz", "True frame rate of the source", unit="Hz"),
         float64("metres_per_unit", "Length of one unit of the source file", unit="m"),
-        text("up_axis", "Up axis of the source file: x, y or z"),
+        text("up_axis", "Axis of the source file that points up: x, y, z, or with a minus"),
         text("layout", "Name of the joint mapping that derived the working skeletons"),
         boolean("is_position_only", "The source had no rotations: local rotations are swing only"),
         boolean("is_held_out", "The take is kept for evaluation and never matched against"),

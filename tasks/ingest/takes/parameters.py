@@ -25,7 +25,7 @@ BUILT_IN_DUETS = tuple(DUETS)
 MappingTable = dict[str, str | dict[str, float]]
 Mappings = dict[str, dict[Literal["parts", "pair17", "op14", "body22"], MappingTable]]
 MotionFormatName = Annotated[str, one_of(MOTION_FORMATS)]
-UpAxis = Literal["auto", "x", "y", "z"]
+UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 
 
 class PersonOptions(Parameters):

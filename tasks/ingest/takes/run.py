@@ -89,7 +89,7 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
             translation_m=source.translation_m,
             yaw_rad=float(np.deg2rad(source.yaw_deg)),
         )
-        layout = resolve_layout(source.layout, motion.skeleton, motion.rest_offsets, parameters.mappings)
+        layout = resolve_layout(source.layout, captured.skeleton, captured.rest_offsets_m, parameters.mappings)
         people.append(_Person(captured, captured.resample(parameters.rate_hz), layout, source))
     verdict, contacts, objects = _verdict(parameters.persons, common), None, None
     if parameters.contacts_sha256:

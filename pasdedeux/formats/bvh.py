@@ -16,7 +16,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.euler import turn_joints
+from pasdedeux.formats.bvh_body import BvhHierarchy
 from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
@@ -27,76 +27,44 @@ from pasdedeux.skeletons import Skeleton
 MAX_JOINTS = 1000
 """More joints than this is a damaged file: the largest rigs in use have a few hundred."""
 MIN_FRAME_TIME_S, MAX_FRAME_TIME_S = 1e-5, 10.0
-MAX_JOINT_SLIDE = 0.05
-"""Share of a bone by which a joint with position channels may move against its parent and still count as rigid."""
 
+FEW_FRAMES, FEW = 10, 0.05
+"""Frames, or share of them, by which a file may be shorter than it states; one that lacks more was cut off."""
+_COMMENT = ("#", "//", ";")
+
+_BEGINNING = re.compile(r"^[ \t]*HIERARCHY(?!\w)", re.IGNORECASE | re.MULTILINE)
+"""Where a file begins; what some programs write before it is skipped."""
 _CHANNELS = {f"{axis}position": axis.lower() for axis in "XYZ"} | {f"{axis}rotation": axis for axis in "XYZ"}
 """The letter that stands for each channel."""
 
 
 @dataclass(frozen=True)
-class BvhHierarchy:
-    """The joints of a BVH file.
+class _BvhFile:
+    """What a BVH file holds: its joints, the numbers of its frames (frame, sum of channels), its rate, what to say."""
 
-    Args:
-        skeleton: Joints in the order of the file; an End Site with an offset is a joint `<parent>_end`.
-        rest_offsets: Offset of each joint from its parent, (J, 3), file units.
-        channels: For each joint its channels in the order of the file: x, y, z are positions, X, Y, Z rotations.
-        end_sites: Names of the joints that are End Sites.
-    """
+    hierarchy: BvhHierarchy
+    values: Array
+    rate_hz: float
+    notes: tuple[str, ...]
 
-    skeleton: Skeleton
-    rest_offsets: Array
-    channels: tuple[str, ...]
-    end_sites: frozenset[str]
-
-    def read_rows(self, lines: Lines, num_frames: int | None = None) -> Array:
-        """Return the numbers (frame, sum of channels) of the lines that are left."""
-        names = {letter: channel for channel, letter in _CHANNELS.items()}
-        joints = zip(self.skeleton.joint_names, self.channels, strict=True)
-        return lines.numbers([f"{names[one]} of '{joint}'" for joint, letters in joints for one in letters], num_frames)
-
-    def motion(self, values: Array, rate_hz: float | None = None) -> SourceMotion:
-        """Return the motion of rows of numbers (frame, sum of channels), lengths in file units, angles in degrees.
-
-        Positions of the root are its place in the file's world and replace its OFFSET; those of another joint replace
-        that joint's offset and must stay still.
-        """
-        rest_offsets = self.rest_offsets.copy()
-        root_translation = np.tile(rest_offsets[self.skeleton.root], (len(values), 1))
-        column = 0
-        for joint, letters in enumerate(self.channels):
-            moves = {"xyz".index(letter): column + at for at, letter in enumerate(letters) if letter in "xyz"}
-            if moves and joint == self.skeleton.root:
-                root_translation[:, list(moves)] = values[:, list(moves.values())]
-            elif moves:
-                place = np.tile(rest_offsets[joint], (len(values), 1))
-                place[:, list(moves)] = values[:, list(moves.values())]
-                rest_offsets[joint] = _still_offset(self.skeleton.joint_names[joint], place)
-            column += len(letters)
-        return SourceMotion(
-            skeleton=self.skeleton,
-            rest_offsets=rest_offsets,
-            root_translation=root_translation,
-            local_unitquat=turn_joints(np.deg2rad(values), self.channels),
-            end_sites=self.end_sites,
-            rate_hz=rate_hz,
-        )
+    def motion(self, person: int, *, is_head: bool = False) -> SourceMotion:
+        hierarchy, values = self.hierarchy, self.values
+        return hierarchy.motion(values, person=person, rate_hz=self.rate_hz, notes=self.notes, is_head=is_head)
 
 
-def read_bvh(data: bytes | str) -> SourceMotion:
-    """Read a BVH file.  An End Site without an offset says nothing and is dropped."""
-    return BvhHierarchy.motion(*_read(data))
+def read_bvh(data: bytes | str, person: int = 0) -> SourceMotion:
+    """Read a person of a BVH file.  An End Site without an offset says nothing and is dropped."""
+    return _read(data).motion(person)
 
 
-def read_bvh_head(data: bytes | str) -> MotionHead:
+def read_bvh_head(data: bytes | str, person: int = 0) -> MotionHead:
     """Read a BVH file but do not convert its rotations, which takes most of the time.
 
     Raises:
-        FormatError: As `read_bvh`, but for joints that move against their parent.
+        FormatError: As `read_bvh`.
     """
-    hierarchy, values, rate_hz = _read(data)
-    return MotionHead(SourceMotion.at_rest(hierarchy.skeleton, hierarchy.rest_offsets, rate_hz=rate_hz), len(values))
+    file = _read(data)
+    return MotionHead(file.motion(person, is_head=True), len(file.values))
 
 
 def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion:
@@ -105,22 +73,36 @@ def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion
     Each line is a frame: for every joint of the template in its order three Euler angles in degrees, in the order of
     the joint's rotation channels.  The root stays at the template's OFFSET.
     """
+    hierarchy = _read_template(template)
+    with Lines(data, "file of rotation rows") as lines:
+        return hierarchy.motion(_read_rows(hierarchy, lines))
+
+
+def _read_template(template: bytes | str) -> BvhHierarchy:
     with Lines(template, "BVH template") as lines:
         hierarchy = _read_hierarchy(lines)
     turns = tuple("".join(letter for letter in letters if letter in "XYZ") for letters in hierarchy.channels)
     if any(letters and len(angles) != 3 for letters, angles in zip(hierarchy.channels, turns, strict=True)):
         raise FormatError("the template of rotation rows needs three rotation channels for every joint")
-    hierarchy = replace(hierarchy, channels=turns)
-    with Lines(data, "file of rotation rows") as lines:
-        return hierarchy.motion(hierarchy.read_rows(lines))
+    return replace(hierarchy, channels=turns)
+
+
+def _read_rows(hierarchy: BvhHierarchy, lines: Lines) -> Array:
+    """Return the numbers (frame, sum of channels) of the lines that are left."""
+    names = {letter: channel for channel, letter in _CHANNELS.items()}
+    joints = zip(hierarchy.skeleton.joint_names, hierarchy.channels, strict=True)
+    columns = [f"{names[letter]} of '{joint}'" for joint, letters in joints for letter in letters]
+    return lines.numbers(columns, _COMMENT)
 
 
 BVH = MotionFormat(
     name="bvh",
     suffixes=(".bvh",),
-    recognises=lambda start: start.text[:9].upper() == "HIERARCHY" and not start.text[9:10].isalnum(),
+    recognises=lambda start: _BEGINNING.search(start.text) is not None,
     read=lambda data, companion: read_bvh(data),
     head=lambda data, companion: read_bvh_head(data),
+    read_other=lambda data, companion, person: read_bvh(data, person),
+    count_people=lambda data: _read(data).hierarchy.num_people,
 )
 """A hierarchy and Euler angles.  It states its rate, rounded; never its unit, nor which axis points up."""
 
@@ -138,9 +120,14 @@ ROTATION_ROWS = MotionFormat(
     recognises=_is_rows,
     read=read_rotation_rows,
     companion="BVH template",
+    check_companion=_read_template,
     companion_names=lambda name: ("template.bvh", "../template.bvh"),
 )
 """Rows of angles over a BVH template; they say nothing of rate, unit and axis."""
+
+
+_SEVERAL = "(file)"
+"""Name of the joint above the roots of a file that has several."""
 
 
 @dataclass
@@ -165,11 +152,15 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
     """Read up to the line MOTION, or all lines of a template."""
     joints: dict[str, _Joint] = {}
     blocks: list[_Joint] = []
+    lines.skip_to(_BEGINNING)
     allowed = ["HIERARCHY"]
+    num_roots = 0
     for line in lines.words():
         words = " ".join(line).replace("{", " { ").replace("}", " } ").split()
         while words:
             key = words[0].upper()
+            if words[0].startswith(_COMMENT):
+                break
             if key not in allowed:
                 where = f" in '{blocks[-1].name}'" if blocks else ""
                 found = shorten(" ".join(words))
@@ -180,8 +171,12 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
                     allowed = ["ROOT"]
                     continue
                 case "ROOT" | "JOINT" | "END":
-                    stop = words.index("{") if "{" in words else len(words)
+                    num_roots += key == "ROOT"
+                    marks = ("{", "#", "//", ";")
+                    stop = next((at for at, word in enumerate(words) if word in marks), len(words))
                     name = " ".join(words[:stop]) if key != "END" else _end_name(blocks[-1].name, joints)
+                    if num_roots > 1 and name in joints:  # another person of the same rig
+                        name = f"{num_roots}:{name}"
                     if not name or name in joints or len(joints) == MAX_JOINTS:
                         why = "has no name" if not name else f"'{shorten(name)}' is the second or one too many"
                         raise FormatError(f"this {key} {why}; allowed: {MAX_JOINTS} joints with names of their own")
@@ -198,9 +193,11 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
                 case "}":
                     blocks.pop()
                 case "MOTION":
+                    if words:
+                        lines.put_back(" ".join(words))
                     return _hierarchy_of(joints)
-            allowed = blocks[-1].allowed() if blocks else ["MOTION"]
-    if allowed != ["MOTION"]:
+            allowed = blocks[-1].allowed() if blocks else ["MOTION", "ROOT"]
+    if allowed != ["MOTION", "ROOT"]:
         raise FormatError(f"the file ends where {' or '.join(allowed)} is needed")
     return _hierarchy_of(joints)
 
@@ -228,9 +225,12 @@ def _pop_channels(words: list[str], joint: str) -> str:
 
 def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
     kept = [joint for joint in joints.values() if not joint.is_end or any(joint.offset or ())]
-    names = [joint.name for joint in kept]
     if not any(joint.channels for joint in kept):
         raise FormatError("no joint of this BVH file has channels")
+    if sum(not joint.parent for joint in kept) > 1:
+        first = _Joint(_SEVERAL, "", is_end=False, offset=[0.0, 0.0, 0.0])
+        kept = [first, *(replace(joint, parent=joint.parent or _SEVERAL) for joint in kept)]
+    names = [joint.name for joint in kept]
     parents = tuple(names.index(joint.parent) if joint.parent else -1 for joint in kept)
     return BvhHierarchy(
         skeleton=Skeleton(name="bvh", joint_names=tuple(names), parents=parents),
@@ -240,32 +240,27 @@ def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
     )
 
 
-def _read(data: bytes | str) -> tuple[BvhHierarchy, Array, float]:
-    """Return the joints, the numbers of the frames (frame, sum of channels), and the frame rate."""
+def _read(data: bytes | str) -> _BvhFile:
     with Lines(data, "BVH file") as lines:
         hierarchy = _read_hierarchy(lines)
-        num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames", 1)
+        num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames")
         frame_time = _stated(lines, "Frame Time:")
         parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
-        return hierarchy, hierarchy.read_rows(lines, num_frames), rate_from_frame_time(frame_time)[0]
+        values = _read_rows(hierarchy, lines)
+        if len(values) < num_frames - max(FEW_FRAMES, FEW * num_frames):
+            raise FormatError(f"the file ends after {len(values)} of {num_frames} frames: it was cut off")
+    rate_hz, note = rate_from_frame_time(frame_time)
+    counted = f"it states {num_frames} frames and holds {len(values)}, which are read"
+    notes = [counted] * (len(values) != num_frames) + [note] * bool(note)
+    return _BvhFile(hierarchy, values, rate_hz, tuple(notes))
 
 
 def _stated(lines: Lines, label: str) -> str:
-    """Return what stands after a label in the next line that is not blank."""
-    text = " ".join(next(lines.words(), []))
-    if not text.upper().startswith(label.upper()):
+    """Return the word after a label at the start of the next line; what follows on the line is put back."""
+    text = " ".join(next((words for words in lines.words() if not words[0].startswith(_COMMENT)), []))
+    stated = re.match(label.replace(" ", r"\s*").replace(":", r"\s*:\s*") + r"(\S*)", text, re.IGNORECASE)
+    if not stated:
         raise FormatError(f"'{label}' is expected, found '{shorten(text)}'")
-    return text[len(label) :].strip()
-
-
-def _still_offset(name: str, place: Array) -> Array:
-    """Return the mean of a joint's own positions (frame, 3), or refuse a joint that moves against its parent."""
-    mean = place.mean(axis=0)
-    slide = np.linalg.norm(place - mean, axis=1)
-    worst = int(np.argmax(slide))
-    if slide[worst] > MAX_JOINT_SLIDE * max(float(np.linalg.norm(mean)), 1e-9):
-        raise FormatError(
-            f"frame {worst}: joint '{name}' moves by {slide[worst]:.3g} units against its parent; "
-            "bones must keep their length"
-        )
-    return mean
+    if rest := text[stated.end() :].strip():
+        lines.put_back(rest)
+    return stated[1]

@@ -70,6 +70,16 @@ class Lines:
             if words:
                 yield words
 
+    def put_back(self, text: str) -> None:
+        """Let what was read of the last line be read again as its text."""
+        self.number -= 1
+        self._texts[self.number] = text
+
+    def skip_to(self, beginning: re.Pattern[str]) -> None:
+        """Skip the lines before the next one that matches; none where none does."""
+        rest = range(self.number, len(self._texts))
+        self.number = next((number for number in rest if beginning.match(self._texts[number])), self.number)
+
     def notes(self) -> Iterator[tuple[str, str]]:
         """Yield key and value of the next lines that are comments, `# key: value`, or blank; both may be empty."""
         while self.number < len(self._texts) and self._texts[self.number].strip()[:1] in ("", "#"):
@@ -99,24 +109,44 @@ class Lines:
                 raise FormatError(f"column '{name}' is missing; needed: {', '.join(needed)}")
         return columns, (dict(zip(columns, _fitting(row, columns), strict=True)) for row in rows)
 
-    def numbers(self, columns: Sequence[str], num_rows: int | None = None) -> npt.NDArray[np.float64]:
-        """Return the numbers (row, column) that the lines left are; blank ones are skipped."""
-        start, rows = self.number, [text for text in self if text.strip()]
-        if rows and len(rows) == (num_rows or len(rows)):
-            try:
-                values = np.loadtxt(rows, comments=None, ndmin=2)
-            except ValueError:
-                pass
-            else:
-                if values.shape[1] == len(columns) and bool((np.abs(values) <= MAX_MAGNITUDE).all()):
-                    return values
-        self.number, count = start, 0
-        for count, words in enumerate(self.words(), start=1):
-            if count == (num_rows or count) + 1:
-                raise FormatError(f"more frames than the {num_rows} that 'Frames:' states")
-            for word, column in zip(_fitting(words, columns), columns, strict=True):
-                parse_number(word, column)
-        raise FormatError(f"the file ends after {count} of {num_rows or 1} frames")
+    def numbers(self, columns: Sequence[str], comment: tuple[str, ...] = ()) -> npt.NDArray[np.float64]:
+        """Return the numbers (row, column) that the lines left are; blank ones and comments are skipped.
+
+        A row may stand on several lines, and several whole rows on one.
+
+        Raises:
+            FormatError: There is no row, a row has another number of values, or one that is no finite number.
+        """
+        start, rows = self.number, [text for text in self if text.strip() and not text.lstrip().startswith(comment)]
+        try:
+            values = np.loadtxt(rows, comments=None, ndmin=2) if rows else np.empty((0, 0))
+        except ValueError:
+            pass
+        else:
+            if rows and values.shape[1] == len(columns) and bool((np.abs(values) <= MAX_MAGNITUDE).all()):
+                return values
+        numbers: list[float] = []
+        self.number = begun = start
+        for words in self.words():
+            if words[0].startswith(comment):
+                continue
+            at = len(numbers) % len(columns)
+            if at + len(words) > len(columns) and (at or len(words) % len(columns)):
+                self.number = begun if at else self.number
+                break
+            begun = self.number
+            for word in words:
+                row, column = divmod(len(numbers), len(columns))
+                numbers.append(parse_number(word, f"{columns[column]} in frame {row}"))
+        else:
+            words = []
+        at = len(numbers) % len(columns)
+        if at or words:
+            self.number = begun if at else self.number
+            raise FormatError(f"{at or len(words)} values where {len(columns)} are needed")
+        if not numbers:
+            raise FormatError("the file ends without a frame")
+        return np.array(numbers).reshape(-1, len(columns))
 
     def rows(self) -> Iterator[list[str]]:
         """Yield the cells of the lines left that are not blank."""

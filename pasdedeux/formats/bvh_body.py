@@ -1,0 +1,241 @@
+"""People in the joints of a BVH file: where their bodies begin, and their motion from the numbers of the frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.euler import turn_joints
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.kinematics import place_bones
+from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate
+from pasdedeux.skeletons import Skeleton
+from pasdedeux.skeletons.layouts.names import normal_names
+
+LIMB_JOINTS = 3
+"""Joints, one below the other, of the shortest limb: hip, knee, ankle."""
+MAX_STRETCH_M, STATURE_M = 0.01, 1.7
+"""By how much a joint may move against its parent on a body of this stature, metres: its bone is then fixed."""
+_STILL = 1e-6
+"""Share of the stature by which a joint may move and still count as fixed: digits of the file."""
+_HIP_NAMES = {"hips", "hip", "pelvis"}
+
+
+@dataclass(frozen=True)
+class BvhHierarchy:
+    """The joints of a BVH file.
+
+    Args:
+        skeleton: Joints in the order of the file; an End Site with an offset is a joint `<parent>_end`.
+        rest_offsets: Offset of each joint from its parent, (J, 3), file units.
+        channels: For each joint its channels in the order of the file: x, y, z are positions, X, Y, Z rotations.
+        end_sites: Names of the joints that are End Sites.
+    """
+
+    skeleton: Skeleton
+    rest_offsets: Array
+    channels: tuple[str, ...]
+    end_sites: frozenset[str]
+
+    @property
+    def num_people(self) -> int:
+        """How many people the joints are of, at least 1."""
+        return max(len(self._bodies), 1)
+
+    def motion(
+        self,
+        values: Array,
+        *,
+        person: int = 0,
+        rate_hz: float | None = None,
+        notes: tuple[str, ...] = (),
+        is_head: bool = False,
+    ) -> SourceMotion:
+        """Return the motion of a person, counted from 0.
+
+        Positions of a joint replace its OFFSET.  The joint from which legs and spine leave is the root: the motion of
+        the nodes above it is composed into its own.  Below it a joint that moves against its parent by up to 1 cm, on a
+        body of 1.7 m, is fixed at its median place, and the notes say so.
+
+        Args:
+            values: Rows of numbers (frame, sum of channels), lengths in file units, angles in degrees.
+            person: Number of the person.
+            rate_hz: Frame rate that the file states.
+            notes: What was assumed so far.
+            is_head: Whether one frame of the rest pose is enough.
+
+        Raises:
+            FormatError: A joint moves by more; the joint, the frame and the amount are named.
+        """
+        root = self._root(values, person)
+        chain = self._above(root)
+        below = self._below(root)
+        kept = [joint for joint in range(self.skeleton.num_joints) if joint in below]
+        names, parents = self.skeleton.joint_names, self.skeleton.parents
+        skeleton = self.skeleton
+        if chain:
+            places = {joint: at for at, joint in enumerate(kept)}
+            tree = tuple(-1 if joint == root else places[parents[joint]] for joint in kept)
+            skeleton = Skeleton(skeleton.name, tuple(names[joint] for joint in kept), tree)
+        offsets, fixed = self._fixed_offsets(values, kept, skeleton)
+        carried, origin = identity_unitquat(len(values)), np.zeros((len(values), 3))
+        for joint in chain:
+            origin = origin + rotate(carried, self._place(joint, values))
+            carried = multiply(carried, self._turns([joint], values)[:, 0])
+        constant = carried[0] if np.abs(carried - carried[0]).max() < 1e-12 else identity_unitquat()
+        if chain:
+            offsets = rotate(np.broadcast_to(constant, (len(offsets), 4)), offsets)
+        said = (*notes, *self._left_out(root, below), *fixed)
+        ends = frozenset(names[joint] for joint in kept) & self.end_sites
+        if is_head:
+            return SourceMotion.at_rest(skeleton, offsets, rate_hz=rate_hz, notes=said)
+        local = self._turns(kept, values)
+        if chain:
+            at = kept.index(root)
+            relative = multiply(conjugate(np.broadcast_to(constant, carried.shape)), carried)
+            local[:, at] = multiply(relative, local[:, at])
+            turned = np.broadcast_to(constant, local.shape)
+            local = multiply(turned, multiply(local, conjugate(turned)))
+        return SourceMotion(
+            skeleton=skeleton,
+            rest_offsets=offsets,
+            root_translation=origin + rotate(carried, self._place(root, values)),
+            local_unitquat=local,
+            end_sites=ends,
+            rate_hz=rate_hz,
+            notes=said,
+        )
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        """The first column of each joint, and the number of columns."""
+        return [0, *np.cumsum([len(letters) for letters in self.channels]).tolist()]
+
+    def _place(self, joint: int, values: Array) -> Array:
+        """Return the place of a joint in its parent's frame (frame, 3).
+
+        Zeros in place of an OFFSET that is not zero say nothing, but of the file's root.
+        """
+        letters, start = self.channels[joint], self._starts[joint]
+        place = np.tile(self.rest_offsets[joint], (len(values), 1))
+        moves = {"xyz".index(letter): start + at for at, letter in enumerate(letters) if letter in "xyz"}
+        moved = values[:, list(moves.values())]
+        if moves and (moved.any() or joint == self.skeleton.root):
+            place[:, list(moves)] = moved
+        return place
+
+    def _turns(self, joints: list[int], values: Array) -> Array:
+        """Return local rotations (frame, joint, 4) of some joints."""
+        columns = [column for joint in joints for column in range(self._starts[joint], self._starts[joint + 1])]
+        return turn_joints(np.deg2rad(values[:, columns]), [self.channels[joint] for joint in joints])
+
+    def _fixed_offsets(self, values: Array, kept: list[int], skeleton: Skeleton) -> tuple[Array, list[str]]:
+        """Return the median offsets of the joints below the root (J, 3), and what is to be said of those that move."""
+        offsets, away = self.rest_offsets[kept].copy(), np.zeros((len(kept), len(values)))
+        for at, source in enumerate(kept):
+            if at != skeleton.root and any(letter in "xyz" for letter in self.channels[source]):
+                place = self._place(source, values)
+                offsets[at] = np.median(place, axis=0)
+                away[at] = np.linalg.norm(place - offsets[at], axis=1)
+        rest = place_bones(skeleton, np.zeros(3), offsets, np.ones(len(kept)))
+        away *= STATURE_M / max(float(np.ptp(rest, axis=0).max()), 1e-9)
+        joint, frame = map(int, np.unravel_index(int(np.argmax(away)), away.shape))
+        most = f"joint '{skeleton.joint_names[joint]}' moves by {100 * away[joint, frame]:.2g} cm against its parent"
+        if away[joint, frame] > MAX_STRETCH_M:
+            raise FormatError(
+                f"frame {frame}: {most}, on a body of {STATURE_M} m; bones may change by {100 * MAX_STRETCH_M:g} cm: "
+                "export the motion without stretching bones"
+            )
+        num_moving = int((away.max(axis=1) > _STILL * STATURE_M).sum())
+        others = f" (and {num_moving - 1} more, by less)" if num_moving > 1 else ""
+        return offsets, [f"{most} in frame {frame}{others}: fixed at the median"] * bool(num_moving)
+
+    def _left_out(self, root: int, below: frozenset[int]) -> list[str]:
+        """Say what hangs beside the root on the nodes above it."""
+        notes = []
+        if self.num_people > 1:
+            notes.append(f"the file holds {self.num_people} people, this is the one of '{self._name(root)}'")
+        used = {*below, *self._above(root), *(joint for body in self._bodies for joint in self._below(body))}
+        used |= {joint for body in self._bodies for joint in self._above(body)}
+        beside = [name for joint, name in enumerate(self.skeleton.joint_names) if joint not in used]
+        if beside := [name for name in beside if name not in self.end_sites]:
+            more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
+            notes.append(f"joint '{beside[0]}'{more} beside '{self._name(root)}' left out")
+        return notes
+
+    def _name(self, joint: int) -> str:
+        return self.skeleton.joint_names[joint]
+
+    def _root(self, values: Array, person: int) -> int:
+        """Return the joint where a person's body begins; of what is no body the last of a chain that moves."""
+        if not self._bodies:
+            chain = [self.skeleton.root]
+            while len(below := self._children(chain[-1])) == 1:
+                chain += below
+            moving = [joint for joint in chain[1:] if np.ptp(self._place(joint, values), axis=0).any()]
+            return moving[-1] if moving else chain[0]
+        body = self._bodies[person]
+        chain = [*self._above(body), body]
+        moving = [at for at, joint in enumerate(chain[1:], 1) if np.ptp(self._place(joint, values), axis=0).any()]
+        normal = normal_names(self.skeleton.joint_names)
+        hips = [at for at, joint in enumerate(chain) if normal[joint] in _HIP_NAMES and at >= max(moving, default=0)]
+        return chain[hips[0]] if hips else body
+
+    def _children(self, joint: int) -> list[int]:
+        """Return the children of a joint that are no End Sites."""
+        return [child for child in self.skeleton.children(joint) if self._name(child) not in self.end_sites]
+
+    def _above(self, joint: int) -> list[int]:
+        """Return the joints above another, from the file's root."""
+        above: list[int] = []
+        while (joint := self.skeleton.parents[joint]) >= 0:
+            above.insert(0, joint)
+        return above
+
+    def _below(self, joint: int) -> frozenset[int]:
+        """Return a joint and all below it."""
+        found = [joint]
+        for parent in found:
+            found.extend(self.skeleton.children(parent))
+        return frozenset(found)
+
+    @cached_property
+    def _limbs(self) -> list[list[int]]:
+        """For each joint its children that begin a limb or more; targets of inverse kinematics (`ik_...`) do not."""
+        depth = [0] * self.skeleton.num_joints
+        for joint in reversed(self.skeleton.order):
+            depth[joint] = 1 + max((depth[child] for child in self._children(joint)), default=0)
+        return [
+            [
+                child
+                for child in self._children(joint)
+                if depth[child] >= LIMB_JOINTS and not self._name(child).lower().startswith("ik_")
+            ]
+            for joint in range(self.skeleton.num_joints)
+        ]
+
+    @cached_property
+    def _bodies(self) -> list[int]:
+        """The joints from which legs and spine of each person leave; none where the joints are no body."""
+        return self._bodies_below(self.skeleton.root)
+
+    def _bodies_below(self, joint: int) -> list[int]:
+        while True:
+            limbs = self._limbs[joint]
+            people = [limb for limb in limbs if self._is_body(limb)]
+            if len(people) > 1:
+                return [body for limb in people for body in self._bodies_below(limb)]
+            if len(limbs) != 1:
+                return [joint] if limbs else []
+            joint = limbs[0]
+
+    def _is_body(self, joint: int) -> bool:
+        """Tell whether limbs leave a joint, or the first below it that has several, one of which has limbs itself."""
+        while len(self._limbs[joint]) == 1:
+            joint = self._limbs[joint][0]
+        below = [other for limb in self._limbs[joint] for other in self._below(limb)]
+        return any(len(self._limbs[other]) > 1 for other in below)

@@ -204,6 +204,9 @@ def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
     """Read an AMC file over its skeleton.  AMC states no frame rate: `rate_hz` is None (CMU: 120 Hz, salsa 60 Hz)."""
     starts = np.cumsum([0, *map(len, asf.dof)]).tolist()
     values, is_degrees = _read_rows(data, dict(zip(asf.skeleton.joint_names, pairwise(starts), strict=True)))
+    angle_unit = "degrees" if asf.is_degrees else "radians"
+    unstated = f"it has no header with the unit of its angles: they are in {angle_unit}, as the skeleton says"
+    notes = (unstated,) if is_degrees is None else ()
     is_degrees = asf.is_degrees if is_degrees is None else is_degrees
     root_translation = np.tile(asf.root_position, (len(values), 1))
     for column, axis in enumerate(asf.dof[asf.skeleton.root]):
@@ -218,6 +221,7 @@ def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
         local_unitquat=multiply(axes, multiply(turns, conjugate(axes))),
         end_sites=frozenset(name for name in asf.skeleton.joint_names if name.endswith("_end")),
         metres_per_unit=asf.metres_per_unit,
+        notes=notes,
     )
 
 
@@ -266,13 +270,32 @@ def _read_rows(data: bytes | str, columns: Mapping[str, tuple[int, int]]) -> tup
     return values, is_degrees
 
 
+_BARE_FRAME = re.compile(r"(?:#[^\n]*\n|\s)*\d+\s*\n\s*root(?:[ \t]+[-+.\deE]+)+\s*\n", re.IGNORECASE)
+"""The first frame of an AMC file without a header: its number, then the root and its numbers."""
+
+
+def _skeleton_names(name: str) -> list[str]:
+    """Return what the skeleton of a motion may be called: as the motion, or as what its name begins with.
+
+    >>> _skeleton_names("60_01.amc"), _skeleton_names("HDM_bd_01-01.amc")[-2:]
+    (['60_01.asf', '60.asf'], ['HDM_bd.asf', 'HDM.asf'])
+    """
+    stem, _, suffix = name.rpartition(".")
+    ends = [len(stem), *(mark.start() for mark in reversed(list(re.finditer(r"[-_. ]", stem))))]
+    return [stem[:end] + (".ASF" if suffix.isupper() else ".asf") for end in ends if end]
+
+
 ASF_AMC = MotionFormat(
     name="asf_amc",
     suffixes=(".amc",),
-    recognises=lambda start: _has(start, "fully-specified|degrees|radians") and not _has(start, "bonedata"),
+    recognises=lambda start: (
+        (_has(start, "fully-specified|degrees|radians") and not _has(start, "bonedata"))
+        or _BARE_FRAME.match(start.text) is not None
+    ),
     read=lambda data, companion: read_amc(data, read_asf(companion)),
     companion="skeleton",
-    companion_names=lambda name: (name.rpartition(".")[0].rpartition("_")[0] + ".asf",),
+    companion_names=_skeleton_names,
+    check_companion=read_asf,
     is_companion=lambda start: _has(start, "bonedata"),
 )
 """AMC over its ASF skeleton, 60.asf for 60_01.amc in the CMU database: it states its unit and that y is up, never its

@@ -22,6 +22,10 @@ UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001
 ADULT_HEIGHT_M = (1.35, 2.1)
 """Statures within which a length unit is believed."""
 USUAL_HEIGHT_M = 1.7
+HUMAN_HEIGHT_M = (0.7, 2.6)
+"""Statures within which a unit that the file states is believed."""
+_GUESSED = 0.5
+"""Confidence of a unit of which something speaks against it."""
 STATURE_OF_CHAIN = 1.13
 """Stature over the chain from the ankle to the ear: the foot is 5 % of it and the head above the ear 7 %."""
 
@@ -191,13 +195,20 @@ def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
 def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
     """Return the file's own unit where it states one; else the known unit that makes an adult of the body.
 
+    A stated unit that makes a giant or a doll of the body gives way to a known one that makes an adult: a guess.
+
     Args:
         source: The motion.
         layout: What its joints are, where that is known; else it is found.
     """
     height = _body_height(source, layout)
     if source.metres_per_unit is not None:
-        return UnitGuess(source.metres_per_unit, 1.0, "the file states its unit", height * source.metres_per_unit)
+        stated_m = height * source.metres_per_unit
+        known = guess_unit(replace(source, metres_per_unit=None), layout)
+        if HUMAN_HEIGHT_M[0] <= stated_m <= HUMAN_HEIGHT_M[1] or known.confidence < _GUESSED:
+            return UnitGuess(source.metres_per_unit, 1.0, "the file states its unit", stated_m)
+        reason = f"the unit that the file states makes the body {stated_m:.3g} m tall; {known.reason}"
+        return UnitGuess(known.metres_per_unit, _GUESSED, reason, known.height_m)
     if height <= 0:
         return UnitGuess(1.0, 0.0, "the body has no height", 0.0)
     name = min(UNITS_M, key=lambda unit: abs(np.log(height * UNITS_M[unit] / USUAL_HEIGHT_M)))

@@ -9,13 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.asf_amc import read_amc, read_asf
+from pasdedeux.formats.asf_amc import ASF_AMC, read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.registry import MOTION_FORMATS, recognise_format
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
-from tests.builders.source_samples import AMC, ASF
+from tests.builders.source_samples import AMC, ASF, GOOD_MOTIONS
 
 UNIT_M = 0.0254 / 0.45
 
@@ -75,6 +76,48 @@ def test_radians_are_read_as_radians() -> None:
     text = AMC.replace(":DEGREES", ":RADIANS").replace("-90 0 0", f"{-np.pi / 2} 0 0").replace("45", f"{np.pi / 4}")
     text = text.replace("0 90 0", f"0 {np.pi / 2} 0").replace("lowerback 10", f"lowerback {np.deg2rad(10)}")
     np.testing.assert_allclose(world(text)[1], world()[1], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "skeletons"),
+    [
+        ("walk.amc", ["walk.asf"]),
+        ("60_01.amc", ["60_01.asf", "60.asf"]),
+        ("HDM_bd_01-01_01_120.amc", [*("HDM_bd_01-01_01_120.asf", "HDM_bd_01-01_01.asf", "HDM_bd_01-01.asf")]),
+        ("HDM_bd_01-01_01_120.amc", ["HDM_bd.asf"]),
+        ("a dance.amc", ["a dance.asf", "a.asf"]),
+        ("WALK_2.AMC", ["WALK_2.ASF", "WALK.ASF"]),
+    ],
+)
+def test_a_skeleton_is_sought_under_what_the_motion_begins_with(name: str, skeletons: list[str]) -> None:
+    names = list(ASF_AMC.companion_names(name))
+    assert [place for place in names if place in skeletons] == skeletons
+    assert names[0].upper() == name.upper().replace(".AMC", ".ASF")
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+def test_an_amc_without_a_header_is_read_in_the_angles_of_its_skeleton(unit: str) -> None:
+    bare = AMC.partition(":DEGREES\n")[2]
+    asf = read_asf(ASF.replace("angle deg", f"angle {unit}"))
+    assert recognise_format(bare.encode()) is recognise_format(f"# by hand\n\n{bare}".encode()) is ASF_AMC
+    source = read_amc(bare, asf)
+    wanted = read_amc(AMC.replace(":DEGREES", ":DEGREES" if unit == "deg" else ":RADIANS"), asf)
+    np.testing.assert_array_equal(source.local_unitquat, wanted.local_unitquat)
+    assert wanted.notes == ()
+    assert source.notes == (
+        "it has no header with the unit of its angles: they are in "
+        f"{'degrees' if unit == 'deg' else 'radians'}, as the skeleton says",
+    )
+
+
+@pytest.mark.parametrize("name", [name for name, kind in MOTION_FORMATS.items() if kind.companion])
+def test_the_file_beside_a_motion_is_checked_by_itself(name: str) -> None:
+    kind = MOTION_FORMATS[name]
+    companion = GOOD_MOTIONS[name][1]
+    kind.check_companion(companion)
+    for spoilt in (companion[: len(companion) // 2], b"", b"<!doctype html>"):
+        with pytest.raises(FormatError):
+            kind.check_companion(spoilt)
 
 
 def test_an_amc_file_states_no_rate() -> None:

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.guess import common_up_axis, guess_mirrored, guess_motion, guess_up_axis
+from pasdedeux.formats.guess import common_up_axis, guess_mirrored, guess_motion, guess_unit, guess_up_axis
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from tests.builders.rigs import RIGS, SMALL_BVH, Rig
+from tests.builders.source_samples import bvh_text
 
 MIXAMO = RIGS[0]
 
@@ -135,3 +136,15 @@ def test_real_files_are_upright_and_no_mirrors(data_dir: Path) -> None:
     for name, axis in {"cmu_salsa_bvh/60_01.bvh": "y", "contact_pairs/stack_push_up001_S2.bvh": "z"}.items():
         guess = guess_motion(read_bvh((data_dir / name).read_bytes()))
         assert (guess.up.axis, guess.mirror.is_mirrored) == (axis, False)
+
+
+@pytest.mark.parametrize(
+    ("stated_m", "unit_m"), [(0.0254, 0.01), (1.0, 0.01), (0.001, 0.01), (0.01, 0.01), (0.0115, 0.0115)]
+)
+def test_a_stated_unit_that_makes_a_giant_or_a_doll_is_not_sure(stated_m: float, unit_m: float) -> None:
+    source = replace(read_bvh(bvh_text()), metres_per_unit=stated_m)
+    guess = guess_unit(source)
+    assert guess.metres_per_unit == unit_m
+    assert 1.35 < guess.height_m < 2.1
+    assert (guess.confidence == 1.0) == (stated_m == unit_m)
+    assert ("the unit that the file states makes the body" in guess.reason) == (stated_m != unit_m)

@@ -13,7 +13,7 @@ from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.skeletons import BODY22
-from pasdedeux.skeletons.layouts import Layout, find_layout
+from pasdedeux.skeletons.layouts import Draft, Layout, draft_mapping, find_layout
 from pasdedeux.skeletons.skeleton import by_side
 
 UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001, "CMU unit": 0.0254 / 0.45}
@@ -84,6 +84,7 @@ class MotionGuess:
 
     Args:
         layout: Name of the layout that its joints belong to, None when no known one fits.
+        draft: What its joints seem to be, where no known layout fits.
         up: Its up axis.
         unit: Its length unit.
         mirror: Whether left and right are exchanged in it.
@@ -91,6 +92,7 @@ class MotionGuess:
     """
 
     layout: str | None
+    draft: Draft | None
     up: AxisGuess
     unit: UnitGuess
     mirror: MirrorGuess
@@ -162,7 +164,7 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
         source: The motion.
         layout: What its joints are, where that is known; else it is found.
     """
-    layout = layout or find_layout(source.skeleton, source.rest_offsets)
+    layout = layout or _layout_of(source)
     _, body = _sample(source, layout)
     if layout is None or body is None:
         return MirrorGuess(False, 0.0)
@@ -222,9 +224,12 @@ def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
 
 def guess_motion(source: SourceMotion) -> MotionGuess:
     """Return estimates of everything that a motion file may not state."""
-    layout = find_layout(source.skeleton, source.rest_offsets)
+    known = find_layout(source.skeleton, source.rest_offsets)
+    draft = None if known else draft_motion(source)
+    layout = draft.layout("draft") if draft and not draft.missing else known
     return MotionGuess(
-        layout=layout.name if layout else None,
+        layout=known.name if known else None,
+        draft=draft,
         up=guess_up_axis(source, layout),
         unit=guess_unit(source, layout),
         mirror=guess_mirrored(source, layout),
@@ -232,13 +237,30 @@ def guess_motion(source: SourceMotion) -> MotionGuess:
     )
 
 
-def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array | None]:
-    """Return positions of the joints and of body22 (frame, joint, 3) in some frames; no body22 without a layout."""
+def draft_motion(source: SourceMotion) -> Draft:
+    """Return what the joints of a motion seem to be, by names, tree and how they move; see `draft_mapping`."""
+    return draft_mapping(source.skeleton, source.rest_offsets, _positions(source)[0])
+
+
+def _layout_of(source: SourceMotion) -> Layout | None:
+    """Return the known layout of a motion, else the one that is drafted; None where that lacks parts."""
+    known = find_layout(source.skeleton, source.rest_offsets)
+    draft = None if known else draft_motion(source)
+    return draft.layout("draft") if draft and not draft.missing else known
+
+
+def _positions(source: SourceMotion) -> tuple[Array, Array]:
+    """Return positions (frame, J, 3) and world rotations (frame, J, 4) of some frames."""
     step = max(1, source.num_frames // _SAMPLE)
-    positions, world = forward_kinematics(
+    return forward_kinematics(
         source.skeleton, source.rest_offsets, source.root_translation[::step], source.local_unitquat[::step]
     )
-    layout = layout or find_layout(source.skeleton, source.rest_offsets)
+
+
+def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array | None]:
+    """Return positions of the joints and of body22 (frame, joint, 3) in some frames; no body22 of what is no body."""
+    positions, world = _positions(source)
+    layout = layout or _layout_of(source)
     if layout is None:
         return positions, None
     return positions, body_map(layout, source.skeleton, source.rest_offsets).positions(positions, world)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_axis_unit_and_handedness_of_every_rig_are_found(rig: Rig) -> None:
 
 @pytest.mark.parametrize("pose", ["T", "A", "random"])
 @pytest.mark.parametrize("up", UP_AXES)
-def test_every_axis_may_point_up_and_upright_means_up(up: str, pose: str) -> None:
+def test_every_axis_may_point_up_and_upright_means_up(up: str, pose: Literal["T", "A", "random"]) -> None:
     rig = replace(MIXAMO, axes=turned_axes(up), pose=pose)
     source = rig.source()
     guess = guess_motion(source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pasdedeux.skeletons.layouts.drafting import Draft, DraftedPart, draft_mapping
 from pasdedeux.skeletons.layouts.fitting import find_layout, fit_layout, fit_parts, joints_missing, resolve_layout
 from pasdedeux.skeletons.layouts.joint_names import is_joint
 from pasdedeux.skeletons.layouts.keypoints import (
@@ -21,8 +22,11 @@ __all__ = [
     "LAYOUTS",
     "LAYOUTS_OF_COUNT",
     "USUAL_LAYOUTS",
+    "Draft",
+    "DraftedPart",
     "KeypointLayout",
     "Layout",
+    "draft_mapping",
     "find_layout",
     "fit_layout",
     "fit_parts",

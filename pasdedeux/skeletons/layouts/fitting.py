@@ -158,12 +158,13 @@ def _names_of(entry: Entry) -> list[str]:
     return entry.split("|") if isinstance(entry, str) else list(entry)
 
 
-_NORMAL = {name: _known_names(layout) for name, layout in LAYOUTS.items()}
+NORMAL_NAMES = {name: _known_names(layout) for name, layout in LAYOUTS.items()}
+"""For each layout the normal form of the names that it uses."""
 
 
 def _in_file(layout: Layout, joints: Mapping[str, str]) -> dict[str, Entry]:
     """Return the parts of a layout that a file has joints for, in the file's names."""
-    normal, points = _NORMAL[layout.name], {point.name: point for point in layout.points}
+    normal, points = NORMAL_NAMES[layout.name], {point.name: point for point in layout.points}
     parts: dict[str, Entry] = {}
     taken: set[str] = set()
 
@@ -201,7 +202,7 @@ def _fullness(layout: Layout, joints: Mapping[str, str]) -> int:
 
 def _fitted(layout: Layout, skeleton: Skeleton, rest_offsets: Array) -> Layout:
     """Return a layout in the names of a file that has what it needs."""
-    joints, normal = by_normal_name(skeleton.joint_names), _NORMAL[layout.name]
+    joints, normal = by_normal_name(skeleton.joint_names), NORMAL_NAMES[layout.name]
     points = tuple(
         replace(point, joint=joints[normal[point.joint]], unit_bone=joints[normal[point.unit_bone]])
         for point in layout.points

@@ -1,0 +1,372 @@
+"""A layout for joints that none is known for, drafted by names, tree and pose, to be looked at and corrected."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations, permutations
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons.layouts.fitting import NEEDED, NORMAL_NAMES, fit_parts, rest_positions
+from pasdedeux.skeletons.layouts.layout import Layout
+from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
+from pasdedeux.skeletons.layouts.names import SIDES, normal_names
+from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton
+
+_ALIKE = 0.15
+"""Difference of two limbs of one body at most, share of their length."""
+_LIMB = 0.15
+"""Length of a limb at least, share of the longest way through the body."""
+_UPPER_TO_LOWER = {"arm": 1.27, "leg": 1.0}
+"""Length of the upper arm over the forearm, and of the thigh over the shin [Drillis and Contini 1966]."""
+_BEFORE = {"arm": 1.2, "leg": 0.6}
+_AFTER = {"arm": 1.0, "leg": 0.9}
+"""Way from the trunk to the limb, and from its end to tips of hand or foot, in lengths of its upper bone, at most."""
+_BENT_COST, _COVER_COST, _FAR_COST, _NO_HEAD_COST, _SHORT_COST = 10.0, 0.1, 2.0, 1.0, 0.5
+_MOST_JOINTS, _MOST_PAIRS = 30, 12
+"""Joints of a limb and pairs of limbs that are looked at: more than any body has."""
+_NECK_HEIGHT = 0.13
+"""Height over the shoulders, in lengths of the trunk, from which a joint is no base of a neck."""
+_SKULL_AWAY = 0.2
+"""Usual distance of the joint on which the head turns from the base of the neck, in lengths of the trunk."""
+_TOE_ACROSS, _BENT = 0.1, 0.03
+"""Share of the shin that a foot leads away from its line at least, and of the leg that a bent knee does."""
+_SURE_SIDE = 0.5
+"""Cosine between the line of the hips and the left of what knees and toes call front, which tells the sides."""
+_SHORTEST_WORD = 4
+"""Letters of a word at least that counts at the end of a name."""
+_END_WORDS = ("end", "nub", "site", "tip")
+
+_BY_NAME, _BY_TREE, _BY_POSE = "by its name", "by tree and pose", "by knees and toes"
+
+
+@dataclass(frozen=True)
+class DraftedPart:
+    """A part of a body and the joint that it seems to be.
+
+    Args:
+        part: As in `Layout.parts`.
+        joint: Joint of the file; empty where there is none, and the part is needed.
+        reason: What tells it.
+        is_sure: Whether it need not be looked at.
+    """
+
+    part: str
+    joint: str
+    reason: str
+    is_sure: bool
+
+
+@dataclass(frozen=True)
+class Draft:
+    """The parts of a body as they are found in a file.
+
+    Args:
+        parts: From the pelvis to the toes; what is not told is derived.
+        skeleton: The joints of the file.
+        rest_offsets: Their offsets (J, 3).
+    """
+
+    parts: tuple[DraftedPart, ...]
+    skeleton: Skeleton = field(repr=False)
+    rest_offsets: Array = field(repr=False)
+
+    @property
+    def missing(self) -> list[str]:
+        """Needed parts for which no joint was found."""
+        return [part.part for part in self.parts if not part.joint]
+
+    def layout(self, name: str) -> Layout:
+        """Return the layout that the draft is.
+
+        Raises:
+            InputError: Needed parts are missing.
+        """
+        if self.missing:
+            raise InputError(f"no joint was found for {', '.join(self.missing)}; write [ingest.mappings.{name}.parts]")
+        parts = {part.part: part.joint for part in self.parts}
+        return fit_parts(name, "a draft", parts, self.skeleton, self.rest_offsets)
+
+    def toml(self, name: str) -> str:
+        """Return the draft as a mapping of a study, what is not sure with a remark."""
+        lines = [f"[ingest.mappings.{name}.parts]"]
+        for part in self.parts:
+            line = f"{part.part} = {json.dumps(part.joint, ensure_ascii=False)}"
+            if not part.joint:
+                line = f"# {part.part} =    # no joint was found: SET IT, it is needed"
+            lines.append(line if part.is_sure or not part.joint else f"{line}    # {part.reason}: A GUESS - CHECK IT")
+        return "\n".join(lines) + "\n"
+
+
+def draft_mapping(skeleton: Skeleton, rest_offsets: Array, positions: Array | None = None) -> Draft:
+    """Return what the joints of a file seem to be.
+
+    Legs and arms are the two pairs of branches of like length; the legs are the longer.  Where names tell a part, they
+    decide.  Sides are told by names, else by where toes point and knees bend.
+
+    Args:
+        skeleton: The joints of the file.
+        rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
+        positions: Some frames of the motion (frame, J, 3), same unit, any axes; by default the rest pose.
+    """
+    places = rest_positions(skeleton, rest_offsets)[None] if positions is None else positions
+    return _Drafting(skeleton, rest_offsets, places).draft()
+
+
+def _vocabulary() -> dict[str, set[str]]:
+    """Return the parts that known layouts mean by each normal name without its side."""
+    words: dict[str, set[str]] = {}
+    for name, layout in LAYOUTS.items():
+        for part, entry in layout.parts.items():
+            for word in entry.split("|") if isinstance(entry, str) else ():
+                side, _, bare = NORMAL_NAMES[name].get(word, "").rpartition(".")
+                told = next((told for told in SIDES if part.startswith(told)), "")
+                if bare and side == told:
+                    words.setdefault(bare, set()).add("skull" if part == "head" else part.removeprefix(f"{told}_"))
+    return words
+
+
+_WORDS = _vocabulary()
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """A way through the tree, from the joint that two limbs share to a leaf."""
+
+    path: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Triple:
+    """Places on a branch where a limb starts, bends and ends, its length, and how unlike a limb it is."""
+
+    places: tuple[int, int, int]
+    length: float
+    cost: float
+
+
+_Pair = tuple[_Branch, _Branch]
+
+
+@dataclass(frozen=True)
+class _Drafting:
+    """A file's joints and poses, and what is found in them."""
+
+    skeleton: Skeleton
+    rest_offsets: Array
+    positions: Array
+
+    def draft(self) -> Draft:
+        """Return the draft."""
+        pairs = self._pairs()
+        people = [two for two in permutations(pairs, 2) if not self._joints(two[0]) & self._joints(two[1])]
+        legs, arms = min(people, key=self._cost, default=(None, None))
+        parts: dict[str, DraftedPart] = {}
+        if legs and arms:
+            limbs = {"leg": [self._limb("leg", branch) for branch in legs]}
+            limbs["arm"] = [self._limb("arm", branch) for branch in arms]
+            is_left_first, reason, is_sure = self._sides(limbs)
+            for kind, (first, second) in limbs.items():
+                ordered = (first, second) if is_left_first[kind] else (second, first)
+                for side, limb in zip(SIDES, ordered, strict=True):
+                    for part, joint in limb.items():
+                        parts[f"{side}_{part}"] = self._part(f"{side}_{part}", joint, reason, is_sure)
+            for part, joint in self._trunk(legs, arms, limbs).items():
+                parts[part] = self._part(part, joint)
+        needed = {*NEEDED, *(() if {"neck", "skull"} & parts.keys() else ("skull",))}
+        limb_parts = (f"{side}_{part}" for side in SIDES for part in ("collar", *ARM, *LEG, "toe"))
+        rows = (
+            parts.get(part) or (DraftedPart(part, "", "no joint was found", False) if part in needed else None)
+            for part in ("pelvis", "neck", "skull", *limb_parts)
+        )
+        return Draft(tuple(row for row in rows if row), self.skeleton, self.rest_offsets)
+
+    @cached_property
+    def _lengths(self) -> Array:
+        """Length of the bone that ends in each joint (J,), 0 for the root."""
+        parents = [max(parent, 0) for parent in self.skeleton.parents]
+        lengths = np.median(np.linalg.norm(self.positions - self.positions[:, parents], axis=-1), axis=0)
+        lengths[self.skeleton.root] = 0.0
+        return np.asarray(lengths)
+
+    @cached_property
+    def _normal(self) -> list[tuple[str, str]]:
+        """Side and rest of each joint's normal name."""
+        split = (name.rpartition(".") for name in normal_names(self.skeleton.joint_names))
+        return [(side, bare) for side, _, bare in split]
+
+    def _means(self, joint: int) -> set[str]:
+        """Return the parts that known layouts mean by a joint's name, or by the end of it."""
+        name = self._normal[joint][1]
+        ends = (name[at:] for at in range(len(name) - _SHORTEST_WORD + 1))
+        return _WORDS.get(name) or next((_WORDS[end] for end in ends if end in _WORDS), set())
+
+    def _part(self, part: str, joint: int, side_reason: str = "", is_side_sure: bool = True) -> DraftedPart:
+        """Return a part with what tells it."""
+        is_named = part.removeprefix("left_").removeprefix("right_") in self._means(joint)
+        reasons = [_BY_NAME if is_named else _BY_TREE, side_reason if side_reason != _BY_NAME or not is_named else ""]
+        reason = ", its side ".join(filter(None, reasons))
+        return DraftedPart(part, self.skeleton.joint_names[joint], reason, is_named and is_side_sure)
+
+    @cached_property
+    def _next(self) -> dict[int, int]:
+        """Child of each joint on the longest way outward."""
+        far, following = np.zeros(self.skeleton.num_joints), {}
+        for joint in reversed(self.skeleton.order[1:]):
+            parent, length = self.skeleton.parents[joint], far[joint] + self._lengths[joint]
+            if length >= far[parent]:
+                far[parent], following[parent] = length, joint
+        return following
+
+    def _longest(self, joint: int) -> list[int]:
+        """Return the longest way from a joint outward, itself first, as far as a limb may go."""
+        way = [joint]
+        while way[-1] in self._next and len(way) < _MOST_JOINTS:
+            way.append(self._next[way[-1]])
+        return way
+
+    def _pairs(self) -> list[_Pair]:
+        """Return the pairs of branches that are alike bone by bone, both from one joint."""
+        body = self._lengths[self._longest(self.skeleton.root)].sum()
+        pairs: list[_Pair] = []
+        for joint in range(self.skeleton.num_joints):
+            ways = [self._longest(child) for child in self.skeleton.children(joint)]
+            for first, second in combinations([way for way in ways if self._lengths[way].sum() > _LIMB * body], 2):
+                if self._are_alike(first, second):
+                    pairs.append((_Branch((joint, *first)), _Branch((joint, *second))))
+        return sorted(pairs, key=lambda pair: -float(self._lengths[list(pair[0].path[1:])].sum()))[:_MOST_PAIRS]
+
+    def _are_alike(self, first: Sequence[int], second: Sequence[int]) -> bool:
+        """Tell whether two ways are of like bones, up to a hand or foot that one of them lacks."""
+        total = max(self._lengths[first].sum(), self._lengths[second].sum())
+        shared = min(len(first), len(second))
+        differences = np.abs(self._lengths[first[:shared]] - self._lengths[second[:shared]])
+        rest = abs(self._lengths[first].sum() - self._lengths[second].sum())
+        return shared >= 3 and bool((differences <= _ALIKE * total).all()) and rest <= 2 * _ALIKE * total
+
+    def _joints(self, pair: _Pair) -> set[int]:
+        return {joint for branch in pair for joint in branch.path[1:]}
+
+    def _cost(self, people: tuple[_Pair, _Pair]) -> float:
+        """Return how little one pair are legs and the other arms: by proportions, and by a head between the arms."""
+        legs, arms = (
+            [self._triple(kind, branch) for branch in pair] for kind, pair in zip(("leg", "arm"), people, strict=True)
+        )
+        are_short = np.mean([limb.length for limb in legs]) < np.mean([limb.length for limb in arms])
+        proportions = sum(limb.cost for limb in (*legs, *arms))
+        return float(proportions + _NO_HEAD_COST * (not self._head(*people)) + _SHORT_COST * are_short)
+
+    def _triple(self, kind: str, branch: _Branch) -> _Triple:
+        """Return the places on a way where a limb starts, bends and ends: straight bones of the usual proportion."""
+        path = list(branch.path)
+        at = np.cumsum(np.concatenate([[0.0], self._lengths[path[1:]]]))
+        apart = self.positions[:, path, None] - self.positions[:, None, path]
+        chords = np.median(np.linalg.norm(apart, axis=-1), axis=0)
+
+        def triple(start: int, middle: int, end: int) -> _Triple:
+            upper, lower = at[middle] - at[start], at[end] - at[middle]
+            if min(upper, lower) <= 0.05 * at[-1]:
+                return _Triple((start, middle, end), 0.0, float("inf"))
+            bent = max(1.0 - chords[start, middle] / upper, 1.0 - chords[middle, end] / lower)
+            far = max(at[start] / upper - _BEFORE[kind], 0.0) + max((at[-1] - at[end]) / upper - _AFTER[kind], 0.0)
+            proportion = abs(np.log(upper / lower / _UPPER_TO_LOWER[kind]))
+            cover = 1.0 - (upper + lower) / at[-1]
+            cost = proportion + _BENT_COST * bent + _FAR_COST * far + _COVER_COST * cover
+            return _Triple((start, middle, end), float(upper + lower), float(cost))
+
+        return min((triple(*places) for places in combinations(range(1, len(path)), 3)), key=lambda limb: limb.cost)
+
+    def _limb(self, kind: str, branch: _Branch) -> dict[str, int]:
+        """Return the joints of a limb by their parts, by names where they tell it."""
+        path, parts = branch.path, ARM if kind == "arm" else LEG
+        places = list(self._triple(kind, branch).places)
+        named = [[at for at in range(1, len(path)) if self._means(path[at]) == {part}] for part in parts]
+        told = [found[0] if len(found) == 1 else place for found, place in zip(named, places, strict=True)]
+        places = told if told[0] < told[1] < told[2] else places
+        limb = {part: path[place] for part, place in zip(parts, places, strict=True)}
+        if kind == "arm" and places[0] > 1:
+            limb["collar"] = path[places[0] - 1]
+        if kind == "leg" and places[2] + 1 < len(path):
+            toe = path[places[2] + 1]
+            shin = self.positions[:, limb["ankle"]] - self.positions[:, limb["knee"]]
+            foot = self.positions[:, toe] - self.positions[:, limb["ankle"]]
+            across = np.linalg.norm(np.cross(foot, shin), axis=-1) / np.maximum((shin**2).sum(axis=-1), 1e-12)
+            if np.median(across) > _TOE_ACROSS:
+                limb["toe"] = toe
+        return limb
+
+    def _sides(self, limbs: Mapping[str, Sequence[Mapping[str, int]]]) -> tuple[dict[str, bool], str, bool]:
+        """Return for each kind of limb whether the first is the left one, what tells it, and whether that is sure."""
+        named = {
+            kind: [{self._normal[joint][0] for joint in limb.values()} - {""} for limb in both]
+            for kind, both in limbs.items()
+        }
+        if all(sides in ([{"left"}, {"right"}], [{"right"}, {"left"}]) for sides in named.values()):
+            return {kind: sides[0] == {"left"} for kind, sides in named.items()}, _BY_NAME, True
+        place = self.positions
+        hips, shoulders = (
+            [place[:, limb[part]] for limb in limbs[kind]] for kind, part in (("leg", "hip"), ("arm", "shoulder"))
+        )
+        up = _units(shoulders[0] + shoulders[1] - hips[0] - hips[1])
+        front = np.zeros_like(up)
+        for leg in limbs["leg"]:
+            hip, knee, ankle = (place[:, leg[part]] for part in LEG)
+            front += np.clip(
+                (knee - (hip + ankle) / 2) / np.linalg.norm(hip - ankle, axis=-1, keepdims=True) / _BENT, -1, 1
+            )
+            if "toe" in leg:
+                front += _units(place[:, leg["toe"]] - ankle)
+        left = np.cross(up, _units(front - (front * up).sum(axis=-1, keepdims=True) * up))
+        across = _units(hips[0] - hips[1])
+        cosine = float(np.median((across * left).sum(axis=-1)))
+        arms = float(np.median(((shoulders[0] - shoulders[1]) * across).sum(axis=-1)))
+        legs_left = cosine > 0
+        return {"leg": legs_left, "arm": legs_left if arms > 0 else not legs_left}, _BY_POSE, abs(cosine) > _SURE_SIDE
+
+    def _trunk(self, legs: _Pair, arms: _Pair, limbs: Mapping[str, Sequence[Mapping[str, int]]]) -> dict[str, int]:
+        """Return pelvis, neck and skull as far as there are joints for them."""
+        node, chest = legs[0].path[0], arms[0].path[0]
+        trunk = {} if node == chest else {"pelvis": node}
+        head = self._head(legs, arms)
+        if len(head) > 1 and self._normal[head[-1]][1].endswith(_END_WORDS):
+            head = head[:-1]
+        if not head:
+            return trunk
+        hips, shoulders = (
+            np.mean([self.positions[:, limb[part]] for limb in limbs[kind]], axis=0)
+            for kind, part in (("leg", "hip"), ("arm", "shoulder"))
+        )
+        length = float(np.median(np.linalg.norm(shoulders - hips, axis=-1))) or 1.0
+        up = _units(shoulders - hips)
+        heights = {j: float(np.median(((self.positions[:, j] - shoulders) * up).sum(axis=-1))) / length for j in head}
+        named = {part: [joint for joint in head if part in self._means(joint)] for part in ("neck", "skull")}
+        necks = named["neck"] or [joint for joint in head[:1] if heights[joint] < _NECK_HEIGHT]
+        base = self.positions[:, necks[0]] if necks else shoulders
+        skulls = named["skull"] or [joint for joint in head if joint not in necks[:1]]
+        away = {j: float(np.median(np.linalg.norm(self.positions[:, j] - base, axis=-1))) / length for j in skulls}
+        skulls = [joint for joint in skulls if away[joint] > 0]
+        trunk |= {"neck": necks[0]} if necks else {}
+        return trunk | ({"skull": min(skulls, key=lambda j: abs(np.log(away[j] / _SKULL_AWAY)))} if skulls else {})
+
+    def _head(self, legs: _Pair, arms: _Pair) -> list[int]:
+        """Return the longest way between the arms that does not lead to the legs."""
+        used = {arms[0].path[1], arms[1].path[1], legs[0].path[1], legs[1].path[1], *self._above(legs[0].path[0])}
+        ways = [self._longest(child) for child in self.skeleton.children(arms[0].path[0]) if child not in used]
+        return max(ways, key=lambda way: float(self._lengths[way].sum()), default=[])
+
+    def _above(self, joint: int) -> set[int]:
+        """Return a joint and all joints above it."""
+        above = {joint}
+        while (joint := self.skeleton.parents[joint]) >= 0:
+            above.add(joint)
+        return above
+
+
+def _units(vectors: Array) -> Array:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))

@@ -1,0 +1,117 @@
+"""Mappings drafted for joints that no layout knows: by names, tree and pose, and what is not sure is said."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.guess import draft_motion, guess_motion
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.skeletons.layouts import Draft, draft_mapping, find_layout, resolve_layout
+from pasdedeux.skeletons.layouts.fitting import NEEDED
+from tests.builders.rigs import RIGS, SMALL_BVH, Rig
+
+
+def renamed(motion: SourceMotion, seed: int) -> tuple[SourceMotion, dict[str, str]]:
+    """Return a motion whose joints have names that say nothing, and the old name of each."""
+    numbers = np.random.default_rng(seed).permutation(motion.skeleton.num_joints)
+    names = tuple(f"q{number}z" for number in numbers)
+    skeleton = Skeleton("bvh", names, motion.skeleton.parents)
+    return replace(motion, skeleton=skeleton), dict(zip(names, motion.skeleton.joint_names, strict=True))
+
+
+def differences(draft: Draft, motion: SourceMotion, old_names: dict[str, str]) -> dict[str, str]:
+    """Return the parts of a draft that the layout of the motion has other joints for."""
+    known = find_layout(motion.skeleton, motion.rest_offsets)
+    assert known is not None
+    expected = {part: entry for part, entry in known.parts.items() if isinstance(entry, str)}
+    told = {part.part: old_names[part.joint] for part in draft.parts if part.joint}
+    return {part: joint for part, joint in told.items() if joint != expected.get(part, joint)}
+
+
+@given(st.sampled_from(RIGS), st.integers(0, 10**6))
+def test_names_that_say_nothing_leave_the_mapping_of_every_rig(rig: Rig, seed: int) -> None:
+    motion = rig.source(seed)
+    odd, old_names = renamed(motion, seed)
+    draft = draft_motion(odd)
+    assert not draft.missing
+    assert differences(draft, motion, old_names) == {}
+    assert not any(part.is_sure for part in draft.parts)
+    known = find_layout(motion.skeleton, motion.rest_offsets)
+    assert known is not None
+    limbs = [joint for joint in BODY22.joint_names if joint.startswith(("left", "right"))]
+    assert set(limbs) & set(draft.layout("mine").derived) == set(limbs) & set(known.derived)
+
+
+@pytest.mark.parametrize("rig", [rig for rig in RIGS if rig.pose != "random"], ids=lambda rig: rig.name)
+def test_the_rest_pose_is_enough_but_for_the_sides_of_straight_legs_without_toes(rig: Rig) -> None:
+    motion = rig.source()
+    odd, old_names = renamed(motion, 1)
+    draft = draft_mapping(odd.skeleton, odd.rest_offsets)
+    wrong = differences(draft, motion, old_names)
+    if "left_toe" in rig.names:
+        assert wrong == {}
+    assert all(part.startswith(("left", "right")) for part in wrong)
+
+
+@pytest.mark.parametrize("rig", RIGS, ids=lambda rig: rig.name)
+def test_names_of_known_layouts_make_a_draft_sure(rig: Rig) -> None:
+    draft = draft_motion(rig.source())
+    assert [part.part for part in draft.parts if not part.is_sure and rig.name != "openni"] == []
+    assert {part.part for part in draft.parts} >= set(NEEDED)
+
+
+def test_a_draft_written_into_a_study_is_the_same_layout_and_says_what_is_a_guess() -> None:
+    motion = read_bvh(SMALL_BVH.replace("LeftLeg", "Bend.A").replace("RightLeg", 'Bend "B"'))
+    guess = guess_motion(motion)
+    assert guess.layout is None
+    assert guess.draft is not None
+    unsure = {part.part for part in guess.draft.parts if not part.is_sure}
+    assert unsure == {"left_knee", "right_knee"}
+    text = guess.draft.toml("mine")
+    assert 'left_knee = "Bend.A"    # by tree and pose, its side by its name: A GUESS - CHECK IT' in text
+    mappings = tomllib.loads(text)["ingest"]["mappings"]
+    found = resolve_layout("mine", motion.skeleton, motion.rest_offsets, mappings)
+    drafted = guess.draft.layout("mine")
+    assert (found.tables, found.points, found.derived) == (drafted.tables, drafted.points, drafted.derived)
+    # What it is tells unit, axis and handedness as for a known layout.
+    plain = guess_motion(read_bvh(SMALL_BVH))
+    assert (guess.unit.metres_per_unit, guess.up) == (plain.unit.metres_per_unit, plain.up)
+    assert guess.unit.height_m == pytest.approx(plain.unit.height_m, abs=0.05)
+    assert guess.mirror == plain.mirror
+
+
+def test_sides_that_names_do_not_tell_are_told_by_knees_and_toes_and_doubted() -> None:
+    rig = next(rig for rig in RIGS if rig.name == "xsens")
+    motion = rig.source()
+    names = [name.replace("Left", "A_").replace("Right", "B_") for name in motion.skeleton.joint_names]
+    draft = draft_motion(replace(motion, skeleton=replace(motion.skeleton, joint_names=tuple(names))))
+    knee = next(part for part in draft.parts if part.part == "left_knee")
+    assert (knee.joint, knee.reason, knee.is_sure) == ("A_Knee", "by its name, its side by knees and toes", True)
+
+
+def test_what_is_no_body_is_missing_and_not_made_up() -> None:
+    names = ("hips", "a", "b", "c")
+    draft = draft_mapping(Skeleton("bvh", names, (-1, 0, 1, 0)), np.ones((4, 3)))
+    assert set(NEEDED) | {"skull"} == set(draft.missing)
+    assert "# left_knee =    # no joint was found: SET IT, it is needed" in draft.toml("mine")
+    with pytest.raises(InputError, match=r"no joint was found for skull, left_shoulder.*ingest.mappings.mine.parts"):
+        draft.layout("mine")
+
+
+@given(st.integers(0, 10**6), st.integers(1, 120), st.booleans())
+def test_any_tree_is_drafted_or_missing(seed: int, num_joints: int, is_chain: bool) -> None:
+    rng = np.random.default_rng(seed)
+    parents = (-1, *(at - 1 if is_chain else int(rng.integers(at)) for at in range(1, num_joints)))
+    skeleton = Skeleton("bvh", tuple(f"q{at}" for at in range(num_joints)), parents)
+    offsets = rng.integers(-1, 2, (num_joints, 3)) * rng.choice([0.0, 1.0])
+    draft = draft_mapping(skeleton, offsets)
+    assert draft.missing or draft.layout("mine").tables

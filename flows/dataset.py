@@ -7,17 +7,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from httpx import HTTPError
 
 from flows.building import MAX_TASKS
 from flows.execution import begin, execute, open_pool, outcome_of_fresh
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, make_plan, refuse_nothing
-from flows.prefect_server import LocalServer, check_server, telemetry_off
+from flows.prefect_server import LocalServer, check_server, signed_in, telemetry_off
 from flows.publishing import Published, publish, refuse_unpublished
 from flows.study import load_study
+from pasdedeux.evaluation.verdicts import figure_words
+from pasdedeux.verdict import Verdict
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
 from tasks.shards import Pool, in_one_line
@@ -28,6 +33,8 @@ telemetry_off()
 from prefect import flow, task  # noqa: E402
 from prefect.artifacts import create_markdown_artifact, create_table_artifact  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
+from prefect.client.orchestration import get_client  # noqa: E402
+from prefect.runtime import flow_run  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
     PREFECT_CLIENT_MAX_RETRIES,
@@ -58,7 +65,7 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
     results: list[Outcome | Exception] = []
     settings: dict[Any, Any] = {}
     if address := get_current_settings().api.url:
-        check_server(address)
+        check_server(address, run.listener.note)
         if server is not None:
             server.end()
     folder = begin(run, plan)  # while the server starts
@@ -77,7 +84,7 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
             raise
 
     try:
-        with temporary_settings(settings):
+        with signed_in(address or "this machine"), temporary_settings(settings):
             build(study=run.study.name, run_id=folder.run_id)
     except Exception as error:
         if not results:
@@ -115,7 +122,9 @@ def dataset(
         else:
             run.store.prepare()
             with in_use(run.store), open_pool(run, where) as pool:
-                outcome = execute(run, begin(run, plan), plan, pool, _submit_task)
+                record = begin(run, plan)
+                _name_flow_run(record.run_id)
+                outcome = execute(run, record, plan, pool, _submit_task)
         published = publish(run, outcome)
     _show(run, outcome, published)
     refuse_nothing(outcome.missing)
@@ -131,7 +140,7 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
             "shards": one.num_shards,
             "computed": one.num_computed,
             "verdict": one.verdict.level.value if one.verdict else "",
-            "reason": one.verdict.reason if one.verdict else "",
+            "reason": _reason(one.verdict),
         }
         for one in outcome.stages
     ]
@@ -143,6 +152,17 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
         create_markdown_artifact(words, key=f"{key}-dataset", description=published.words)
 
 
+def _reason(verdict: Verdict | None) -> str:
+    """Return why a verdict is as it is: its reason, and the figure that matters, which a pass has alone."""
+    return "" if verdict is None else "; ".join(filter(None, (verdict.reason, figure_words(verdict))))
+
+
+def _name_flow_run(run_id: str) -> None:
+    """Name the flow run after the run of the store; a server that does not answer shows another name, no more."""
+    with suppress(HTTPError), get_client(sync_client=True) as client:
+        client.update_flow_run(flow_run.id, name=run_id)
+
+
 @task(task_run_name="{name}", retries=0, cache_policy=NO_CACHE, persist_result=False)
 def _partition(name: str, work: Callable[[], None]) -> None:
     """Compute shards of a stage, of one partition or of several: a task run of Prefect."""
@@ -150,6 +170,6 @@ def _partition(name: str, work: Callable[[], None]) -> None:
 
 
 def _submit_task(stage: str, name: str, work: Callable[[], None]) -> Any:
-    """Start a task in a thread of the flow in whose body this is called."""
+    """Start a task in a thread of the flow in whose body this is called; its run is named `stage partition`."""
     given: Any = quote(work)  # Prefect would look for futures in it, and gives the task what is quoted
-    return _partition.with_options(name=stage).submit(name, given, return_state=False)
+    return _partition.with_options(name=stage).submit(f"{stage} {name}", given, return_state=False)

@@ -6,20 +6,28 @@ system does when the process that started it dies, also by `kill -9`. (Prefect's
 
 from __future__ import annotations
 
+import http
 import logging
 import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Literal
 
 _STARTUP_TIMEOUT_VARIABLE = "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS"
 _STARTUP_TIMEOUT_S = 120.0
+_REFUSED_S = 60.0
+"""How long a server may refuse connections: one that was just started does."""
+_ASK_AGAIN_S = 0.5
+_SAY_AGAIN_S = 10.0
 _QUIET = {
     "DO_NOT_TRACK": "1",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
@@ -49,12 +57,13 @@ class LocalServer:
 
     def __init__(self) -> None:
         telemetry_off()
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - `end` closes it
         self._timeout_s = float(os.environ[_STARTUP_TIMEOUT_VARIABLE])
         self.process = subprocess.Popen(
             [sys.executable, "-m", "flows.prefect_server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            stderr=self._errors,
             text=True,
             start_new_session=True,
         )
@@ -68,9 +77,10 @@ class LocalServer:
         assert self.process.stdout is not None
         deadline = time.monotonic() + self._timeout_s
         address = self.process.stdout.readline().strip()
-        while not (address and _answers(address)):
+        while not (address and _state(address) == "answers"):
             if not address or self.process.poll() is not None:
-                raise ServerError(f"Prefect's local server ended with code {self.process.wait()} instead of starting")
+                code, words = self.process.wait(), self._last_words()
+                raise ServerError(f"Prefect's local server ended with code {code} instead of starting{words}")
             if time.monotonic() > deadline:
                 raise ServerError(
                     f"Prefect's local server did not answer within {self._timeout_s:.0f} s; "
@@ -86,6 +96,55 @@ class LocalServer:
         for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
                 stream.close()
+        self._errors.close()
+
+    def _last_words(self) -> str:
+        """Return the last line that the server wrote to standard error, after a colon; empty where there is none."""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").split("\n")
+        return next((f": {line.strip()}" for line in reversed(lines) if line.strip()), "")
+
+
+@contextmanager
+def writable_home(note: Callable[[str], None]) -> Iterator[None]:
+    """Let Prefect write in a temporary folder in this block where its own cannot be written; `note` is told."""
+    home = Path(os.environ.get("PREFECT_HOME") or "~/.prefect")
+    if not (reason := _why_not_writable(home)):
+        yield
+        return
+    changed = {"PREFECT_HOME": ""}
+    with suppress(OSError, RuntimeError):
+        home = home.expanduser()
+        if (home / "profiles.toml").is_file() and "PREFECT_PROFILES_PATH" not in os.environ:
+            changed["PREFECT_PROFILES_PATH"] = str(home / "profiles.toml")
+    before = {name: os.environ.get(name) for name in changed}
+    with tempfile.TemporaryDirectory(prefix="pasdedeux-prefect-", ignore_cleanup_errors=True) as folder:
+        note(f"Prefect's folder {home} cannot be written ({reason}): its record of this run is temporary, in {folder}")
+        os.environ.update(changed, PREFECT_HOME=folder)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+
+
+def _why_not_writable(home: Path) -> str:
+    """Return why Prefect cannot keep its database in a folder, which is made; empty where it can."""
+    try:
+        home = home.expanduser()
+        home.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=home):
+            pass
+        with suppress(FileNotFoundError), (home / "prefect.db").open("r+b"):
+            pass
+    except OSError as error:
+        return error.strerror or type(error).__name__
+    except RuntimeError:
+        return "this user has no home"
+    return ""
 
 
 @contextmanager
@@ -98,18 +157,44 @@ def starting_server() -> Iterator[LocalServer]:
         server.end()
 
 
-def check_server(address: str) -> None:
-    """Refuse the address of a server that does not answer."""
-    if not _answers(address):
+def check_server(address: str, note: Callable[[str], None]) -> None:
+    """Wait while a server refuses connections, as one does that is starting; `note` is told.
+
+    Raises:
+        ServerError: It refuses for too long, or does not answer in another way.
+    """
+    began = said = time.monotonic()
+    while (state := _state(address)) == "refuses" and time.monotonic() - began < _REFUSED_S:
+        if said == began or time.monotonic() - said > _SAY_AGAIN_S:
+            said = time.monotonic()
+            note(f"Prefect's server at {address} refuses connections, waiting up to {_REFUSED_S:g} s for it to start")
+        time.sleep(_ASK_AGAIN_S)
+    if state != "answers":
         raise ServerError(f"Prefect's server at {address} does not answer; start it, or unset PREFECT_API_URL")
 
 
-def _answers(address: str) -> bool:
+@contextmanager
+def signed_in(address: str) -> Iterator[None]:
+    """Say what to do where a server asks for a password in this block: ServerError."""
+    try:
+        yield
+    except Exception as error:
+        if getattr(getattr(error, "response", None), "status_code", None) != http.HTTPStatus.UNAUTHORIZED:
+            raise
+        raise ServerError(
+            f"Prefect's server at {address} refuses the password (401 Unauthorized): set PREFECT_API_AUTH_STRING here "
+            "to the name:password with which the server was started"
+        ) from None
+
+
+def _state(address: str) -> Literal["answers", "refuses", "fails"]:
     try:
         with urllib.request.urlopen(f"{address}/health", timeout=5) as answer:
-            return bool(answer.status == 200)
-    except (urllib.error.URLError, OSError, ValueError):
-        return False
+            return "answers" if answer.status == http.HTTPStatus.OK else "fails"
+    except urllib.error.URLError as error:
+        return "refuses" if isinstance(error.reason, ConnectionRefusedError) else "fails"
+    except (OSError, ValueError):
+        return "fails"
 
 
 def _serve() -> None:

@@ -24,7 +24,7 @@ from flows.console.context import (
 )
 from flows.machine import cluster_settings
 from flows.planning import PlanError, make_plan
-from flows.prefect_server import check_server, telemetry_off
+from flows.prefect_server import check_server, signed_in, telemetry_off
 from flows.study import load_study
 
 
@@ -77,7 +77,7 @@ def deploy(
             "no Prefect server is named: start one (PREFECT_SERVER_ANALYTICS_ENABLED=false prefect server start "
             "--background) and set PREFECT_API_URL, for example to http://127.0.0.1:4200/api"
         )
-    check_server(address)
+    check_server(address, lambda text: echo(text, err=True))
     from flows.schedules import deploy as put
 
     path = Path(study)
@@ -91,8 +91,10 @@ def deploy(
         "cluster": None if cluster is None else str(cluster.resolve()),
         "folder": str(Path.cwd()),
     }
-    name = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)
+    interval = None if every is None else timedelta(seconds=every)
+    with signed_in(address):
+        name = put(chosen.name, parameters, cron=cron, every=interval, pool=pool)
     when = f"at '{cron}' UTC" if cron else f"every {every:g} s" if every else "when it is asked for"
     echo(f"{name}: {when}, study {parameters['study']}, store {parameters['store']}")
     echo(f"now, if it is not running yet: prefect worker start --pool {pool}")
-    echo(f"at once: prefect deployment run {name}; to pause or remove it: prefect deployment --help")
+    echo(f"at once: prefect deployment run {name}; to remove it: prefect deployment delete {name}")

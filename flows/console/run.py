@@ -41,7 +41,7 @@ from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
-from flows.prefect_server import check_server, starting_server
+from flows.prefect_server import check_server, starting_server, writable_home
 from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
 from flows.records import uncollected
 from flows.study import Study, load_study
@@ -242,10 +242,14 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
         listener.note(f"compiled kernels cannot be kept, so each process compiles its own, for minutes: {why_not}")
     try:
         if named := os.environ.get("PREFECT_API_URL"):
-            check_server(named)
+            check_server(named, listener.note)
         else:
             listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
-        with nullcontext() if named else starting_server() as server, ThreadPoolExecutor(1) as threads:
+        with (
+            writable_home(listener.note),
+            nullcontext() if named else starting_server() as server,
+            ThreadPoolExecutor(1) as threads,
+        ):
             if cluster.is_shared or cluster.num_workers:
                 import distributed  # noqa: F401 - first: threads that import at once may meet half-loaded modules
             loading = threads.submit(_load_prefect)

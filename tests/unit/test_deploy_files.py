@@ -138,3 +138,18 @@ def test_prefects_telemetry_is_off_wherever_a_server_is_started() -> None:
     assert len(starting) == 3
     for text in starting:
         assert all(word in text.split("server start")[0] for word in TELEMETRY_OFF)
+
+
+SHOWN = [*DEPLOY.rglob("*.*"), ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "flows").rglob("*.py")]
+PREFECT_COMMANDS = sorted(
+    {words for path in SHOWN for words in re.findall(r"\bprefect ((?!import)[a-z-]+(?: [a-z]+)+)", path.read_text())}
+)
+
+
+@pytest.mark.parametrize("words", ["deployment schedule pause", "server start", *PREFECT_COMMANDS])
+def test_a_command_of_prefect_that_is_shown_exists_in_the_pinned_version(words: str) -> None:
+    import prefect.cli  # noqa: F401 - it registers the commands
+    from prefect.cli._app import _app
+
+    assert words in PREFECT_COMMANDS
+    assert _app.parse_commands(words.split())[2] == []

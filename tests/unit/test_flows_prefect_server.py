@@ -7,13 +7,18 @@ import os
 import subprocess
 import sys
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
+from flows import prefect_server
 from flows.console import run as run_module
 from flows.outcomes import Run
-from flows.prefect_server import LocalServer, ServerError, check_server, starting_server
+from flows.prefect_server import LocalServer, ServerError, check_server, starting_server, writable_home
 from flows.progress import Listener
 from flows.study import load_study
 from storage_schema import Store
@@ -33,14 +38,15 @@ def _home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_the_server_answers_inside_the_block_and_is_gone_after_it() -> None:
+def test_the_server_answers_inside_the_block_and_is_gone_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
     with starting_server() as server:
         address = server.wait()
-        check_server(address)
+        check_server(address, print)
         with urllib.request.urlopen(f"{address}/health", timeout=10) as answer:
             assert answer.read() == b"true"
+    monkeypatch.setattr(prefect_server, "_REFUSED_S", 0.0)
     with pytest.raises(ServerError, match="does not answer"):
-        check_server(address)
+        check_server(address, print)
 
 
 @pytest.mark.slow
@@ -65,29 +71,120 @@ def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:
     server.end()
 
 
-def test_a_server_that_cannot_start_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_server_that_cannot_start_is_named_with_its_last_words(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     broken = tmp_path / "python"
-    broken.write_text("#!/bin/sh\nexit 7\n")
+    broken.write_text("#!/bin/sh\necho Traceback >&2\necho the reason >&2\nexit 7\n")
     broken.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(broken))
-    with starting_server() as server, pytest.raises(ServerError, match="ended with code 7 instead of starting"):
+    with starting_server() as server, pytest.raises(ServerError, match=r"code 7 instead of starting: the reason$"):
         server.wait()
 
 
-def test_a_users_server_that_does_not_answer_fails_the_run_before_any_work(tmp_path: Path) -> None:
-    environment = {**os.environ, "PREFECT_API_URL": "http://127.0.0.1:9/api"}
-    arguments = ["run", str(write_study(tmp_path)), "--store", str(tmp_path / "store"), "--workers", "0"]
-    found = subprocess.run(
-        [sys.executable, "-m", "tests.builders.toys", *arguments],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
+@contextmanager
+def answering(health: int, rest: int) -> Iterator[str]:
+    """Serve the status `health` to who asks whether the server is well, and `rest` to all else; gives the address."""
+
+    class Answer(BaseHTTPRequestHandler):
+        def _answer(self) -> None:
+            self.send_response(health if self.path.endswith("/health") else rest)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        do_GET = do_POST = _answer  # noqa: N815 - so they are called
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    server = HTTPServer(("127.0.0.1", 0), Answer)
+    thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/api"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def test_a_server_that_starts_is_waited_for_and_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    with answering(200, 200) as address:
+        pass
+    said: list[str] = []
+    with answering(200, 200) as other:
+        # It starts while it is waited for: the second question reaches one that answers.
+        state = prefect_server._state
+        monkeypatch.setattr(prefect_server, "_state", lambda asked: state(other if said else asked))
+        monkeypatch.setattr(prefect_server, "_ASK_AGAIN_S", 0.0)
+        check_server(address, said.append)
+    assert said == [f"Prefect's server at {address} refuses connections, waiting up to 60 s for it to start"]
+
+
+@pytest.mark.parametrize("words", [("run",), ("deploy", "--every", "60")])
+@pytest.mark.parametrize(
+    ("health", "said"),
+    [
+        (500, "does not answer; start it, or unset PREFECT_API_URL"),
+        (200, "refuses the password (401 Unauthorized): set PREFECT_API_AUTH_STRING here"),
+    ],
+)
+def test_a_users_server_that_is_ill_or_wants_a_password_is_one_sentence(
+    tmp_path: Path, words: tuple[str, ...], health: int, said: str
+) -> None:
+    arguments = [words[0], str(write_study(tmp_path)), "--store", str(tmp_path / "store"), "--workers", "0", *words[1:]]
+    with answering(health, 401) as address:
+        ended = subprocess.run(
+            [sys.executable, "-m", "tests.builders.toys", *arguments],
+            cwd=ROOT,
+            env={**os.environ, "PREFECT_API_URL": address},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert ended.returncode == 1
+    assert f"error: Prefect's server at {address} {said}" in ended.stderr.splitlines()[-1]
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "kind", ["a file is in its place", "nothing can be made there", "nobody's home", "its database is closed"]
+)
+def test_where_prefects_folder_cannot_be_written_a_temporary_one_is_used_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    home = tmp_path / "home"
+    if kind == "a file is in its place":
+        home.touch()
+    elif kind == "nobody's home":
+        home = Path("~nobody-of-this-name/prefect")
+    elif kind == "nothing can be made there":
+        home = Path("/proc/nobody/home")
+    else:
+        (home / "prefect.db").mkdir(parents=True)
+        (home / "profiles.toml").touch()
+    monkeypatch.setenv("PREFECT_HOME", str(home))
+    said: list[str] = []
+    with writable_home(said.append):
+        used = Path(os.environ["PREFECT_HOME"])
+        assert used.is_dir()
+        has_profiles = os.environ.get("PREFECT_PROFILES_PATH") == str(home / "profiles.toml")
+        assert has_profiles == (kind == "its database is closed"), "the user's settings stay"
+    assert not used.exists()
+    assert (os.environ["PREFECT_HOME"], "PREFECT_PROFILES_PATH" in os.environ) == (str(home), False)
+    assert len(said) == 1
+    assert said[0].startswith(f"Prefect's folder {home} cannot be written (")
+    assert f"in {used}" in said[0]
+
+
+@pytest.mark.slow
+def test_a_run_builds_where_prefects_folder_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PREFECT_HOME", "/proc/nobody")
+    chosen, stages = load_study(str(write_study(tmp_path)), TOYS)
+    outcome, _ = run_module.build(
+        Run(chosen, stages, Store(tmp_path / "store")), ClusterSettings(num_workers=0), is_quiet=True
     )
-    assert found.returncode == 1
-    assert "error: Prefect's server at http://127.0.0.1:9/api does not answer" in found.stderr
-    assert "Traceback" not in found.stderr
+    assert outcome.num_computed
 
 
 def test_the_terminal_is_given_back_where_a_users_server_does_not_answer(
@@ -101,6 +198,7 @@ def test_the_terminal_is_given_back_where_a_users_server_does_not_answer(
 
     monkeypatch.setattr(run_module, "make_listener", lambda **_: Closing())
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
+    monkeypatch.setattr(prefect_server, "_REFUSED_S", 0.0)
     chosen, stages = load_study(str(write_study(tmp_path)), TOYS)
     run = Run(chosen, stages, Store(tmp_path / "store"))
     with pytest.raises(ServerError, match="does not answer"):

@@ -160,6 +160,9 @@ def test_a_part_of_a_study_is_not_published(study: Path, capsys: pytest.CaptureF
     assert run(study, "--until", "bend") == 0
     assert "released is not published: this is not the whole of the study" in capsys.readouterr().out
     assert versions(study) == []
+    every = [word for stage in ("aside", "grow", "bend", "judge") for word in ("--only", stage)]
+    assert run(study, *every, "--set", "publish.required=[]") == 0
+    assert len(versions(study)) == 1, "all that the study asks for is the whole of it"
 
 
 @pytest.mark.parametrize(

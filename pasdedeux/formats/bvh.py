@@ -20,7 +20,7 @@ from pasdedeux.formats.bvh_body import BvhHierarchy
 from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import Lines, parse_integer, parse_number, parse_numbers, shorten
+from pasdedeux.formats.text import Lines, compare_count, parse_integer, parse_number, parse_numbers, shorten
 from pasdedeux.formats.yolo import YOLO
 from pasdedeux.skeletons import Skeleton
 
@@ -28,8 +28,6 @@ MAX_JOINTS = 1000
 """More joints than this is a damaged file: the largest rigs in use have a few hundred."""
 MIN_FRAME_TIME_S, MAX_FRAME_TIME_S = 1e-5, 10.0
 
-FEW_FRAMES, FEW = 10, 0.05
-"""Frames, or share of them, by which a file may be shorter than it states; one that lacks more was cut off."""
 _COMMENT = ("#", "//", ";")
 
 _BEGINNING = re.compile(r"^[ \t]*HIERARCHY(?!\w)", re.IGNORECASE | re.MULTILINE)
@@ -247,12 +245,9 @@ def _read(data: bytes | str) -> _BvhFile:
         frame_time = _stated(lines, "Frame Time:")
         parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
         values = _read_rows(hierarchy, lines)
-        if len(values) < num_frames - max(FEW_FRAMES, FEW * num_frames):
-            raise FormatError(f"the file ends after {len(values)} of {num_frames} frames: it was cut off")
+        counted = compare_count(num_frames, len(values))
     rate_hz, note = rate_from_frame_time(frame_time)
-    counted = f"it states {num_frames} frames and holds {len(values)}, which are read"
-    notes = [counted] * (len(values) != num_frames) + [note] * bool(note)
-    return _BvhFile(hierarchy, values, rate_hz, tuple(notes))
+    return _BvhFile(hierarchy, values, rate_hz, tuple(filter(None, (counted, note))))
 
 
 def _stated(lines: Lines, label: str) -> str:

@@ -22,7 +22,7 @@ MAX_STRETCH_M, STATURE_M = 0.01, 1.7
 """By how much a joint may move against its parent on a body of this stature, metres: its bone is then fixed."""
 _STILL = 1e-6
 """Share of the stature by which a joint may move and still count as fixed: digits of the file."""
-_HIP_NAMES = {"hips", "hip", "pelvis"}
+_HIP_NAMES = ("hips", "hip", "pelvis")
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,9 @@ class BvhHierarchy:
         chain = [*self._above(body), body]
         moving = [at for at, joint in enumerate(chain[1:], 1) if np.ptp(self._place(joint, values), axis=0).any()]
         normal = normal_names(self.skeleton.joint_names)
-        hips = [at for at, joint in enumerate(chain) if normal[joint] in _HIP_NAMES and at >= max(moving, default=0)]
+        hips = [
+            at for at, joint in enumerate(chain) if normal[joint].endswith(_HIP_NAMES) and at >= max(moving, default=0)
+        ]
         return chain[hips[0]] if hips else body
 
     def _children(self, joint: int) -> list[int]:

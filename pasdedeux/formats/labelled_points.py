@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,7 @@ class LabelledPoints:
         positions: Places (frame, point, 3) in the file's unit, NaN where there is a gap.
         rate_hz: Frames per second.
         unit: The unit that the file states, lower case.
+        notes: What the reader assumed, a sentence each.
     """
 
     kind: str
@@ -40,6 +41,7 @@ class LabelledPoints:
     positions: Array
     rate_hz: float
     unit: str
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def people(self) -> list[tuple[str, dict[str, int]]]:
@@ -79,4 +81,5 @@ class LabelledPoints:
                 "absurdly large; fill gaps in the program that captured it"
             )
         rate_hz = check_range(plain_rate(self.rate_hz), f"the rate of this {self.kind}", *RATE_HZ)
-        return source_from_positions(BODY22, positions, rate_hz=rate_hz, metres_per_unit=_METRES.get(self.unit))
+        source = source_from_positions(BODY22, positions, rate_hz=rate_hz, metres_per_unit=_METRES.get(self.unit))
+        return replace(source, notes=self.notes)

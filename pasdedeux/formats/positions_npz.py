@@ -6,7 +6,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import RATE_HZ
@@ -28,6 +31,7 @@ def read_positions_npz(data: bytes, companion: bytes = b"", person: int = 0) -> 
     axes = np.ndim(arrays.get("positions_m", ()))
     positions = get_array(arrays, "positions_m", "f", (None, None, None, 3) if axes == 4 else (None, None, 3))
     if axes == 4:
+        positions = _frames_first(positions)
         check_range(positions.shape[1], "the number of people of array 'positions_m'", 1, _MAX_PEOPLE)
         positions = positions[:, person]
     positions = positions.astype(np.float64)
@@ -46,9 +50,14 @@ def read_positions_npz(data: bytes, companion: bytes = b"", person: int = 0) -> 
     return source_from_positions(skeleton, positions, rate_hz=rate_hz, metres_per_unit=1.0)
 
 
+def _frames_first(positions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return positions (frame, person, joint, 3), also where the few people come before the many frames."""
+    return np.swapaxes(positions, 0, 1) if positions.shape[0] <= _MAX_PEOPLE < positions.shape[1] else positions
+
+
 def _count_people(data: bytes) -> int:
-    shape = read_npz(data, "archive of positions", "positions_m".__eq__)["positions_m"].shape
-    return shape[1] if len(shape) == 4 else 1
+    positions = read_npz(data, "archive of positions", "positions_m".__eq__)["positions_m"]
+    return _frames_first(positions).shape[1] if positions.ndim == 4 else 1
 
 
 POSITIONS_NPZ = MotionFormat(

@@ -23,6 +23,8 @@ MAX_COUNT = 1_000_000_000
 MISSING = frozenset({"", "nan", "null", "none", "na", "n/a"})
 """How tables write that there is no number, in lower case."""
 
+_FEW_FRAMES, _FEW_SHARE = 10, 0.05
+"""Frames, or share of them, by which a file may be shorter than it states."""
 _MAX_TOKEN_SHOWN = 40
 _LOOKED_AT_LETTERS = 40
 _DELIMITERS = ",;\t"
@@ -229,6 +231,17 @@ def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) ->
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
         raise FormatError(f"{what}: '{shorten(token)}' is not a whole number")
     return check_range(int(token), what, low, high)
+
+
+def compare_count(stated: int, held: int) -> str:
+    """Return what to say of a file that states another number of frames than the whole ones it holds.
+
+    Raises:
+        FormatError: It holds fewer by more than a recorder miscounts: it was cut off.
+    """
+    if held < stated - max(_FEW_FRAMES, _FEW_SHARE * stated):
+        raise FormatError(f"the file ends after {held} of {stated} frames: it was cut off")
+    return f"it states {stated} frames and holds {held}, which are read" if held != stated else ""
 
 
 def check_range(value: N, what: str, low: float, high: float) -> N:

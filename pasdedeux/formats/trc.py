@@ -12,7 +12,7 @@ from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.labelled_points import LabelledPoints
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import Lines, parse_number
+from pasdedeux.formats.text import Lines, compare_count, parse_integer, parse_number
 
 _NUM_HEADER = 5
 """Lines before the frames: the type, keys, values, labels, axes."""
@@ -64,8 +64,11 @@ def read_points(data: bytes | str) -> LabelledPoints:
             rows.append([parse_number(cell, "a position") if cell else np.nan for cell in cells[: 3 * len(labels)]])
         if not rows or not labels:
             raise FormatError("the file ends without a frame")
+        counted = compare_count(parse_integer(stated.get("NumFrames", str(len(rows))), "NumFrames"), len(rows))
     positions = np.array(rows).reshape(len(rows), len(labels), 3)
-    return LabelledPoints("TRC file", labels, positions, rate_hz, stated.get("Units", "").lower())
+    return LabelledPoints(
+        "TRC file", labels, positions, rate_hz, stated.get("Units", "").lower(), (counted,) * bool(counted)
+    )
 
 
 def read_trc(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:

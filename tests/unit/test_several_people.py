@@ -1,0 +1,67 @@
+"""Files of several people that are no C3D: TRC and npz; each person is read where the file has it."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.positions_npz import POSITIONS_NPZ
+from pasdedeux.formats.trc import TRC, read_points, write_trc
+from pasdedeux.skeletons import BODY22
+from tests.builders.source_samples import figure_motion, trc_text
+
+POSITIONS_M = figure_motion(num_frames=40).world()[0]
+PEOPLE_M = np.stack([POSITIONS_M, POSITIONS_M + np.array([1.0, 0.0, 0.0])], axis=1)
+
+
+def npz(positions_m: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    names = np.array(BODY22.joint_names)
+    np.savez_compressed(out, positions_m=positions_m, joint_names=names, rate_hz=np.array(30.0003))
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2, 3), (1, 0, 2, 3)], ids=["frames first", "people first"])
+def test_the_people_of_an_npz_are_read_whichever_axis_is_theirs(axes: tuple[int, ...]) -> None:
+    data = npz(PEOPLE_M.transpose(axes))
+    assert POSITIONS_NPZ.count_people(data) == 2
+    for number in (0, 1):
+        source = POSITIONS_NPZ.read_person(number, data)
+        found, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
+        np.testing.assert_allclose(found, PEOPLE_M[:, number], atol=1e-7)
+        assert source.rate_hz == 30.0
+    with pytest.raises(FormatError, match="person 2: it holds 2 people"):
+        POSITIONS_NPZ.read_head(data, number=2)
+
+
+def test_a_crowd_in_an_npz_is_refused() -> None:
+    with pytest.raises(FormatError, match="the number of people of array 'positions_m' is 30"):
+        POSITIONS_NPZ.read(npz(np.tile(POSITIONS_M[:, None], (1, 30, 1, 1))), b"")
+
+
+def test_what_is_written_as_trc_is_read() -> None:
+    text = trc_text("AB")
+    assert TRC.count_people(text.encode()) == 2
+    wanted = figure_motion().world()[0]
+    for number in (0, 1):
+        source = TRC.read_person(number, text.encode())
+        assert (source.rate_hz, source.metres_per_unit, source.notes) == (30.0, 1.0, ())
+        found, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
+        np.testing.assert_allclose(found - [number, 0, 0], wanted, atol=2e-6)
+
+
+def test_gaps_and_counts_of_a_trc_are_told() -> None:
+    text = write_trc(POSITIONS_M, BODY22.joint_names, rate_hz=30.0, name="a.trc")
+    *head, row = text.rstrip("\n").split("\n")
+    gap = "\n".join([*head, "\t".join([*row.split("\t")[:-3], "", "", ""])])
+    assert np.isnan(read_points(gap).positions[-1, -1]).all()
+    with pytest.raises(FormatError, match="frame 39: the point 'right_wrist' is missing"):
+        read_points(gap).source()
+    assert read_points("\n".join(head)).source().notes == ("it states 40 frames and holds 39, which are read",)
+    with pytest.raises(FormatError, match="line 20: the file ends after 14 of 40 frames"):
+        read_points("\n".join(head[:20]))
+    with pytest.raises(FormatError, match="line 46: 65 values where 66 are needed"):
+        read_points("\n".join([*head, row.rpartition("\t")[0]]))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import re
 import subprocess
 import sys
 import tracemalloc
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -179,6 +181,33 @@ def test_key_frames_of_another_film_are_refused(
     keys = write_keys(tmp_path / "other.csv", frames, notes=notes)
     with pytest.raises(InputError, match=message):
         found(film, keys=keys)
+
+
+def test_key_frames_of_another_size_are_scaled_where_they_state_it_and_refused_elsewhere(
+    film: Path, tmp_path: Path
+) -> None:
+    rows = [
+        f"{frame + 1},0,{name},{2 * x:.4f},{2 * y:.4f}"
+        for frame in range(20)
+        for name, (x, y) in zip(NAMES, walker_px(frame), strict=True)
+    ]
+    head = ["# layout: coco17", "frame,person,joint,x,y"]
+    keys = tmp_path / "large.csv"
+    keys.write_text("\n".join(["# image_size: 1280x960", *head, *rows]))
+    (one,) = found(film, keys=keys, frame_offset=-1)
+    np.testing.assert_allclose(one.read().keypoints_px[:20], [walker_px(at) for at in range(20)], atol=0.01)
+    assert one.in_words().endswith("keypoints of images of 1280 x 960 scaled to 640 x 480")
+    keys.write_text("\n".join([*head, *rows]))
+    with pytest.raises(InputError, match=r"\d\d% of the keypoints .* lie outside the image: .* is 640 x 480"):
+        found(film, keys=keys, frame_offset=-1)
+
+
+@pytest.mark.parametrize("names", [("hall.png", "beach.png"), ("IMG_2034.png", "IMG_2077.png", "IMG_2161.png")])
+def test_single_photographs_are_no_film(names: tuple[str, ...], keys: Path, tmp_path: Path) -> None:
+    for frame, name in enumerate(names):
+        cv2.imwrite(str(tmp_path / name), painted(0, frame))
+    with pytest.raises(InputError, match="holds single photographs by their names, no film; number the images"):
+        found(tmp_path, keys=keys)
 
 
 def test_shots_of_which_only_filled_in_joints_are_known_are_left_out(film: Path, keys: Path, tmp_path: Path) -> None:
@@ -382,6 +411,19 @@ def test_rtmo_gives_the_people_it_is_certain_of_in_pixels_of_the_image() -> None
     np.testing.assert_allclose(person[:, 2], 0.8)
 
 
+def packed(**files: bytes) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(f"model/{name}.onnx" if data else name, data)
+    return out.getvalue()
+
+
+def test_a_network_may_be_packed_as_model_zoos_do() -> None:
+    (person,) = load_detector([packed(end2end=tiny_networks.rtmo(), readme=b"")]).detect(bright(150, 120))
+    np.testing.assert_array_equal(person, load_detector([tiny_networks.rtmo()]).detect(bright(150, 120))[0])
+
+
 def test_rtmpose_looks_into_boxes_of_people_or_where_the_person_was() -> None:
     boxed = load_detector([tiny_networks.yolox(), tiny_networks.rtmpose()])
     for x, y in ((150, 120), (156, 118)):
@@ -400,6 +442,8 @@ def test_rtmpose_looks_into_boxes_of_people_or_where_the_person_was() -> None:
     [
         ([b"no network"], "no ONNX network that can be loaded"),
         ([tiny_networks.half()], r"its input is tensor\(float16\); 32-bit floats are needed"),
+        ([packed(a=b"1", b=b"2")], "one ONNX file of at most 2 GB is needed, found model/a.onnx, model/b.onnx"),
+        ([packed(a=b"1" * 99)[:60]], "ZIP archive of a network is damaged"),
         ([tiny_networks.yolox()], "0 networks of keypoints"),
         ([tiny_networks.rtmo(), tiny_networks.rtmo()], "2 networks of keypoints"),
     ],

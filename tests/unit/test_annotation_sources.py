@@ -11,9 +11,18 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
-from tests.builders.source_samples import coco_text, csv_text, image_text, openpose_text, person_px, result_texts
+from tests.builders.source_samples import (
+    coco_text,
+    csv_text,
+    image_text,
+    openpose_text,
+    person_px,
+    result_texts,
+    yolo_text,
+)
 
 
 def found_in(path: Path, **options: Any) -> list[FoundAnnotations]:
@@ -42,6 +51,32 @@ def test_cameras_by_the_beginning_of_names_are_sequences_and_none_vanishes(tmp_p
     assert [one.parameters.id for one in found] == ["clip.cam1", "clip.cam2"]
     assert [sorted(set(one.read().frame.tolist())) for one in found] == [list(range(6)), list(range(4))]
     assert [set(one.read().sequence_id) for one in found] == [{"clip.cam1"}, {"clip.cam2"}]
+
+
+@pytest.mark.parametrize("beside", ["classes.txt", "film.json.bak"])
+def test_a_folder_of_yolos_text_files_is_a_camera_for_each_beginning_of_their_names(
+    tmp_path: Path, beside: str
+) -> None:
+    for camera in (1, 2):
+        for frame in range(6):
+            (tmp_path / f"cam{camera}_{frame + 1}.txt").write_text(yolo_text(seed=frame))
+    (tmp_path / beside).write_text("person")
+    found = found_in(tmp_path, image_size_px=(640, 480), frame_offset=-1)
+    assert [(one.parameters.id, one.parameters.format) for one in found] == [
+        ("clip.cam1", "yolo"),
+        ("clip.cam2", "yolo"),
+    ]
+    assert [sorted(set(one.read().frame.tolist())) for one in found] == [list(range(6))] * 2
+
+
+def test_names_of_joints_that_no_layout_has_are_said(tmp_path: Path) -> None:
+    content = json.loads(coco_text(num_frames=3, people=1))
+    for one in content["annotations"]:
+        one |= {"keypoints": [*one["keypoints"], 5.0, 5.0, 2], "category_id": 1}
+    content["categories"] = [{"id": 1, "keypoints": [*KEYPOINT_LAYOUTS["coco17"].keypoint_names, "hat"]}]
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    (found,) = found_in(tmp_path / "c.json")
+    assert found.in_words().endswith("joints left out that 'coco17' lacks: 'hat'")
 
 
 def test_folders_of_a_folder_are_cameras_as_pose2sim_writes_them(tmp_path: Path) -> None:

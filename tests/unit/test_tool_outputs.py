@@ -234,8 +234,8 @@ def test_keypoints_of_another_size_are_scaled_where_the_file_states_it_and_refus
     found = read(content, SIZE_PX)
     check(found, 2, is_numbered=True)
     assert found.image_size_px == {"s": SIZE_PX}
-    assert found.remarks == ("keypoints of an image of 1280 x 960 scaled to 640 x 480",)
-    with pytest.raises(InputError, match="an image of 1280 x 960, and the image is 640 x 360: another shape"):
+    assert found.remarks == ("keypoints of images of 1280 x 960 scaled to 640 x 480",)
+    with pytest.raises(InputError, match="images of 1280 x 960, but the film has 640 x 360 pixels, which is another"):
         read(content, (640, 360))
     with pytest.raises(
         InputError, match=r"\d\d% of the keypoints of 's' lie outside the image: they reach .*640 x 480"

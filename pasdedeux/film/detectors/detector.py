@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,6 +14,8 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.film.tracking import Image
+
+_MAX_NETWORK_BYTES = 2_000_000_000
 
 
 class Detector(Protocol):
@@ -53,8 +58,25 @@ class DetectorKind:
     is_boxes: bool = False
 
 
+def _unpacked(data: bytes) -> bytes:
+    """Return the ONNX file of a ZIP archive, as model zoos pack one.
+
+    Raises:
+        InputError: It is damaged, or holds none or several.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = [one for one in archive.infolist() if one.filename.lower().endswith(".onnx")]
+            if len(members) != 1 or members[0].file_size > _MAX_NETWORK_BYTES:
+                names = ", ".join(one.filename[:60] for one in members[:3]) or "none"
+                raise InputError(f"a ZIP archive with one ONNX file of at most 2 GB is needed, found {names}")
+            return archive.read(members[0])
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, OSError, EOFError) as error:
+        raise InputError(f"this ZIP archive of a network is damaged: {str(error)[:120]}") from None
+
+
 def load_network(data: bytes) -> Network:
-    """Load an ONNX file, on one thread: workers are many.
+    """Load an ONNX file, or the only one in a ZIP archive, on one thread: workers are many.
 
     Raises:
         InputError: onnxruntime is not installed, or this is no network of images.
@@ -63,6 +85,8 @@ def load_network(data: bytes) -> Network:
         import onnxruntime
     except ImportError:
         raise InputError("a detector needs onnxruntime: pip install 'pasdedeux[detect]'") from None
+    if data[:4] == b"PK\x03\x04":
+        data = _unpacked(data)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3

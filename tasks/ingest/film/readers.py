@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.film.shots import ShotFinder, constant_rate_hz
-from pasdedeux.formats.image_names import places_of_names
+from pasdedeux.formats.image_names import STILLS_STEP, places_of_names
 from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
 from tasks.stage import SourceFile
 from tasks.user_files import digest_of, open_file
@@ -127,6 +127,11 @@ def open_film(path: Path) -> Film:
         numbers = [places[item.name][1] for item in paths]
         first_number = numbers[0]
         gap = next((number for at, number in enumerate(numbers) if number != first_number + at), None)
+        if gap == STILLS_STEP:
+            raise InputError(
+                f"folder {path} holds single photographs by their names, no film; number the images of a film: "
+                "frame_0001.jpg, frame_0002.jpg, ..."
+            )
         if gap is not None:
             raise InputError(f"folder {path}: the image before {gap} is missing; images are numbered without gaps")
     files = tuple(SourceFile(path=str(one), sha256=digest_of(one)) for one in paths)

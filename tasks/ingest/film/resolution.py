@@ -238,6 +238,7 @@ def _read_given(
         video=video,
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
+        frame_offset=parameters.frame_offset,
     )
 
 
@@ -328,13 +329,7 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
     with named(given.name):
         parameters = shot.parameters
         files = shot.files[: parameters.num_given]
-        frames = _read_given(parameters, files, Footage(), video=Footage(film.image_size_px))
-        sizes = set(frames.image_size_px.values()) - {film.image_size_px}
-        if sizes:
-            (width, height), (own_width, own_height) = sizes.pop(), film.image_size_px
-            raise InputError(
-                f"it is about images of {width} x {height}, but the film has {own_width} x {own_height} pixels"
-            )
+        frames = _read_given(parameters, files, Footage(film.image_size_px))
         if frames.rate_hz and max(frames.rate_hz / rate_hz, rate_hz / frames.rate_hz) > _MAX_RATE_RATIO:
             raise InputError(
                 f"it is about a film of {frames.rate_hz:g} Hz, but this one has {rate_hz:.6g}; where the film's own is "

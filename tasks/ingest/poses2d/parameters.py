@@ -62,6 +62,9 @@ class AnnotationCommon(PeopleSettings, Parameters):
     on_unreadable: Literal["refuse", "skip"] = Field(
         "refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
     )
+    frame_offset: int = Field(
+        0, ge=-1_000_000, le=1_000_000, description="Added to the frames of the files: -1 where a tool counts from 1"
+    )
     leave_one_out_every: int = Field(
         10,
         ge=0,

@@ -19,6 +19,10 @@ from tasks.user_files import open_file
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
 _SUFFIXES = frozenset(end for kind in ANNOTATION_FORMATS.values() for end in kind.suffixes)
+_TEXT = ".txt"
+_FRAME_SUFFIXES = frozenset(
+    end for kind in ANNOTATION_FORMATS.values() if kind.is_file_per_frame for end in kind.suffixes
+)
 _SEPARATORS = "_-. "
 _EMPTY_LIST = 4
 """Bytes of an image's file in which nobody is: `[]`, which tells nothing of the format."""
@@ -71,7 +75,9 @@ def find_cameras(path: Path, format_name: str = "auto", *, skipped: dict[str, st
 def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) -> list[CameraFiles]:
     """Return the cameras of the files that lie in a folder itself."""
     paths = sorted(item for item in folder.iterdir() if item.suffix.lower() in _SUFFIXES and item.is_file())
-    numbered = [item for item in paths if item.suffix.lower() == ".json" and number_in_name(item.name)[1] is not None]
+    paths = [item for item in paths if item.suffix.lower() != _TEXT] or paths  # beside others a text is a note
+    of_frames = [item for item in paths if item.suffix.lower() in _FRAME_SUFFIXES]
+    numbered = [item for item in of_frames if number_in_name(item.name)[1] is not None]
     if not paths:
         return []
     candidates = numbered or paths
@@ -87,7 +93,7 @@ def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) 
                     raise
                 skipped[one.stem] = str(error)
         return found
-    frames = numbered or [item for item in paths if item.suffix.lower() == ".json"]
+    frames = numbered or of_frames
     cameras: dict[str, list[Path]] = {}
     for item, (camera, _) in zip(frames, places_of_names(item.name for item in frames).values(), strict=True):
         cameras.setdefault(camera, []).append(item)
@@ -101,9 +107,13 @@ def _frames_format(tried: Sequence[Path], format_name: str) -> str | None:
     """
     if format_name != "auto":
         return format_name if ANNOTATION_FORMATS[format_name].is_file_per_frame else None
-    if tried[0].suffix.lower() != ".json":
+    suffix = tried[0].suffix.lower()
+    if suffix not in _FRAME_SUFFIXES:
         return None
-    name = next(name for name, kind in ANNOTATION_FORMATS.items() if kind.is_file_per_frame)
+    per_frame = [
+        name for name, kind in ANNOTATION_FORMATS.items() if kind.is_file_per_frame and suffix in kind.suffixes
+    ]
+    name = per_frame[0]
     for item in tried:
         with suppress(InputError):
             name = find_format(ANNOTATION_FORMATS, "auto", load_file(item).data).name

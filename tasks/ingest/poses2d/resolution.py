@@ -81,7 +81,7 @@ class FoundAnnotations:
         words.append(f"focal length {lens}" if lens else "lens of a phone assumed (focal_px, fov_deg)")
         if frames.skipped:
             words.append(f"{len(frames.skipped)} damaged files skipped ({', '.join(frames.skipped[:3])})")
-        return f"{stated.id}: {', '.join(words)}"
+        return f"{stated.id}: {', '.join((*words, *frames.remarks))}"
 
     def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
         """Return what lies beside the tables: who is who."""
@@ -205,6 +205,7 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
         video=Footage(parameters.video_size_px, parameters.video_rate_hz),
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
+        frame_offset=parameters.frame_offset,
     )
     if parameters.take_seconds is None:
         return frames

@@ -16,6 +16,7 @@ from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
+from tasks.ingest.takes.resolution import find_companion
 from tests.builders.source_samples import AMC, ASF, GOOD_MOTIONS
 
 UNIT_M = 0.0254 / 0.45
@@ -93,6 +94,16 @@ def test_a_skeleton_is_sought_under_what_the_motion_begins_with(name: str, skele
     names = list(ASF_AMC.companion_names(name))
     assert [place for place in names if place in skeletons] == skeletons
     assert names[0].upper() == name.upper().replace(".AMC", ".ASF")
+
+
+def test_a_fault_of_a_skeleton_has_the_name_of_the_skeleton(tmp_path: Path) -> None:
+    (tmp_path / "walk.asf").write_text(ASF.replace("length 7.0", "length seven"))
+    with pytest.raises(FormatError, match=r"^walk\.asf: line 38: length of 'lfemur': 'seven' is not a number"):
+        find_companion(tmp_path / "walk.amc", ASF_AMC)
+    (tmp_path / "other.asf").write_text(ASF)
+    stated = find_companion(tmp_path / "walk.amc", ASF_AMC, tmp_path / "other.asf")
+    assert stated is not None
+    assert stated.path.endswith("other.asf")
 
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])

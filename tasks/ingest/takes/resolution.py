@@ -89,24 +89,25 @@ def find_person(
     return PersonSource(parameters, (loaded.file, companion) if companion else (loaded.file,), head.num_frames)
 
 
-def find_companion(path: Path, kind: MotionFormat, named: Path | None = None) -> SourceFile | None:
-    """Return the file that a format needs beside its motion: the one that is named, else where it usually lies.
+def find_companion(path: Path, kind: MotionFormat, stated: Path | None = None) -> SourceFile | None:
+    """Return the file that a format needs beside its motion: the one that is stated, else where it usually lies.
 
     Raises:
-        InputError: It is not there.
+        InputError: It is not there, or mangled, which is told under its own name.
     """
     if not kind.companion:
         return None
-    if named is not None:
-        return load_file(named).file
     names = kind.companion_names(path.name)
-    places = [path.parent / name for name in names]
-    found = next((place for place in places if place.is_file()), None)
-    if found is None:
+    places = [path.parent / name for name in names] if stated is None else [stated]
+    place = next((place for place in places if stated or place.is_file()), None)
+    if place is None:
         raise InputError(
             f"its {kind.companion} {' or '.join(names)} is not beside it; set `skeleton` under `persons` of this take"
         )
-    return load_file(found).file
+    loaded = load_file(place)
+    with named(place.name):
+        kind.check_companion(loaded.data)
+    return loaded.file
 
 
 def credit_of(people: Sequence[PersonSource], licence: str | None, credit: str | None) -> SourceCredit:

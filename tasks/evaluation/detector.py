@@ -50,7 +50,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             scores += scores_of(median, label, "m", split=method, item=item, count=len(error))
     minutes = float(np.ptp(store.read(annotations[1], "annotations", columns=["time_s"])["time_s"])) / 60.0
     figures = {
-        "identity_switches_per_minute": settled.num_identity_switches / minutes,
+        "identity_switches_per_minute": settled.num_identity_switches / minutes if minutes else 0.0,
         "extra_people": float(settled.num_people - settled.num_true_people),
         "wrong_pairs": float(sum(pair != (0, 1) for pair in settled.couples) + ((0, 1) not in settled.couples)),
     }

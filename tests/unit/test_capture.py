@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.capture import JUDGED, check_capture, judge_capture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -23,6 +24,10 @@ Array = npt.NDArray[np.float64]
 LIMITS = limits_of(JUDGED)
 TURNED = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 Z_READ_AS_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+FEET = BODY22.indices(["left_ankle", "right_ankle", "left_toe", "right_toe"])
+KNEE = BODY22.index("left_knee")
 
 
 @cache
@@ -141,6 +146,70 @@ def test_a_limit_is_what_the_study_says() -> None:
     pair = FAULTS["a foot jumps"][0](duet("waltz", 30.0))
     wide = complete_limits(JUDGED, {"jump_m": (0.5, 1.0), "speed_m_s": (50.0, 50.0)})
     assert judge_capture(check_capture(pair, rate_hz=30.0), wide).take.level is Level.WARN
+
+
+STAND = duet("waltz", 30.0)[0, 0] - [0.0, duet("waltz", 30.0)[0, 0, FEET, 1].min(), 0.0]
+ABOVE_M = float(np.linalg.norm(STAND[:, None] + [0.0, 2.0, 0.0] - STAND, axis=-1).min())
+"""From somebody to the same one 2 m higher."""
+LONGER_M = 0.05 * normalise(STAND[BODY22.index("head")] - STAND[BODY22.index("neck")])
+"""5 cm along the neck."""
+LYING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def still(*, frames: Sequence[int] = (), joint: str = "", by: npt.ArrayLike = 0.0) -> Array:
+    """Return somebody who stands still for 120 frames, a joint or all of him moved in some of them."""
+    body = np.repeat(STAND[None], 120, axis=0)
+    body[np.ix_(frames, [BODY22.index(joint)] if joint else range(22))] += by
+    return body
+
+
+def moving(path: Array, joint: str = "") -> Array:
+    """Return somebody who stands, with a joint or all of him on a path along x (frame,)."""
+    body = np.repeat(STAND[None], len(path), axis=0)
+    body[:, [BODY22.index(joint)] if joint else slice(None), 0] += path[:, None]
+    return body
+
+
+def lying(frames: int) -> Array:
+    body = still()
+    body[:frames] = body[:frames] @ LYING.T
+    return body
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0])
+@pytest.mark.parametrize(
+    ("column", "take", "value"),
+    [
+        ("sunk_m", lambda _: [still(frames=range(12), joint="left_knee", by=(0.0, -0.3 - STAND[KNEE, 1], 0.0))], 0.3),
+        ("skate_m_s", lambda time_s: [moving(0.9 * time_s)], 0.9),
+        ("speed_m_s", lambda time_s: [moving(-2.0 * time_s, "left_wrist")], 2.0),
+        ("jerk_m_s3", lambda time_s: [moving(100.0 * time_s**3, "left_wrist")], 600.0),
+        ("floating_share", lambda _: [still(frames=range(24), by=(0.0, 0.5, 0.0))], 0.2),
+        ("floor_spread_m", lambda _: [still(frames=range(60), by=(0.0, 0.3, 0.0))], 0.3),
+        ("upright_share", lambda _: [lying(36)], 0.7),
+        (
+            "distance_m",
+            lambda _: [still(), np.add(still(frames=range(60), by=(0.0, 2.0, 0.0)), [0.0, 2.0, 0.0])],
+            ABOVE_M,
+        ),
+        (
+            "body_difference_m",
+            lambda _: [still(), still(frames=range(120), joint="head", by=LONGER_M)],
+            0.05,
+        ),
+    ],
+)
+def test_each_figure_of_a_capture_is_known_of_a_motion_made_for_it(
+    column: str, take: Callable[[Array], list[Array]], value: float, rate_hz: float
+) -> None:
+    people = np.stack(take(np.arange(120) / rate_hz), axis=1)
+    assert getattr(check_capture(people, rate_hz=rate_hz)[0], column) == pytest.approx(value, rel=1e-9)
+
+
+def test_a_jump_is_as_far_as_the_joint_and_when_it_happens() -> None:
+    (found,) = check_capture(still(frames=range(60, 120), joint="left_toe", by=(0.0, 0.0, 0.4))[:, None], rate_hz=30.0)
+    assert found.jump_joint == "left_toe"
+    assert (found.jump_m, found.jump_s) == pytest.approx((0.4, 59.5 / 30))
 
 
 def test_one_person_and_a_single_frame_have_figures() -> None:

@@ -53,6 +53,19 @@ def test_chains_that_are_apart_are_told_and_what_stands_still_or_is_too_short_is
     assert np.isnan(rhat(values[:1, :7])).all()
 
 
+def test_each_figure_of_a_chain_is_that_of_its_own_draws_in_its_unit() -> None:
+    """Draws that only grow, by 1 % and by 2 % of the first a draw: scaled about its middle nothing turns or shifts."""
+    first = standing_pair() - standing_pair().mean(axis=(0, 1))
+    size_m = np.linalg.norm(first, axis=-1).mean()
+    pairs = np.stack([[(1.0 + rate * draw) * first for draw in range(8)] for rate in (0.01, 0.02)])
+    log_density = np.array([[0.0, 1, 2, 3, 4, 5, 6, 7], [-8.0] * 8])
+    accepted = np.array([[1, 2, 3, 4, 4, 3, 2, 1], [1, 0, 0, 0, 0, 0, 0, 1]])
+    found = diagnose(pairs, log_density, accepted, thin=4, log_ceiling=6.0, log_seed=-1.5, sigma_l=0.02)
+    figures = [(one.travelled_m, one.acceptance_rate, one.log_density_mean, one.ceiling_share) for one in found]
+    np.testing.assert_allclose(figures, [(0.07 * size_m, 20 / 32, 3.5, 0.25), (0.14 * size_m, 2 / 32, -8.0, 0.0)])
+    assert {(one.num_draws, one.log_density_first, one.sigma_l) for one in found} == {(8, -1.5, 0.02)}
+
+
 def test_a_chain_that_is_often_in_the_flat_top_left_the_range_of_its_seed() -> None:
     many = report(np.where(np.arange(200) < 200 * MAX_AT_CEILING + 1, 5.0, 0.0)).verdict
     assert many.level is Level.WARN

@@ -182,10 +182,9 @@ def reconstruct_video(
 
     failed: list[InputError] = []
     num_made, known = 0, set[int]()
-    listener.note(f"writing to {out.resolve()}")
     try:
         for one in videos:
-            listener.note(one.in_words())
+            listener.note(f"reading {one.in_words()}")
             try:
                 resolved = one.resolve()
             except InputError as error:

@@ -19,8 +19,9 @@ _TOUCH, _MIDDLE = 0.2, 0.5
 """Distances of the nearest joints and of the middles at which closeness is half of what it is at most."""
 _SIZE = 0.4
 """Logarithm of the ratio of sizes at which a score is 1/e of that of equal sizes: who is larger stands elsewhere."""
-_MIN_SCORE = 0.3
-"""A pair has at least this score: a passer-by is nobody's partner."""
+_MIN_SCORE, _MIN_NEAR = 0.3, 0.3
+"""A pair has at least this score: a passer-by is nobody's partner.  Two people who are alone in a film are a pair where
+they are near each other in this share of the frames that show both."""
 _MIN_COMMON = (0.5, 0.1)
 """Share of the frames of the one who is seen shorter, and of the other, in which both of a pair are seen."""
 
@@ -73,8 +74,10 @@ def choose_pairs(
         touch, middle, ratio = _apart(points[one[at]], points[other[there]], size[one[at]], size[other[there]])
         closeness = 1.0 / ((1.0 + (touch / _TOUCH) ** 2) * (1.0 + (middle / _MIDDLE) ** 2))
         score = float(np.mean(closeness)) * float(np.exp(-((ratio / _SIZE) ** 2))) if len(common) else 0.0
-        if is_stated or score >= _MIN_SCORE:
-            pair = Paired(first, second, int(np.count_nonzero(middle < _NEAR)))
+        num_near = int(np.count_nonzero(middle < _NEAR))
+        is_alone = len(rows_of) == 2 and num_near >= _MIN_NEAR * len(common)
+        if is_stated or is_alone or score >= _MIN_SCORE:
+            pair = Paired(first, second, num_near)
             ranked.append((np.inf if is_stated else score, pair))
     pairs: list[Paired] = []
     for _, pair in sorted(ranked, key=lambda scored: (-scored[0], scored[1].first, scored[1].second)):

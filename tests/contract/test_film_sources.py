@@ -6,6 +6,7 @@ import csv
 import hashlib
 import io
 import re
+import struct
 import subprocess
 import sys
 import tracemalloc
@@ -96,6 +97,32 @@ def test_a_phones_rotation_is_undone(film: Path, tmp_path: Path) -> None:
     (frame,) = read_film(opened.files, 0, 1)
     upright = cv2.rotate(painted(0, 0), cv2.ROTATE_90_CLOCKWISE)
     assert np.abs(frame.image.astype(int) - upright).mean() < 8
+
+
+def web_film(folder: Path, *, stated_times: float = 1.0, share: float = 1.0) -> Path:
+    """Write 50 frames as WebM whose stated duration is so many times the true one, cut to a share of its bytes."""
+    path = folder / "web.webm"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), 25.0, (160, 120))
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        writer.write(rng.integers(0, 255, (120, 160, 3), dtype=np.uint8))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\x44\x89\x88") + 3  # the duration, a float of eight bytes
+    data[at : at + 8] = struct.pack(">d", stated_times * struct.unpack(">d", data[at : at + 8])[0])
+    path.write_bytes(data[: round(share * len(data))])
+    return path
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_only_a_film_that_is_cut_off_lacks_frames(film: Path, tmp_path: Path) -> None:
+    assert open_film(web_film(tmp_path)).num_lost == 0
+    assert open_film(web_film(tmp_path, stated_times=3.0)).num_lost == 0, "its sound goes on"
+    cut = open_film(web_film(tmp_path, share=0.6))
+    assert cut.num_lost == 50 - cut.num_frames > 5
+    uneven = tmp_path / "uneven.mp4"
+    uneven.write_bytes(with_durations(film.read_bytes(), np.where(np.arange(COUNT) % 4 == 0, 3, 1) / 30.0))
+    assert open_film(uneven).num_lost == 0
 
 
 def test_film_of_a_variable_rate_is_annotated_on_its_true_times(film: Path, keys: Path, tmp_path: Path) -> None:

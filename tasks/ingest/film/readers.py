@@ -243,6 +243,12 @@ def _read_images(files: tuple[SourceFile, ...]) -> Iterator[FilmFrame]:
         yield FilmFrame(image.astype(np.uint8, copy=False), math.nan)
 
 
+_EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"
+"""First bytes of a Matroska or WebM file, and of its segment (RFC 9559)."""
+_SHORT_S = 0.25
+"""A film whose last image is so much earlier than stated is cut off."""
+
+
 @lru_cache(maxsize=64)
 def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
     """Read a film once; remembered, because a study is planned several times in a run."""
@@ -262,8 +268,36 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
         capture = _opened(Path(files[0].path))
         stated_hz, stated = (float(capture.get(one)) for one in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT))
         capture.release()
-        num_lost = max(0, round(stated) - len(times)) if 0 < stated < 1e9 else 0
+        num_lost = _num_lost(Path(files[0].path), stated, stated_hz, times)
         rate_hz = stated_hz if 0 < stated_hz <= 1000 else None
         if (np.diff(times) > 0).all():
             rate_hz, is_constant = constant_rate_hz(np.array(times))
     return Film(files, first_number, size, rate_hz, is_constant, tuple(finder.starts()), tuple(times), num_lost)
+
+
+def _num_lost(path: Path, stated: float, stated_hz: float, times_s: Sequence[float]) -> int:
+    """Return how many of the frames that a film states cannot be read; 0 where its times come to the stated length.
+
+    A container without a count of frames states its length times its rate, which is too many where sound goes on after
+    the images or the rate varies: Matroska and WebM are cut off where the file is shorter than its segment says.
+    """
+    if not (len(times_s) < round(stated) < 1e9 and 0 < stated_hz <= 1000):
+        return 0
+    is_cut = _is_cut_matroska(path)
+    if is_cut is None:
+        is_cut = (stated - 1) / stated_hz - times_s[-1] > max(_SHORT_S, 2.0 / stated_hz)
+    return round(stated) - len(times_s) if is_cut else 0
+
+
+def _is_cut_matroska(path: Path) -> bool | None:
+    """Tell whether a Matroska or WebM file ends before its segment does; None of other files, or of an unknown size."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    at = head.find(_SEGMENT)
+    if not head.startswith(_EBML) or at < 0:
+        return None
+    start = at + len(_SEGMENT)
+    width = 9 - head[start].bit_length()  # the leading zeros of the first byte tell how long the number is
+    size = int.from_bytes(head[start : start + width]) & ((1 << 7 * width) - 1)
+    is_unknown = size == (1 << 7 * width) - 1
+    return not is_unknown and path.stat().st_size < start + width + size

@@ -4,7 +4,7 @@ from storage_schema.ancestry import lineage, source_files
 from storage_schema.credits import SourceCredit
 from storage_schema.datasets import Dataset, list_datasets
 from storage_schema.errors import CorruptArtifact, MissingArtifact, SchemaError, StorageError, UnknownReference
-from storage_schema.keys import artifact_key, canonical_json
+from storage_schema.keys import artifact_key, canonical_json, shard_key
 from storage_schema.licences import create_dataset, source_credits
 from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.references import (
@@ -70,6 +70,7 @@ __all__ = [
     "record_latest",
     "referenced_credits",
     "resolve",
+    "shard_key",
     "source_credits",
     "source_files",
     "table_files",

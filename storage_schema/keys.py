@@ -80,6 +80,30 @@ def artifact_key(
     return hashlib.sha256(canonical_json(described, "key")).hexdigest()
 
 
+def shard_key(
+    *,
+    partition: str,
+    name: str,
+    parameters: Mapping[str, Any],
+    reads: Mapping[str, Sequence[str]],
+    files: Sequence[str],
+    **described: Any,
+) -> str:
+    """Return the key of a shard's artifact.
+
+    Args:
+        partition: What a person sees as one step.
+        name: Name of the shard in its partition.
+        parameters: JSON values that decide the result.
+        reads: Content digests of the artifacts that it reads, by what they are to it.
+        files: The sha256 of the outside files that it reads.
+        described: Stage, version, `after` and seed, as for `artifact_key`.
+    """
+    digests = [f"{what}:{digest}" for what in sorted(reads) for digest in reads[what]]
+    told = {"partition": partition, "name": name, "told": parameters}
+    return artifact_key(parameters=told, input_digests=[*digests, *files], **described)
+
+
 def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files: Mapping[str, str]) -> str:
     """Return the digest of all that others may read of an artifact: where it stands, its facts, its data files.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from dataclasses import asdict, dataclass, field
@@ -11,10 +12,11 @@ import orjson
 
 from storage_schema.credits import SourceCredit
 from storage_schema.errors import CorruptArtifact, NewerSchema, OlderSchema, StorageError
-from storage_schema.keys import content_digest
+from storage_schema.keys import canonical_json, content_digest, shard_key
 from storage_schema.version import SCHEMA_VERSION
 
 MANIFEST_NAME = "manifest.json"
+_IN_NO_DIGEST = frozenset({"timings", "created_at", "digest"})
 RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
 """Folders of a store that are not stages."""
 
@@ -87,6 +89,8 @@ class Manifest:
         seed: Seed of the study.
         inputs: Artifacts that were read.
         files: Outside files that were read: (file name, sha256).
+        reads: Places in `inputs` of what enters the key, by what it is to the shard; None where that is not known.
+        after: Keys of other shards that enter the key.
         tables: Parts of tables by table name; the file is `<table>.parquet`.
         attachments: Attached files by file name.
         facts: Small JSON facts that whatever is downstream may read; they are part of the content.
@@ -97,6 +101,7 @@ class Manifest:
         package_versions: Versions of the packages that can change a result.
         timings: Seconds by name; in no digest.
         created_at: When, in UTC; in no digest.
+        digest: The manifest's digest of itself, as it was read; empty in one that is new, or older than such digests.
     """
 
     ref: ArtifactRef
@@ -117,6 +122,9 @@ class Manifest:
     package_versions: dict[str, str]
     timings: dict[str, float] = field(default_factory=dict, compare=False)
     created_at: str = field(default="", compare=False)
+    reads: dict[str, list[int]] | None = None
+    after: tuple[str, ...] = ()
+    digest: str = field(default="", compare=False)
 
     @property
     def data_files(self) -> dict[str, FileEntry]:
@@ -135,9 +143,41 @@ class Manifest:
         """Bytes of all data files."""
         return sum([part.bytes for part in self.tables.values()]) + sum([e.bytes for e in self.attachments.values()])
 
+    @property
+    def faults(self) -> list[str]:
+        """Say where it contradicts itself: it was changed after it was written; what is not known is passed over."""
+        found = []
+        if self.computed_digest != self.ref.content_digest:
+            words = f"content digest {self.ref.content_digest[:12]} is not that of what it describes"
+            found.append(f"{words}, {self.computed_digest[:12]}")
+        if self.reads is not None and (key := self._computed_key(self.reads)) != self.ref.key:
+            found.append(f"its key is not that of the parameters, inputs, version and seed that it states, {key[:12]}")
+        if self.digest and (digest := _own_digest(asdict(self))) != self.digest:
+            found.append(f"its digest of itself, {self.digest[:12]}, is not that of what it says, {digest[:12]}")
+        return found
+
+    def _computed_key(self, reads: dict[str, list[int]]) -> str:
+        places = range(len(self.inputs))
+        return shard_key(
+            stage=self.ref.stage,
+            version=self.version,
+            partition=self.partition,
+            name=self.name,
+            parameters=self.parameters,
+            reads={
+                what: [self.inputs[at].content_digest if at in places else "" for at in ats]
+                for what, ats in reads.items()
+            },
+            files=[sha256 for _, sha256 in self.files],
+            after=self.after,
+            seed=self.seed,
+        )
+
     def to_json(self) -> str:
         """Return the text of the manifest file."""
-        return json.dumps(asdict(self), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+        values = asdict(self)
+        values["digest"] = self.digest or _own_digest(values)
+        return json.dumps(values, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
     @classmethod
     def from_json(cls, text: bytes, *, where: str) -> Manifest:
@@ -159,6 +199,12 @@ class Manifest:
             if isinstance(error, NewerSchema | OlderSchema):
                 raise
             raise CorruptArtifact(f"{where} is not a manifest: {error}") from error
+
+
+def _own_digest(values: dict[str, Any]) -> str:
+    """Return the digest of all that a manifest says, but times."""
+    said = {name: value for name, value in values.items() if name not in _IN_NO_DIGEST}
+    return hashlib.sha256(canonical_json(said, "manifest")).hexdigest()
 
 
 def refuse_newer(found: int, where: str) -> None:
@@ -206,6 +252,9 @@ def _shared_ref(values: dict[str, Any]) -> ArtifactRef:
 def _parsed(values: dict[str, Any]) -> dict[str, Any]:
     """Return what was read of a manifest with its parts as what they are."""
     versions = values["package_versions"]
+    if "digest" not in values:  # written before manifests had it
+        values |= {"reads": None, "after": (), "digest": ""}
+    values["after"] = tuple(values["after"])
     values["ref"] = _shared_ref(values["ref"])
     values["inputs"] = tuple([_shared_ref(ref) for ref in values["inputs"]])
     values["files"] = tuple([(name, digest) for name, digest in values["files"]])

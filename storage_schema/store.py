@@ -61,6 +61,10 @@ class ArtifactFields(TypedDict):
     """Artifacts that were read."""
     files: Sequence[tuple[str, str]]
     """Outside files that were read: (file name, sha256)."""
+    reads: NotRequired[Mapping[str, Sequence[int]]]
+    """Places in `inputs` of what enters the key, by what it is to the shard: `verify` computes the key again."""
+    after: NotRequired[Sequence[str]]
+    """Keys of other shards that enter the key."""
     replaces: NotRequired[bool]
     """Whether it takes the place of a valid artifact that is there, where its content is another or damaged."""
 
@@ -163,6 +167,10 @@ class Store(StoreReader):
                 package_versions=package_versions(),
                 timings=plain_json({**writer.timings, **self._spent()}, "timings"),
                 created_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+                reads=None
+                if (reads := described.get("reads")) is None
+                else {what: [*ats] for what, ats in reads.items()},
+                after=tuple(described.get("after", ())),
             )
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())

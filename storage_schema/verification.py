@@ -10,11 +10,11 @@ from pathlib import Path
 
 from storage_schema.ancestry import LineageStep, walk_stored
 from storage_schema.datasets import DATASET_FILE, Dataset, dataset_labels, open_dataset
-from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
+from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
+from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
-from storage_schema.runs import read_latest
+from storage_schema.runs import list_runs, read_latest
 from storage_schema.store import Store
-from storage_schema.version import SCHEMA_VERSION
 
 
 class ProblemKind(Enum):
@@ -68,7 +68,7 @@ def verify(store: Store) -> Verification:
     folders = store.folders()
     problems: list[Problem] = []
     older: dict[tuple[str, str], OlderSchema] = {}
-    num_files = num_bytes = 0
+    num_files = num_bytes = num_undigested = 0
     for folder in folders:
         stage, key = folder.parent.parent.name, folder.name
         try:
@@ -82,10 +82,16 @@ def verify(store: Store) -> Verification:
         else:
             num_files += len(manifest.data_files)
             num_bytes += manifest.num_bytes
+            num_undigested += not manifest.digest
             problems.extend(_check(store, folder, manifest))
     notes = []
     if older:
         notes.append(f"{len(older)} artifacts were not looked through, such as this: {next(iter(older.values()))}")
+    if num_undigested:
+        notes.append(
+            f"{num_undigested} manifests are of a release whose manifests have no digest of themselves: whether their "
+            "licences, seeds and versions were changed since cannot be told; their data files were compared"
+        )
     for label in dataset_labels(store):
         try:
             dataset = open_dataset(store, label)
@@ -98,6 +104,7 @@ def verify(store: Store) -> Verification:
             problems.extend(_check_dataset(store, dataset, [one for one in needed if one.ref.place not in older]))
             notes.extend(_outdated(store, dataset, needed))
     problems.extend(_check_records(store))
+    problems.extend(_check_reports(store))
     return Verification(len(folders), num_files, num_bytes, tuple(problems), tuple(notes))
 
 
@@ -111,11 +118,8 @@ def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
     for path in sorted(folder.iterdir()):
         if path.name not in recorded and path.name != MANIFEST_NAME:
             yield Problem(ProblemKind.EXTRA, stage, key, path.name, "the manifest does not name it")
-    digest = manifest.computed_digest
-    is_current = manifest.schema_version == SCHEMA_VERSION  # older digests are over less
-    if is_current and digest != manifest.ref.content_digest:
-        detail = f"content digest {manifest.ref.content_digest[:12]} is not that of what it describes, {digest[:12]}"
-        yield Problem(ProblemKind.CHANGED, stage, key, MANIFEST_NAME, detail)
+    if faults := manifest.faults:
+        yield Problem(ProblemKind.CHANGED, stage, key, MANIFEST_NAME, "; ".join(faults))
 
 
 def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> tuple[ProblemKind, str] | None:
@@ -167,3 +171,43 @@ def _check_records(store: Store) -> Iterator[Problem]:
             advice = "a run of its study writes it anew" if path.parent.name == "latest" else "it can be removed"
             detail = f"this record of a run cannot be read ({error.__cause__ or error}); {advice}"
             yield Problem(ProblemKind.UNREADABLE, "runs", path.parent.name, path.name, detail)
+
+
+def _check_reports(store: Store) -> Iterator[Problem]:
+    """Compare the copies of reports in the folders of runs with the artifacts that each run names."""
+    advice = "where that folder is removed, the next run of the study copies its report again"
+    for folder in list_runs(store):
+        for path, entries in _copied(store, folder.path).items():
+            try:
+                is_same = path.stat().st_size in {one.bytes for one in entries} and (
+                    file_sha256(path) in {one.sha256 for one in entries}
+                )
+                kind, detail = ProblemKind.CHANGED, "it is not what the artifact that it was copied from has"
+            except OSError as error:
+                is_same, kind, detail = False, ProblemKind.MISSING, f"it cannot be read: {error.strerror}"
+            if not is_same:
+                yield Problem(kind, "runs", folder.run_id, f"report/{path.name}", f"{detail}; {advice}")
+
+
+def _copied(store: Store, run: Path) -> dict[Path, list[FileEntry]]:
+    """Return the files of a run's report, each with those that it may be a copy of; none where that is not known."""
+    copied: dict[Path, list[FileEntry]] = {}
+    if not (run / "report").is_dir():
+        return copied
+    try:
+        stages = json.loads((run / "run.json").read_bytes())["stages"]
+        refs = [
+            ArtifactRef(entry["stage"], shard["key"], shard["content_digest"])
+            for entry in stages
+            for shard in entry["artifacts"]
+        ]
+    except (OSError, ValueError, KeyError, TypeError, StorageError):
+        return copied  # the record itself is looked at elsewhere
+    for ref in refs:
+        manifest = store.find(ref.stage, ref.key)
+        if manifest is None or manifest.ref != ref:
+            continue
+        for name, entry in manifest.attachments.items():
+            if "report.html" in manifest.attachments or (run / "report" / name).exists():
+                copied.setdefault(run / "report" / name, []).append(entry)
+    return copied

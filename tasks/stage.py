@@ -18,7 +18,7 @@ from pydantic import create_model
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
 from pasdedeux.verdict import Verdict
-from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
+from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, shard_key
 from tasks.facts import Facts
 
 VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
@@ -113,12 +113,14 @@ class Shard:
     @cached_property
     def key(self) -> str:
         """Return the sha256 that names the shard's artifact."""
-        digests = [f"{name}:{ref.content_digest}" for name in sorted(self.inputs) for ref in self.inputs[name]]
-        return artifact_key(
+        return shard_key(
             stage=self.stage,
             version=self.version,
-            parameters={"partition": self.partition, "name": self.name, "told": self.values},
-            input_digests=digests + [file.sha256 for file in self.files],
+            partition=self.partition,
+            name=self.name,
+            parameters=self.values,
+            reads={what: [ref.content_digest for ref in refs] for what, refs in self.inputs.items()},
+            files=[file.sha256 for file in self.files],
             after=self.after,
             seed=self.seed,
         )
@@ -260,6 +262,7 @@ def shares_takes(one: Manifest, other: Manifest) -> bool:
 
 def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
     """Return what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
+    places = {ref: at for at, ref in enumerate(shard.all_inputs)}
     return {
         "stage": shard.stage,
         "key": shard.key,
@@ -270,6 +273,8 @@ def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
         "seed": shard.seed,
         "inputs": (*shard.all_inputs, *(manifest.ref for manifest in followed(shard, store))),
         "files": [(Path(file.path).name, file.sha256) for file in shard.files],
+        "reads": {what: [places[ref] for ref in refs] for what, refs in shard.inputs.items()},
+        "after": shard.after,
         "replaces": shard.replaces,
     }
 

@@ -1,12 +1,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from storage_schema import (
     ArtifactRef,
+    Manifest,
     MissingArtifact,
     Store,
     create_dataset,
@@ -22,6 +26,7 @@ from storage_schema.errors import NamedByDataset, OlderSchema
 from storage_schema.garbage import find_unneeded
 from storage_schema.verification import ProblemKind
 from tests.builders.storage_rows import commit_rows
+from tests.builders.toy_runs import run_toys, write_study
 
 
 @pytest.fixture
@@ -106,9 +111,15 @@ def test_what_a_dataset_was_computed_from_is_missed_too(store: Store) -> None:
 
 
 def as_of(store: Store, ref: ArtifactRef, **changed: object) -> None:
-    """Let a manifest say other things of itself."""
+    """Let a manifest of an earlier release say other things of itself, with a digest of what it says."""
     path = store.folder(ref.stage, ref.key) / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_version": "0.0.9", **changed}))
+    text = json.dumps(json.loads(path.read_text()) | {"code_version": "0.0.9", **changed, "digest": ""})
+    path.write_text(text if "schema_version" in changed else signed(text))
+
+
+def signed(text: str) -> str:
+    """Return a manifest with the digest of what it says now."""
+    return Manifest.from_json(text.encode(), where="made up").to_json()
 
 
 def test_what_an_older_schema_wrote_is_no_damage_and_its_release_is_named(store: Store) -> None:
@@ -166,3 +177,110 @@ def test_an_input_that_is_gone_ends_its_branch(store: Store) -> None:
     assert [(step.ref, step.manifest is None) for step in lineage(store, seeds)] == [(seeds, False), (first, True)]
     with pytest.raises(MissingArtifact):
         lineage(store, first)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    folder = tmp_path_factory.mktemp("built")
+    (folder / "source.txt").write_bytes(b"source")
+    run_toys(write_study(folder), folder / "store", f"grow.source={folder / 'source.txt'}")
+    store = Store(folder / "store")
+    assert verify(store).is_ok
+    return store
+
+
+def edited(values: dict[str, Any], name: str) -> Any:
+    """Return another value of the same kind."""
+    value = values[name]
+    if not value and name in _ADDED:
+        return _ADDED[name]
+    if isinstance(value, dict):
+        return {key: edited(value, key) if at == 0 else one for at, (key, one) in enumerate(value.items())}
+    if isinstance(value, list):
+        return value[1:]
+    return value + 1 if isinstance(value, int | float) else f"{value}x"
+
+
+_ADDED = {
+    "files": [["a", "0" * 64]],
+    "reads": {"a": [0]},
+    "after": ["0" * 64],
+    "parameters": {"a": 1},
+    "facts": {"a": 1},
+}
+_KEYED = {"partition", "name", "version", "parameters", "seed", "inputs", "files", "reads", "after"}
+_NOT_FOUND = {"timings", "created_at"}
+
+
+def test_every_word_of_a_manifest_that_is_edited_alone_is_found(built: Store) -> None:
+    paths = sorted(built.root.glob("*/??/*/manifest.json"))
+    with_inputs = next(path for path in paths if json.loads(path.read_text())["reads"])
+    with_files = next(path for path in paths if json.loads(path.read_text())["files"])
+    for path in (with_inputs, with_files):
+        text = path.read_text()
+        values = json.loads(text)
+        for name in sorted(values.keys() - {"ref", "schema_version", "tables", "attachments"}):
+            if (value := edited(values, name)) == values[name]:
+                continue
+            path.write_text(json.dumps(values | {name: value}))
+            problems = [problem.file_name for problem in verify(built).problems]
+            assert problems == ([] if name in _NOT_FOUND else ["manifest.json"]), name
+            if name in _KEYED and (name != "inputs" or values["reads"]):  # those it follows enter it by `after`
+                path.write_text(signed(json.dumps(values | {name: value, "digest": ""})))
+                assert "its key is not that of" in str(verify(built).problems), f"{name}, with a new digest"
+        path.write_text(text)
+    assert verify(built).is_ok
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda values: values["sources"].append({"name": "a", "licence": "public domain", "credit": "nobody"}),
+        lambda values: values["parameters"].update(noise_px=3.0),
+        lambda values: values["package_versions"].update(numpy="0"),
+        lambda values: values["tables"]["scores"].update(rows=4),
+        lambda values: values["tables"]["scores"].update(schema="0" * 16),
+    ],
+)
+def test_edits_of_parts_of_a_manifest_are_found(store: Store, edit: Callable[[dict[str, Any]], object]) -> None:
+    ref = commit_rows(store)
+    path = store.folder(ref.stage, ref.key) / "manifest.json"
+    values = json.loads(path.read_text())
+    edit(values)
+    path.write_text(json.dumps(values))
+    assert [problem.file_name for problem in verify(store).problems] == ["manifest.json"]
+
+
+def test_manifests_of_a_release_without_digests_are_read_and_counted_in_one_note(store: Store) -> None:
+    refs = [commit_rows(store, name=str(number)) for number in range(2)]
+    for ref in refs:
+        path = store.folder(ref.stage, ref.key) / "manifest.json"
+        before = store.manifest(ref)
+        values = json.loads(path.read_text())
+        for name in ("digest", "reads", "after"):
+            del values[name]
+        path.write_text(json.dumps(values))
+        assert store.load(ref.stage, ref.key) == before
+    found = verify(store)
+    assert found.is_ok
+    (note,) = found.notes
+    assert note.startswith("2 manifests are of a release whose manifests have no digest of themselves")
+
+
+def test_copies_of_reports_are_compared_with_what_they_were_copied_from(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    page = {"report.html": b"<p>pass</p>", "card.md": b"# Card"}
+    ref = commit_rows(store, attachments=page)
+    run = new_run(store, "duets")
+    artifact = {"key": ref.key, "content_digest": ref.content_digest}
+    run.write("run.json", {"status": "finished", "stages": [{"stage": ref.stage, "artifacts": [artifact]}]})
+    (run.path / "report").mkdir()
+    for name, content in {**page, "profile.html": b"not of an artifact"}.items():
+        (run.path / "report" / name).write_bytes(content)
+    assert verify(store).is_ok
+    (run.path / "report" / "report.html").write_bytes(b"<p>fail</p>")
+    (run.path / "report" / "card.md").unlink()
+    assert {problem.file_name: problem.kind for problem in verify(store).problems} == {
+        "report/report.html": ProblemKind.CHANGED,
+        "report/card.md": ProblemKind.MISSING,
+    }

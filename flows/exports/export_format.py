@@ -153,8 +153,13 @@ def write_units(out: Path, said: Iterable[str], lines: Mapping[str, str]) -> Pat
     return write_text(path, "\n".join([*sentences, "", *(each[name] for name in sorted(each))]) + "\n")
 
 
+_CODECS = {".mp4": "vp09", ".avi": "MJPG"}
+
+
 def write_film(path: Path, images: Iterable[Any], rate_hz: float) -> Path:
     """Write images (height, width, 3), BGR, as a film and return its path; one that fails leaves nothing there.
+
+    MP4 is written as VP9, which browsers play; the last row and column of an odd size are left out.
 
     Raises:
         InputError: Films of this name or size cannot be written here.
@@ -162,11 +167,12 @@ def write_film(path: Path, images: Iterable[Any], rate_hz: float) -> Path:
     import cv2  # here: a quarter of a second that others need not wait for
 
     part, video = path.with_name(f".part-{path.name}"), None
+    codec = cv2.VideoWriter.fourcc(*_CODECS.get(path.suffix.lower(), "mp4v"))
     try:
         for image in images:
             height, width = (length - length % 2 for length in image.shape[:2])
             if video is None:
-                video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (width, height))
+                video = cv2.VideoWriter(str(part), cv2.CAP_FFMPEG, codec, rate_hz, (width, height))
                 if not video.isOpened():
                     raise InputError(f"no film of {width} x {height} can be written as {path}; films are .mp4 or .avi")
             video.write(image[:height, :width])

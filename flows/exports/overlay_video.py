@@ -13,21 +13,23 @@ from flows.exports.casts import ANNOTATED, Cast, Seen, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat, write_film
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, named
+from pasdedeux.evaluation.pictures import COLOUR_NAMES, PERSON_COLOURS, rgb
 from storage_schema import Store
 from tasks.facts import PeopleFacts
 from tasks.ingest.film.readers import first_shown, image_at, open_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
-_COLOURS = ((70, 90, 220), (220, 140, 60), (90, 190, 90), (60, 190, 220))
-"""Blue, green, red; person A first."""
+_COLOURS = tuple(rgb(colour)[::-1] for colour in PERSON_COLOURS)
+"""Those of the report, as OpenCV has them: blue, green, red."""
 _MARGIN_PX, _LARGEST_PX = 40, 4096
 _FAR = 250
 """An image so many frames ahead is sought; the next ones are read."""
 _STILLS_HZ = 2.0
 """Rate at which frames are shown that do not follow each other in time."""
 _SAID = [
-    "MP4 files show the annotation in grey and the result in colours, person A in red and B in blue, laid on the "
-    "annotation by scale and shift: they show poses and who is where, not how far off a person is placed."
+    f"MP4 files show the annotation in grey and the result in colours, person A in {COLOUR_NAMES[0]} and B in "
+    f"{COLOUR_NAMES[1]}, laid on the annotation by scale and shift: they show poses and who is where, not how far off "
+    "a person is placed."
 ]
 
 

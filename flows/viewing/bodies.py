@@ -11,7 +11,7 @@ import numpy as np
 
 from flows.viewing.scene import People
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
+from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb, shade_of
 from pasdedeux.interaction.contacts import find_contacts
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.plausibility.capsules import capsule_model
@@ -98,15 +98,6 @@ class Bodies:
     @property
     def _num(self) -> int:
         return int(self._people.positions_m.shape[1])
-
-
-def rgb(colour: str) -> tuple[int, int, int]:
-    """Return the three numbers of a colour.
-
-    >>> rgb("#c1440e")
-    (193, 68, 14)
-    """
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def _radii(people: People) -> Array:

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from flows.viewing.bodies import rgb
 from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
 from flows.viewing.side import INK, PAPER, flat_picture
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.evaluation.pictures import PERSON_COLOURS
+from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
 from pasdedeux.evaluation.shown_figures import figure_label
 
 _WIDTH = 640

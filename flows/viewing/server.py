@@ -1,14 +1,16 @@
-"""The server of the viewer: viser on this machine alone, and nobody else's page may talk to it.
+"""The server of the viewer: viser on this machine alone, for whoever has its address, and no page from elsewhere.
 
 Viser checks neither who asks (Host) nor which page does (Origin), and offers a tunnel through a host of its makers.
 Here a request with a foreign Host or Origin is refused before the handshake, the tunnel is gone, and the page may load
-nothing from elsewhere (Content-Security-Policy), such as the decoder of meshes that its client names.
+nothing from elsewhere (Content-Security-Policy), such as the decoder of meshes that its client names.  Other users of
+the machine reach its loopback too: the path of every address, pages and sockets alike, begins with a token.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import hmac
 import io
 import re
 import socket
@@ -46,7 +48,7 @@ async function tell(phase, event) {
   moves.push([phase, ...shares.map((share) => share.toFixed(5))].join("/"));
   if (isBusy) return;
   isBusy = true;
-  while (moves.length) await fetch(`/pointer/${moves.shift()}`, {headers: {"X-Pointer": "1"}}).catch(() => {});
+  while (moves.length) await fetch(`/TOKEN/pointer/${moves.shift()}`, {headers: {"X-Pointer": "1"}}).catch(() => {});
   isBusy = false;
 }
 addEventListener("pointerdown", (event) => {
@@ -65,11 +67,14 @@ Of its pictures it tells no clicks, so the page tells the pointer over the one i
 _POINTER = re.compile(r"/pointer/(down|move|up)/(-?\d+(?:\.\d+)?)/(-?\d+(?:\.\d+)?)")
 
 
-def start_server(port: int, on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None], label: str) -> Any:
+def start_server(
+    port: int, token: str, on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None], label: str
+) -> Any:
     """Start a `viser.ViserServer` on this machine's loopback.
 
     Args:
         port: Port, 0 for any that is free.
+        token: Secret that the path of every request begins with.
         on_visit: Called, in a thread of its own, with the reference in the address of a page, `?at=REFERENCE`.
         on_pointer: Called with what a pointer does over the side picture; must not wait.
         label: What stands over its panel.
@@ -83,7 +88,7 @@ def start_server(port: int, on_visit: Callable[[str], None], on_pointer: Callabl
     except ImportError:
         raise InputError("the viewer needs viser, which is not installed: pip install 'pasdedeux[view]'") from None
     _refuse_used(port)
-    with _guarded(on_visit, on_pointer), contextlib.redirect_stdout(io.StringIO()):
+    with _guarded(token, on_visit, on_pointer), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
     server._websock_server.unregister_handler(ShareUrlRequest)
     return server
@@ -101,11 +106,11 @@ def _refuse_used(port: int) -> None:
 
 
 @contextlib.contextmanager
-def _guarded(on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None]) -> Iterator[None]:
+def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None]) -> Iterator[None]:
     """Put the checks in front of what a server that is started in this block answers."""
     import websockets.asyncio.server as sockets
 
-    plain = sockets.serve
+    plain, head = sockets.serve, _HEAD.replace("TOKEN", token).encode()
 
     def serve(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
@@ -113,6 +118,10 @@ def _guarded(on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], No
             is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
             if (why := refusal(host, origin, is_socket=is_socket)) is not None:
                 return connection.respond(403, f"{why}\n")
+            told, slash, _ = request.path[1:].partition("?")[0].partition("/")
+            if not hmac.compare_digest(told.encode(), token.encode()):
+                return connection.respond(403, "refused: the address that `pasdedeux view` has printed has a token\n")
+            request.path = f"/{request.path[len(told) + len(slash) + 1 :]}"
             # A page of another origin cannot set this header: it would have to ask first, and gets no answer.
             if "X-Pointer" in request.headers and (moved := _POINTER.fullmatch(request.path)):
                 on_pointer(Pointer(moved[1], float(moved[2]), float(moved[3])))  # type: ignore[arg-type]
@@ -121,12 +130,13 @@ def _guarded(on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], No
                 del request.headers["Accept-Encoding"]  # the page is changed below
             response = process_request(connection, request)
             if response is not None:
-                response.body = response.body.replace(b"<title>Viser</title>", _HEAD.encode(), 1)
+                response.body = response.body.replace(b"<title>Viser</title>", head, 1)
                 response.headers.pop("Content-Length", None)  # of a path that is not there it lacks
                 response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Content-Security-Policy"] = _POLICY.format(sockets=f"ws://{host}")
                 response.headers["X-Content-Type-Options"] = "nosniff"
                 response.headers["Cache-Control"] = "no-store"
+                response.headers["Referrer-Policy"] = "no-referrer"
                 address = urlsplit(request.path)
                 if address.path == "/" and (found := parse_qs(address.query).get("at")):
                     # Apart: who holds the viewer may wait for what only this thread can answer.

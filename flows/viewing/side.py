@@ -12,10 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flows.viewing.bodies import rgb
 from flows.viewing.scene import Flat
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.pictures import PERSON_COLOURS, shade_of
+from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb, shade_of
 
 DRAG_LABEL = "2D: drag a joint"
 """What stands over the picture while joints can be dragged; the script in the page knows the picture by it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -64,13 +65,14 @@ class Viewer:
         self.wants_flat = False
         """Whether 2D poses are shown as such, where they could be shown as what was captured."""
         self._started = (0.0, 0)
+        self._token = secrets.token_urlsafe(24)
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
         self._looked = threading.Event()
         self._pointers: queue.SimpleQueue[Pointer | None] = queue.SimpleQueue()
         first = shelf.find(at) if at is not None else (self.part, 0, None)
         with self.lock:  # who visits early waits
-            self.server = start_server(port, self.visit, self._pointers.put, "pasdedeux")
+            self.server = start_server(port, self._token, self.visit, self._pointers.put, "pasdedeux")
             self.room = Room(self.server)
             self._build(Panel(self.server, self.lock))
             self.show_part(*first)
@@ -80,8 +82,8 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Address of the page."""
-        return f"http://127.0.0.1:{self.server.get_port()}"
+        """Address of the page, with the token that only who started the viewer knows."""
+        return f"http://127.0.0.1:{self.server.get_port()}/{self._token}/"
 
     @property
     def item(self) -> Item:
@@ -325,7 +327,7 @@ class Viewer:
                 lines.append("{} contacts, {} penetrations".format(*self._num_marks))
             lines += [*self.curation.lines(moment), *self.listing.lines(moment.item, scene.facts)]
             self.panel.set("facts", "\n".join(lines))
-            self.panel.set("link", f"{self.url}/?at={quote(moment.reference, safe='@')}")
+            self.panel.set("link", f"{self.url}?at={quote(moment.reference, safe='@')}")
             self.curves.draw(frame)
             is_skipped = self.is_playing and scene.rate_hz is None
         flats = [] if is_skipped else self.flats()  # without the lock: a key need not wait for them

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS
+from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS, rgb
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
 
@@ -71,7 +71,7 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
         for number, group in enumerate(groups):
             strokes = []
             for person, joints in enumerate(project(group.people_m[frame], number)):
-                colour = _rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])
+                colour = rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])
                 for parent, child in BODY22.bones:
                     shade = 0.7 if BODY22.joint_names[child].startswith("left_") else 1.0
                     own = tuple(int(shade * value) for value in colour)
@@ -81,10 +81,10 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
                 line(canvas, ends, colour, thick)
             for ends in project(group.links_m[frame], number):
                 if np.isfinite(ends).all():
-                    line(canvas, ends, _rgb(LINK_COLOUR), 2 * _FINER)
+                    line(canvas, ends, rgb(LINK_COLOUR), 2 * _FINER)
                     for end in ends:
                         line(canvas, np.stack([end, end]), (255, 255, 255), 8 * _FINER)
-                        line(canvas, np.stack([end, end]), _rgb(LINK_COLOUR), 6 * _FINER)
+                        line(canvas, np.stack([end, end]), rgb(LINK_COLOUR), 6 * _FINER)
         image = Image.fromarray(cv2.resize(canvas, (width, size[1] // _FINER), interpolation=cv2.INTER_AREA))
         pen = ImageDraw.Draw(image)
         for number, group in enumerate(groups):
@@ -94,10 +94,6 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
     more = {"duration": round(1000 / rate_hz), "loop": 0, "quality": _QUALITY, "method": 4}
     frames[0].save(buffer, format="WEBP", save_all=True, append_images=frames[1:], **more)
     return buffer.getvalue()
-
-
-def _rgb(colour: str) -> tuple[int, ...]:
-    return tuple(bytes.fromhex(colour.removeprefix("#")))
 
 
 def _font_path() -> str:

@@ -47,6 +47,15 @@ _ORIGIN = np.zeros(2)
 _LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
 
 
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return the three numbers of a colour.
+
+    >>> rgb("#c1440e")
+    (193, 68, 14)
+    """
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
 @dataclass(frozen=True)
 class Picture:
     """A figure (.svg) or moving people (.player.json), by its file name, with a caption.

@@ -245,9 +245,7 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
         viewer.list_anew()
         assert [viewer.shelf.items(viewer.part)[at].names for at in viewer.listing.order] == [first]
         viewer.listing.only.value = "all"
-        with open_page(
-            f"{viewer.url}/?at={viewer.moment.reference.replace('#', '%23')}", tmp_path, width=400
-        ) as narrow:
+        with open_page(f"{viewer.url}?at={viewer.moment.reference.replace('#', '%23')}", tmp_path, width=400) as narrow:
             wait_for(viewer, "a second browser", lambda: len(viewer.server.get_clients()) == 2)
             wait_for(viewer, "its people", lambda: narrow.run("!!document.querySelector('canvas')"))
             screenshot(narrow, "variants-narrow", tmp_path)

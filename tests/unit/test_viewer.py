@@ -10,6 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.parse import quote, urlsplit
 
 import cv2
 import numpy as np
@@ -124,7 +125,7 @@ def test_what_is_no_address_is_said(viewer: Viewer) -> None:
 def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
     viewer.seek(0)
     with viewer.lock, closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=10.0)) as asked:
-        asked.request("GET", "/?at=poses:short%23200000")
+        asked.request("GET", f"{path_of(viewer)}?at=poses:short%23200000")
         assert asked.getresponse().status == 200
     wait_until(lambda: "200000" in viewer.panel.put["said"].value, "the visit", limit_s=20.0)
 
@@ -271,12 +272,17 @@ def test_a_clip_has_the_frames_of_the_video_also_behind_a_gap(viewer: Viewer, mo
     assert chosen == [(5, 28)]
 
 
+def path_of(viewer: Viewer) -> str:
+    """Return the path of its page, which begins with the token."""
+    return urlsplit(viewer.url).path
+
+
 def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) -> None:
     port = viewer.server.get_port()
 
-    def status(**headers: str) -> int:
+    def status(path: str = path_of(viewer), **headers: str) -> int:
         with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)) as asked:
-            asked.request("GET", "/", headers=headers)
+            asked.request("GET", path, headers=headers)
             answer = asked.getresponse()
             policy = answer.getheader("Content-Security-Policy", "")
             body = answer.read()
@@ -288,7 +294,12 @@ def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) 
     assert status(Host=f"localhost:{port}") == 200
     assert status(Host="elsewhere.example") == 403
     assert status(Origin="http://elsewhere.example") == 403
-    address = f"ws://127.0.0.1:{port}/"
+    for path in ("/", "/index.html", f"{path_of(viewer)[:-2]}/", f"/x{path_of(viewer)[1:]}", "/%20/", "/é/"):
+        assert status(quote(path)) == 403, "another user of the machine does not know the token"
+        with pytest.raises(InvalidStatus) as refused:
+            connect(f"ws://127.0.0.1:{port}{quote(path)}", origin=f"http://127.0.0.1:{port}")  # type: ignore[arg-type]
+        assert refused.value.response.status_code == 403
+    address = f"ws://127.0.0.1:{port}{path_of(viewer)}"
     for origin in ("http://elsewhere.example", f"http://localhost:{port}", "null", None):
         with pytest.raises(InvalidStatus) as refused, connect(address, origin=origin):  # type: ignore[arg-type]
             pass
@@ -409,17 +420,17 @@ def test_a_click_far_from_every_joint_places_the_one_that_is_chosen(viewer: View
 def test_the_pointer_is_heard_from_the_page_alone(viewer: Viewer) -> None:
     def status(path: str, **headers: str) -> int:
         with closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=20.0)) as asked:
-            asked.request("GET", path, headers=headers)
+            asked.request("GET", path_of(viewer) + path, headers=headers)
             return asked.getresponse().status
 
     heard: list[Pointer] = []
     viewer.side.point, plain = heard.append, viewer.side.point  # type: ignore[method-assign]
     try:
         own = {"X-Pointer": "1"}
-        assert status("/pointer/down/0.25/0.50000") == 404, "a page elsewhere cannot send this header"
-        assert status("/pointer/down/0.25/0.5", Origin="http://elsewhere.example", **own) == 403
-        assert status("/pointer/press/0.25/0.5", **own) == 404
-        assert status("/pointer/down/0.25/-0.5", **own) == 204
+        assert status("pointer/down/0.25/0.50000") == 404, "a page elsewhere cannot send this header"
+        assert status("pointer/down/0.25/0.5", Origin="http://elsewhere.example", **own) == 403
+        assert status("pointer/press/0.25/0.5", **own) == 404
+        assert status("pointer/down/0.25/-0.5", **own) == 204
         wait_until(lambda: bool(heard), "the pointer", limit_s=20.0)
     finally:
         viewer.side.point = plain  # type: ignore[method-assign]

@@ -47,7 +47,7 @@ def test_axis_unit_and_handedness_of_every_rig_are_found(rig: Rig) -> None:
         assert guess.unit.confidence < 0.3
     else:
         assert guess.unit.metres_per_unit == pytest.approx(rig.metres_per_unit)
-        assert guess.unit.height_m == pytest.approx(1.7, abs=0.06)  # the chain is right to 3 % whatever the rest pose
+        assert guess.unit.height_m == pytest.approx(1.7, abs=0.08)  # 5 %, whatever the rest pose
 
 
 @pytest.mark.parametrize("pose", ["T", "A", "random"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.working_poses import check_layout, derive_working_poses
 from pasdedeux.skeletons import BODY22, Skeleton
@@ -17,9 +19,10 @@ from pasdedeux.skeletons.layouts import LAYOUTS, find_layout, fit_layout, resolv
 from tests.builders.rigs import RIGS, SMALL_BVH, Rig, truth
 
 EXACT_CM = 1e-6
-TOLERANCE_CM = {"pelvis": 4.0, "neck": 2.0, "head": 3.0, "toe": 1.0, "collar": 10.0}
+TOLERANCE_CM = {"pelvis": 4.0, "neck": 2.0, "head": 3.5, "toe": 1.0, "collar": 10.0}
 """A joint that a file has is exact.  A pelvis between hips lies 2.5 cm below the joint that rigs have, Daz's hip 3.4 cm
-above it; a neck between shoulders and head 1.1 cm away; ears 2.1 cm at most, where a file has no head; a ball of the
+above it; a neck between shoulders and head 1.1 cm away; ears 2.1 cm, where a file has no head, or 3.1, where it is
+CMU's; a ball of the
 foot 0.2 cm, by the same proportions; collars without a joint lie at a quarter of the shoulder's breadth."""
 
 
@@ -46,7 +49,7 @@ def test_every_rig_is_recognised_and_its_joints_lie_where_the_persons_are(rig: R
     has = rig.names.keys()
     for joint, error in errors_cm(rig, motion).items():
         part = joint.rpartition("_")[2]
-        is_exact = joint in has and joint not in layout.derived and joint not in ("head", "pelvis")
+        is_exact = joint in has and isinstance(layout.parts[joint], str) and joint not in ("head", "pelvis")
         assert error < (EXACT_CM if is_exact else TOLERANCE_CM[part]), joint
         if part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
             assert is_exact, joint
@@ -75,7 +78,7 @@ SPELLINGS: dict[str, Callable[[str], str]] = {
     "prefix": lambda name: f"Character1_{name}",
     "small": str.lower,
     "capitals": str.upper,
-    "suffix": lambda name: f"{name}_jnt",
+    "suffix": lambda name: re.sub("(:1)?$", "_jnt", name, count=1),
     "copy": lambda name: name if name.startswith("spine") else f"{name}.002",  # Rigify numbers its spine so
     "hash": lambda name: f"{name}#",
     "underscores for dots": lambda name: name.replace(".", "_").replace(" ", "_"),
@@ -87,25 +90,23 @@ def renamed(motion: SourceMotion, names: Sequence[str]) -> SourceMotion:
     return replace(motion, skeleton=Skeleton("bvh", tuple(names), motion.skeleton.parents))
 
 
-@pytest.mark.parametrize("spelling", SPELLINGS)
 @pytest.mark.parametrize("rig", RIGS, ids=lambda rig: rig.name)
-def test_spelling_changes_neither_layout_nor_joints(rig: Rig, spelling: str) -> None:
+def test_spelling_changes_neither_layout_nor_joints(rig: Rig) -> None:
     motion = rig.source()
     plain = find_layout(motion.skeleton, motion.rest_offsets)
-    other = renamed(motion, [SPELLINGS[spelling](name) for name in motion.skeleton.joint_names])
-    found = find_layout(other.skeleton, other.rest_offsets)
     assert plain is not None
-    assert found is not None
-    assert (found.name, found.derived) == (plain.name, plain.derived)
-    to_plain = dict(zip(other.skeleton.joint_names, motion.skeleton.joint_names, strict=True))
-    for joint in BODY22.joint_names:
-        weights = found.joint_map("body22").weights(joint)
-        assert {to_plain.get(name, name): weight for name, weight in weights.items()} == plain.joint_map(
-            "body22"
-        ).weights(joint)
-    # A layout that is named is the same one, under whatever spelling.
-    assert fit_layout(plain.name, other.skeleton, other.rest_offsets) == found
-    assert resolve_layout(plain.name, other.skeleton, other.rest_offsets) == found
+    for spelling, respelled in SPELLINGS.items():
+        other = renamed(motion, [respelled(name) for name in motion.skeleton.joint_names])
+        found = find_layout(other.skeleton, other.rest_offsets)
+        assert found is not None, spelling
+        assert (found.name, found.derived) == (plain.name, plain.derived), spelling
+        to_plain = dict(zip(other.skeleton.joint_names, motion.skeleton.joint_names, strict=True))
+        ours, theirs = found.joint_map("body22"), plain.joint_map("body22")
+        for joint in BODY22.joint_names:
+            weights = {to_plain.get(name, name): weight for name, weight in ours.weights(joint).items()}
+            assert weights == theirs.weights(joint), (spelling, joint)
+        # A layout that is named is the same one, under whatever spelling.
+        assert resolve_layout(plain.name, other.skeleton, other.rest_offsets) == found, spelling
 
 
 def test_what_a_layout_needs_is_said_by_its_own_names() -> None:
@@ -152,6 +153,18 @@ def test_the_small_file_is_recognised_and_complete() -> None:
     np.testing.assert_allclose(heights, [0.95, 0.96, 0.97, 0.96])
 
 
+@pytest.mark.parametrize("rig", RIGS, ids=lambda rig: rig.name)
+def test_every_rig_can_be_posed_and_scaled_by_its_body22(rig: Rig) -> None:
+    motion = rig.source().to_motion(metres_per_unit=rig.metres_per_unit, rate_hz=30.0)
+    layout = find_layout(motion.skeleton, motion.rest_offsets_m)
+    assert layout is not None
+    rigged = OwnSkeleton(motion, body_map(layout, motion.skeleton, motion.rest_offsets_m))
+    body22_m, ones = rigged.body.of(motion), np.ones(BODY22.num_joints)
+    np.testing.assert_allclose(rigged.posed(body22_m, ones).world()[0], motion.world()[0], atol=1e-6)
+    larger = rigged.retargeted(1.15 * body22_m, 1.15 * ones)
+    np.testing.assert_allclose(larger.body.of(larger.motion), 1.15 * body22_m, atol=1e-3)
+
+
 def test_there_are_rigs_of_all_layouts_of_other_programs() -> None:
-    own = {"body22", "expi", "yiannakides", "cmu_asf", "cmu_cgspeed"}  # real files of these are in test_layouts.py
+    own = {"body22", "expi", "yiannakides"}  # real files of these are in test_layouts.py
     assert {rig.layout for rig in RIGS} == set(LAYOUTS) - own

@@ -39,6 +39,10 @@ _STRAIGHT, _SQUARE, _ALONG = 0.7, 0.4, 0.95
 """Cosines: legs against trunk at least, trunk against the line of hips at most, an axis against the file's at least."""
 
 
+_LAST = list(LAYOUTS.values())[-1]
+"""The layout of words of several programs, for files that no other fits."""
+
+
 def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
     """Return the layout that a file's joints belong to, fitted to them; None when no known one fits.
 
@@ -47,9 +51,14 @@ def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
         rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
     """
     joints = by_normal_name(skeleton.joint_names)
-    fitting = [layout for layout in LAYOUTS.values() if not _lacking(layout, joints)]
+    fitting = [
+        layout
+        for layout in LAYOUTS.values()
+        if not _lacking(layout, joints) and _hang_together(_in_file(layout, joints), skeleton)
+    ]
     if not fitting:
         return None
+    fitting = [layout for layout in fitting if layout is not _LAST] or fitting
     return _fitted(max(fitting, key=lambda layout: _fullness(layout, joints)), skeleton, rest_offsets)
 
 
@@ -192,6 +201,25 @@ def _lacking(layout: Layout, joints: Mapping[str, str]) -> list[str]:
     if not layout.is_whole and not parts.keys() & {"neck", "head", "skull"}:
         lacking.append(layout.parts["neck"])
     return [" or ".join(_names_of(entry)) for entry in lacking]
+
+
+def _hang_together(parts: Mapping[str, Entry], skeleton: Skeleton) -> bool:
+    """Tell whether each limb is a way through the tree: names of one word mean other joints in other programs."""
+
+    def joint(part: str) -> int:
+        entry = parts[part]
+        return skeleton.index(entry if isinstance(entry, str) else max(entry, key=lambda name: entry[name]))
+
+    for side in SIDES:
+        for limb in (ARM, LEG):
+            at = joint(f"{side}_{limb[-1]}")
+            for part in reversed(limb[:-1]):
+                above = joint(f"{side}_{part}")
+                while at >= 0 and at != above:
+                    at = skeleton.parents[at]
+                if at < 0:
+                    return False
+    return True
 
 
 def _fullness(layout: Layout, joints: Mapping[str, str]) -> int:

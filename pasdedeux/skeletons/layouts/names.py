@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 SIDES = ("left", "right")
 _SIDE_WORDS = {"left": "left", "lft": "left", "right": "right", "rght": "right", "rgt": "right"}
+_SIDE_WORDS |= {"左": "left", "右": "right"}
 _SIDE_LETTERS = {"l": "left", "r": "right"}
 _NOISE = {"jnt", "joint", "jt", "bone", "bn", "bind", "skel", "def", "org", "drv", "c"}
 """Words that rigs put before or after names; `c` is the middle, beside `l` and `r`."""
 _COMMON = 0.6
 """Share of the names that a prefix or suffix has, so that it is one: the names of one side are fewer."""
-_PREFIX = 4
-"""Letters at least that all names begin with, so that they are a prefix where no sign parts them."""
+_PREFIX, _MANY = 4, 10
+"""Letters at least that all names begin with, so that they are a prefix; of more names than this one letter is."""
 _NUMBERED = 0.9
 """Share of the names that are numbered, so that the numbers are no part of them."""
 
@@ -34,10 +35,10 @@ def normal_names(joint_names: Sequence[str]) -> list[str]:
     copies = [re.sub(r"(\.\d+|#\d*)+$", "", name) for name in joint_names]
     repeated = Counter(copies)
     kept = [copy if repeated[copy] == 1 else name for copy, name in zip(copies, joint_names, strict=True)]
-    bare = [re.split(r"[:|]", name)[-1] for name in kept]
+    bare = [next((part for part in reversed(re.split(r"[:|]", name)) if not part.isdigit()), name) for name in kept]
     lower = sorted(name.lower() for name in bare)
     shared = next((at for at, (a, b) in enumerate(zip(lower[0], lower[-1], strict=False)) if a != b), 0)
-    words = [_words(name[shared if shared >= _PREFIX else 0 :]) for name in bare]
+    words = [_words(name[shared if shared >= _PREFIX or len(bare) > _MANY else 0 :]) for name in bare]
     words = _without_common(_without_common(words, 0), -1)
     known = {tuple(row) for row in words}
     normal = [_normal(row, known) for row in words]
@@ -54,7 +55,7 @@ def by_normal_name(joint_names: Sequence[str]) -> Mapping[str, str]:
 
 
 def _words(name: str) -> Words:
-    found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
+    found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_a-zA-Z]+", name)
     return tuple(str(int(word)) if word.isdigit() else word.lower() for word in found)
 
 
@@ -101,11 +102,12 @@ def _side(words: Words, known: set[Words]) -> tuple[str, Words]:
 
 def _letters(word: str) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     """Yield what is left of a word without a side at its start or end, the side, and what the other side may be."""
-    for mark, side in (*_SIDE_WORDS.items(), *_SIDE_LETTERS.items()):
-        others = [m for m, s in (_SIDE_WORDS if len(mark) > 1 else _SIDE_LETTERS).items() if s != side]
-        if word.startswith(mark) and len(word) > len(mark):
-            bare = word.removeprefix(mark)
-            yield bare, side, tuple(other + bare for other in others)
-        if len(mark) > 1 and word.endswith(mark) and len(word) > len(mark):
-            bare = word.removesuffix(mark)
-            yield bare, side, tuple(bare + other for other in others)
+    for marks in (_SIDE_WORDS, _SIDE_LETTERS):
+        for mark, side in marks.items():
+            others = [other for other, its_side in marks.items() if its_side != side]
+            if word.startswith(mark) and len(word) > len(mark):
+                bare = word.removeprefix(mark)
+                yield bare, side, tuple(other + bare for other in others)
+            if marks is _SIDE_WORDS and word.endswith(mark) and len(word) > len(mark):
+                bare = word.removesuffix(mark)
+                yield bare, side, tuple(bare + other for other in others)

@@ -7,7 +7,10 @@ them is in files or messages.
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
+import threading
+import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import datetime, timedelta
@@ -29,6 +32,14 @@ _ADDRESS = re.compile(r"https?://\S+")
 AT_ONCE = 8
 """Requests in flight."""
 _MAX_RETRIES = 6
+_PATIENCE_S = 60.0
+"""How long a bucket may refuse connections, hang up or answer with errors of its own; it is asked again meanwhile."""
+_PAUSES_S = (0.5, 8.0)
+"""The first pause before a bucket is asked again, and the longest: each is twice the one before."""
+_SAY_AGAIN_S = 15.0
+_AWAY = re.compile(r"error sending request|non-2xx status code: 5\d\d")
+"""What the client says of a server that is not there, or not well."""
+_log = logging.getLogger(__name__)
 _DELETED_AT_ONCE = 1000
 """Files in one request: more are several requests, which end in any order."""
 _TIMEOUT = timedelta(seconds=60)
@@ -67,6 +78,9 @@ class RemoteStore:
             },
             retry_config={"max_retries": _MAX_RETRIES, "retry_timeout": 10 * timeout},
         )
+        self.is_hurried = threading.Event()
+        """Set where nobody waits any more: what fails then is not asked for again."""
+        self._saying, self._said = threading.Lock(), -_SAY_AGAIN_S
 
     def read(self, path: str) -> bytes:
         """Return a file; FileNotFoundError where there is none."""
@@ -167,7 +181,8 @@ class RemoteStore:
             raise RemoteError(f"{self.url}: cannot write {path}: there is no such bucket") from None
 
     def _asked(self, what: str, ask: Callable[[], T], *, is_conditional: bool = False) -> T:
-        for left in reversed(range(_MAX_RETRIES)):
+        began, num_asked, pause_s = time.monotonic(), 0, _PAUSES_S[0]
+        while True:
             try:
                 return ask()
             except AlreadyExistsError:
@@ -177,12 +192,24 @@ class RemoteStore:
             except PreconditionError:
                 raise
             except BaseError as error:
+                num_asked += 1
                 # What the client does not ask for again: a list that was cut off, and a conditional write that was not
                 # answered in time, which may have been done.
                 is_lost = "response body" in str(error) or (is_conditional and "sending request" in str(error))
-                if left == 0 or not is_lost:
+                left_s = _PATIENCE_S - (time.monotonic() - began) if _AWAY.search(str(error)) else 0.0
+                if left_s > 0.0 and not self.is_hurried.is_set():
+                    self._say_waiting(left_s)
+                    self.is_hurried.wait(min(pause_s, left_s))
+                    pause_s = min(2.0 * pause_s, _PAUSES_S[1])
+                elif not is_lost or num_asked >= _MAX_RETRIES or self.is_hurried.is_set():
                     raise self._refused(what, error) from None
-        raise AssertionError
+
+    def _say_waiting(self, left_s: float) -> None:
+        """Say that the bucket does not answer, once for all that wait, and again after some time."""
+        with self._saying:
+            if time.monotonic() - self._said >= _SAY_AGAIN_S:
+                self._said = time.monotonic()
+                _log.warning("%s: the bucket does not answer, waiting up to %.0f s", self.url, left_s)
 
     def _refused(self, what: str, error: BaseError) -> RemoteError:
         # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.

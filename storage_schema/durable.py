@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import fcntl
 import hashlib
 import io
+import logging
 import os
+import platform
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 from storage_schema.errors import FullDisk, StorageError
@@ -18,6 +22,9 @@ from storage_schema.errors import FullDisk, StorageError
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _REFUSED = {errno.EROFS, errno.EACCES, errno.EPERM}
 _CANNOT_EXCHANGE = {errno.EINVAL, errno.ENOSYS, errno.ENOENT, errno.EOPNOTSUPP, errno.EXDEV}
+_SAY_AFTER_S = 4.0
+"""A lock that is waited for so long is said."""
+_log = logging.getLogger(__name__)
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
@@ -40,6 +47,43 @@ def write_errors(where: Path) -> Iterator[None]:
         if error.errno in _REFUSED:
             raise StorageError(f"cannot write to {where}: {error.strerror}") from error
         raise
+
+
+def lock_file(handle: int, how: int, what: str) -> None:
+    """Lock a file, and say once who holds it where that takes long: if that process is stopped, it takes for ever.
+
+    Args:
+        handle: The open file.
+        how: `fcntl.LOCK_SH` or `LOCK_EX`, with `LOCK_NB` to raise BlockingIOError at once.
+        what: What the lock stands for, in words.
+    """
+    try:
+        fcntl.flock(handle, how | fcntl.LOCK_NB)
+    except BlockingIOError:
+        if how & fcntl.LOCK_NB:
+            raise
+        saying = Timer(_SAY_AFTER_S, _say_holders, (handle, what))
+        saying.daemon = True
+        saying.start()
+        try:
+            fcntl.flock(handle, how)
+        finally:
+            saying.cancel()
+            saying.join()  # it may be looking at the file, which is closed soon
+
+
+def _say_holders(handle: int, what: str) -> None:
+    holders = []
+    with suppress(OSError, ValueError):  # Linux alone says who
+        inode = os.fstat(handle).st_ino
+        rows = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+        holders = [row[4] for row in rows if row[1] == "FLOCK" and int(row[5].rpartition(":")[2]) == inode]
+    name, number = f"process {holders[0]}" if holders else "another process", holders[0] if holders else "PID"
+    _log.warning(
+        "waiting for %s, which %s on %s uses, until that has ended; if it is stopped, continue it (`kill -CONT %s`) or "
+        "end it",
+        *(what, name, platform.node(), number),
+    )
 
 
 class HashingFile(io.RawIOBase):

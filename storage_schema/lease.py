@@ -7,6 +7,7 @@ A lease is renewed as long as its holder lives.  Nobody's clock is compared with
 from __future__ import annotations
 
 import json
+import logging
 import os
 import platform
 import threading
@@ -25,6 +26,9 @@ LEASE_S = 60.0
 """A lease that was not renewed for so long belongs to nobody."""
 _BEAT_S = 4.0
 _WATCH_S = 0.5
+_SAY_AFTER_S = 4.5
+"""A lease that is not renewed for so long is said: a holder that lives renews it before."""
+_log = logging.getLogger(__name__)
 
 
 class Lease:
@@ -44,7 +48,7 @@ class Lease:
             StorageError: Another run has it.
             RemoteError: The bucket refuses or does not answer.
         """
-        first_tag, since = "", time.monotonic()
+        first_tag, since, is_said = "", time.monotonic(), False
         while True:
             try:
                 there, tag = self._remote.read_tagged("lease")
@@ -66,6 +70,14 @@ class Lease:
                 )
             if not first_tag:
                 first_tag, since = tag, time.monotonic()
+            if not is_said and time.monotonic() - since > _SAY_AFTER_S:
+                is_said = True
+                until = time.strftime("%H:%M:%S", time.localtime(time.time() + LEASE_S - (time.monotonic() - since)))
+                _log.warning(
+                    "%s: process %s on %s has the lease and does not renew it; waiting until %s, then this run takes "
+                    "it over",
+                    *(self._remote.url, found["pid"], found["host"], until),
+                )
             time.sleep(_WATCH_S)
 
     def renew(self, *, released: bool = False) -> bool:

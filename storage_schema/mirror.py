@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from storage_schema.bucket import AT_ONCE, RemoteStore
-from storage_schema.durable import make_folder, write_errors
+from storage_schema.durable import lock_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
 from storage_schema.keys import file_sha256
 from storage_schema.lease import Lease, each_beat
@@ -194,6 +194,7 @@ class Mirror:
             finally:
                 self._num_holding -= 1
             return
+        self.remote.is_hurried.clear()
         self._lease = Lease(self.remote)
         self._lease.take()
         ended = threading.Event()
@@ -206,6 +207,7 @@ class Mirror:
                     self.is_current, self._num_holding = True, 1
                     yield
                 except BaseException:
+                    self.remote.is_hurried.set()
                     with suppress(StorageError, FileNotFoundError):
                         self._give_back()
                     raise
@@ -213,6 +215,7 @@ class Mirror:
                     self._give_back()
         finally:
             ended.set()
+            self.remote.is_hurried.clear()
             self._num_holding = 0
 
     def _check_not_lost(self) -> None:
@@ -346,7 +349,7 @@ class Mirror:
             handle = os.open(self.root.with_suffix(".lock"), os.O_CREAT | os.O_RDWR, 0o644)
         try:
             try:
-                fcntl.flock(handle, how)
+                lock_file(handle, how, f"the mirror {self.root} of {self.url}")
             except BlockingIOError:
                 yield False
             else:

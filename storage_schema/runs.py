@@ -20,7 +20,7 @@ from typing import Any
 
 import orjson
 
-from storage_schema.durable import make_folder, write_errors
+from storage_schema.durable import lock_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
 from storage_schema.keys import json_file, plain_json
 from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older, with_fields
@@ -222,7 +222,7 @@ def _in_line(path: Path, how: int = fcntl.LOCK_EX) -> Iterator[None]:
     make_folder(path.parent)
     handle = os.open(path.with_name(f".{path.name}.lock"), os.O_CREAT | os.O_RDWR, 0o644)
     try:
-        fcntl.flock(handle, how)
+        lock_file(handle, how, f"{path.parent / path.name}")
         yield
     finally:
         os.close(handle)

@@ -40,10 +40,36 @@ class S3Server:
     slow_s: float = 3.0
     requests: list[str] = field(default_factory=list)
     fault: Callable[[str, str], str] = lambda method, path: ""
+    start: Callable[[], Callable[[], None]] = field(init=False)
+    stop: Callable[[], None] = field(init=False)
 
     @property
     def place(self) -> str:
         return f"s3://{BUCKET}/some/{self.prefix}"
+
+    @contextmanager
+    def refusing(self) -> Iterator[None]:
+        """Refuse connections in this block; what was stored stays."""
+        self.stop()
+        try:
+            yield
+        finally:
+            self.stop = self.start()
+
+
+def _serving(server: S3Server, app: Answer) -> Callable[[], None]:
+    """Serve on the server's port, a free one the first time; gives what ends it."""
+    listening = make_server("127.0.0.1", server.port, app, threaded=True, request_handler=_Quiet)
+    server.port = listening.server_port
+    thread = threading.Thread(target=listening.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+
+    def stop() -> None:
+        listening.shutdown()
+        thread.join()
+        listening.server_close()
+
+    return stop
 
 
 def _with_faults(app: Answer, server: S3Server) -> Answer:
@@ -80,10 +106,8 @@ def s3_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
     """Start a server; address and credentials are in the environment as a user would say them."""
     found = S3Server(0)
     app = _with_faults(DomainDispatcherApplication(create_backend_app), found)
-    server = make_server("127.0.0.1", 0, app, threaded=True, request_handler=_Quiet)
-    found.port = server.server_port
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
+    found.start = lambda: _serving(found, app)
+    found.stop = found.start()
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{found.port}")
     monkeypatch.setenv("AWS_REGION", "us-east-1")
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "tester")
@@ -96,6 +120,4 @@ def s3_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
         client.close()
         yield found
     finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+        found.stop()

@@ -35,6 +35,11 @@ from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
 
 
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 0.0)
+
+
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
     with s3_server(monkeypatch) as found:

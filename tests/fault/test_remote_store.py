@@ -6,11 +6,14 @@ import io
 import itertools
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import tarfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -56,6 +59,13 @@ from storage_schema import Store, in_use
 from tests.builders.toy_runs import run_toys
 with in_use(Store(sys.argv[2])):
     run_toys(Path(sys.argv[1]), Path(sys.argv[2]))
+"""
+_HOLD_A_LOCK = """
+import fcntl, sys
+file = open(sys.argv[1], "w")
+fcntl.flock(file, fcntl.LOCK_EX)
+print("held", flush=True)
+sys.stdin.read()
 """
 
 
@@ -176,6 +186,28 @@ def test_faults_of_the_server_cost_time_and_nothing_else(
     assert next(counter) > 60, "there were faults on both ways"
 
 
+def test_a_bucket_that_refuses_connections_is_waited_for_and_that_is_said_unless_the_run_is_given_up(
+    server: S3Server, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with ThreadPoolExecutor(1) as threads:
+        with server.refusing():
+            building = threads.submit(run_there, tmp_path, server.place)
+            wait_until(lambda: "the bucket does not answer, waiting up to" in caplog.text or building.done(), "a word")
+        assert building.result(timeout=60).num_computed == EVERYTHING
+    assert len(caplog.messages) == 1, "one word for all requests"
+    caplog.clear()
+
+    def give_up() -> None:
+        with in_use(Store(server.place)):
+            server.stop()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        give_up()
+    server.stop = server.start()
+    assert caplog.messages == []
+
+
 def test_a_second_run_is_refused_and_a_killed_one_is_finished_on_another_machine(
     server: S3Server, elsewhere: Callable[[], None], undisturbed: dict[str, list[str]], tmp_path: Path
 ) -> None:
@@ -260,6 +292,53 @@ def test_a_lease_is_taken_over_only_when_it_is_not_renewed(server: S3Server, mon
     with somebody_builds(server.place), in_use(Store(server.place)):
         there = json.loads(RemoteStore(server.place).read("lease"))
     assert (there["holder"] != "somebody", there["pid"]) == (True, os.getpid())
+
+
+def test_a_lease_that_is_waited_for_is_said_with_whose_it_is_and_until_when(
+    server: S3Server, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("storage_schema.lease.LEASE_S", 1.2)
+    monkeypatch.setattr("storage_schema.lease._SAY_AFTER_S", 0.1)
+    with somebody_builds(server.place), in_use(Store(server.place)):
+        pass
+    (said,) = caplog.messages
+    assert re.fullmatch(
+        rf"{server.place}: process 1 on elsewhere has the lease and does not renew it; waiting until "
+        r"\d\d:\d\d:\d\d, then this run takes it over",
+        said,
+    )
+
+
+def test_a_stopped_process_that_has_a_mirror_is_named_while_it_is_waited_for(
+    server: S3Server, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("storage_schema.durable._SAY_AFTER_S", 0.1)
+    mirror = Store(server.place).mirror
+    assert mirror is not None
+    mirror.root.parent.mkdir(parents=True)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", _HOLD_A_LOCK, str(mirror.root.with_suffix(".lock"))],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with holder, ThreadPoolExecutor(1) as threads:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        holder.send_signal(signal.SIGSTOP)
+
+        def build() -> None:
+            with in_use(Store(server.place)):
+                pass
+
+        waiting = threads.submit(build)
+        try:
+            wait_until(lambda: caplog.messages != [] or waiting.done(), "a word", limit_s=20.0)
+        finally:
+            holder.kill()
+        waiting.result(timeout=60)
+    (said,) = caplog.messages
+    assert said.startswith(f"waiting for the mirror {mirror.root} of {server.place}, which process {holder.pid} on ")
+    assert f"if it is stopped, continue it (`kill -CONT {holder.pid}`) or end it" in said
 
 
 def test_a_run_whose_lease_was_taken_says_so_and_leaves_the_records_of_the_other(
@@ -466,7 +545,8 @@ def test_what_another_process_brings_while_a_mirror_is_refreshed_stays(
     assert len(list(mirror.root.glob("*/??/*/manifest.json"))) == 2
 
 
-def test_a_commit_that_is_cut_off_shows_nothing(server: S3Server) -> None:
+def test_a_commit_that_is_cut_off_shows_nothing(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 0.0)
     server.fault = lambda method, path: "error" if method == "PUT" and "/parts/" in path else ""
     with pytest.raises(RemoteError, match="cannot write parts/"):
         commit_rows(Store(server.place), name="one")
@@ -540,6 +620,7 @@ def test_a_bucket_that_does_not_answer_or_is_not_there_is_one_sentence_before_an
         pass
     assert run_command_line(["run", study, "--store", "s3://"], graph=TOYS) == 2
     assert "s3://BUCKET/PREFIX is meant" in capsys.readouterr().err
+    monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 0.0)
     server.fault = lambda method, path: "gone"
     assert run_command_line(["run", study, "--store", server.place], graph=TOYS) == 1
     (said,) = capsys.readouterr().err.splitlines()

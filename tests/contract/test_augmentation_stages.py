@@ -201,8 +201,10 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
     ):
         inputs = {"poses": [take], "variants": augment(store, [take], scales=(0.8,), contacts=stated)}
         (shard,) = TOPIC.plan(StageInputs(inputs, seed=3), Parameters())
-        scores = {(score.metric, score.method): score for score in TOPIC.run(shard, store).scores}
+        result = TOPIC.run(shard, store)
+        scores = {(score.metric, score.method): score for score in result.scores}
         counts.append(scores["hand_contact_drift_p95", "interaction_mesh"].count)
+        assert [picture.name for picture in result.pictures] == ["variants-pair.player.json", "drift-pair.svg"]
     assert counts[0] > counts[1] > 0
     assert counts[2] == FRAMES
     assert counts[3] == counts[0]

@@ -407,7 +407,12 @@ def test_the_command_writes_annotations_a_sheet_and_an_overlay(
     out, sheet, overlay = tmp_path / "out.csv", tmp_path / "next.png", tmp_path / "seen.mp4"
     arguments = ["annotate", film, "--keys", keys, "--out", out, "--sheet", sheet, "--overlay", overlay]
     assert run_command_line([str(one) for one in arguments]) == 0
-    assert "walk.shot01" in capsys.readouterr().out
+    first, second = (line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("walk.shot"))
+    assert (first[:3], second[:3]) == (["walk.shot00", "0-19", "2"], ["walk.shot01", "20-39", "2"])
+    for line in (first, second):
+        shares = [int(word[:-1]) for word in line if word.endswith("%")]
+        assert shares[:2] == [15, 0], "3 of 20 frames are annotated, and nothing is detected"
+        assert abs(sum(shares) - 100) <= 2
     assert cv2.imread(str(sheet)).shape[1] % 320 == 0
     assert open_film(overlay).num_frames == COUNT
     for name in ("again.csv", "coco.json", "cvat.xml"):

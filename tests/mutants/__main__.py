@@ -21,7 +21,7 @@ from tests.mutants.drawing import Mutant, draw
 from tests.mutants.judging import Judge, Outcome, Tests
 
 PACKAGES = ("pasdedeux", "storage_schema", "tasks", "flows")
-FOLDERS = ("unit", "golden", "contract", "property", "statistical")
+FOLDERS = ("unit", "golden", "contract", "property", "statistical", "fault")
 """Of these folders, the tests that are not slow: those of whole studies take longer than a mutant is worth."""
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def table(mutants: list[Mutant], outcomes: list[Outcome]) -> str:
-    """Return the counts of each package and all, and the share that is killed with Wilson's interval of 95 %."""
+    """Return the counts of each package, and the share of the judged that is killed with Wilson's interval."""
     from scipy.stats import binomtest
 
     counts = Counter(

@@ -28,6 +28,8 @@ MAX_CASES = 2
 """So many cases of a parametrised test come before the others."""
 PLAIN_S = 0.2
 """Only tests that took less than this run with the compiler off: they take a hundred times as long then."""
+MAX_SLOW = 2
+"""A mutant is given up where so many tests fail, or do not end, with the compiler off and without it."""
 FILE_S = 0.3
 """Seconds that collecting one more file is worth."""
 FIRST = 8
@@ -38,7 +40,7 @@ PATIENCE = 20.0, 8.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """`killed` by a test, `survived` a number of tests, or `not covered` by any."""
+    """`killed` by a test, `survived` a number of tests, `not covered` by any, or `not judged`: kernels are too slow."""
 
     word: str
     killer: str = ""
@@ -156,7 +158,7 @@ class Judge:
         if plain:
             waiting = [test for test in waiting if self._tests.seconds[test] < PLAIN_S] or waiting[:1]
         waiting = self._within_budget([test for test in waiting if test not in self._broken[plain]])
-        num_run = 0
+        num_run = num_slow = 0
         while waiting:
             tests = waiting[:FIRST] if num_run == 0 else waiting
             with _planted(self._root, mutant):
@@ -170,6 +172,8 @@ class Judge:
                 return Outcome("killed", killer, num_run + 1)
             self._broken[plain].add(killer)
             waiting.remove(killer)
+            if plain and (num_slow := num_slow + 1) == MAX_SLOW:
+                return Outcome("not judged", num_tests=num_run)
         return Outcome("survived" if num_run else "not covered", num_tests=num_run)
 
     def _within_budget(self, tests: list[str]) -> list[str]:

@@ -187,7 +187,10 @@ def test_whole_rows_are_read_whatever_the_header_counts(stated: int, note: str) 
 def test_reading_is_the_inverse_of_writing(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
     motion = figure_motion(num_frames=20, rate_hz=60.0)
     monkeypatch.setattr(bvh_writer, "_ROTATION_ORDER", order)
-    again = read_bvh(write_bvh(motion))
+    written = write_bvh(motion)
+    again = read_bvh(written)
+    joints = range(motion.skeleton.num_joints)
+    assert str(written).count("End Site") == sum(not motion.skeleton.children(joint) for joint in joints)
     assert again.rate_hz == 60.0
     place = [again.skeleton.index(name) for name in motion.skeleton.joint_names]
     positions, unitquat = again.to_motion(metres_per_unit=0.01, rate_hz=60.0).world()

@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, standing, with_end_sites
+from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, ended, standing, with_end_sites
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import angle_between, multiply, unitquat_from_rotvec
@@ -156,6 +156,16 @@ def test_every_joint_that_is_drawn_has_a_length(tmp_path: Path) -> None:
                 assert name.endswith("_end")
         again = read_bvh(write_bvh(motion)).to_motion(metres_per_unit=0.01, rate_hz=motion.rate_hz)
         assert set(again.skeleton.joint_names) == set(motion.skeleton.joint_names)
+
+
+def test_a_last_joint_that_lies_on_the_one_before_goes_on_as_the_last_bone_that_has_a_length() -> None:
+    plain = figure_motion()
+    toe = plain.skeleton.index("left_toe")
+    motion = plain.with_joints(["tip"], [toe], [np.zeros(3)])
+    ends = ended(motion)
+    tip = ends.rest_offsets_m[ends.skeleton.index("tip_end")]
+    along = plain.rest_offsets_m[toe]
+    np.testing.assert_allclose(tip / np.linalg.norm(tip), along / np.linalg.norm(along), atol=1e-9)
 
 
 def test_other_frames_than_the_motion_has_are_refused() -> None:

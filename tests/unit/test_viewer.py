@@ -8,8 +8,10 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 import cv2
@@ -211,6 +213,19 @@ def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
     assert viewer.frame == viewer.scene.num_frames - 2
 
 
+def test_keys_step_by_one_frame_or_item_forth_and_back(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys: dict[str, Callable[..., None]] = {}
+    monkeypatch.setattr("flows.viewing.panel.Panel.bind", lambda _, label, key, action: keys.update({key: action}))
+    shown = Viewer(open_shelf(store, None))
+    steps: list[Any] = []
+    monkeypatch.setattr(shown, "step", steps.append)
+    monkeypatch.setattr(shown, "step_item", lambda by: steps.append(("item", by)))
+    for key in ("arrowleft", "arrowright", "arrowup", "arrowdown"):
+        keys[key](None)
+    shown.stop()
+    assert steps == [-1, 1, ("item", -1), ("item", 1)]
+
+
 def test_what_was_said_of_one_item_does_not_stand_beside_the_next(viewer: Viewer) -> None:
     viewer.show_part(viewer.part)
     viewer.panel.tell("no frame of this item fails or is a warning")
@@ -397,6 +412,17 @@ def test_the_nearest_joint_follows_the_pointer_until_it_is_let_go(viewer: Viewer
     heard = dragged(viewer, points, *moves)
     assert [(one.person, one.joint, one.is_last) for one in heard] == [(1, 9, False), (1, 9, False), (1, 9, True)]
     np.testing.assert_allclose(heard[-1].point_px, [320.0, 200.0])
+
+
+def test_the_nearest_poses_stand_beside_where_they_are_known_and_asked_for(viewer: Viewer) -> None:
+    near = Flat(PAIR17, np.zeros((2, 17, 2)), (640, 460), "near")
+    asked, shown = viewer.panel.put["nearest"], viewer.scene
+    try:
+        for known, is_asked in product((None, lambda frame: [near]), (False, True)):
+            viewer.scene, asked.value = replace(shown, nearest=known), is_asked
+            assert ("near" in [flat.title for flat in viewer.flats()]) is bool(known and is_asked)
+    finally:
+        viewer.scene, asked.value = shown, False
 
 
 def test_a_press_on_a_picture_of_what_was_shown_before_moves_nothing(viewer: Viewer) -> None:

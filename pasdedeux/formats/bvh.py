@@ -8,7 +8,7 @@ it as an independent oracle.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -154,7 +154,7 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
     allowed = ["HIERARCHY"]
     num_roots = 0
     for line in lines.words():
-        words = " ".join(line).replace("{", " { ").replace("}", " } ").split()
+        words = _tokens(line)
         while words:
             key = words[0].upper()
             if words[0].startswith(_COMMENT):
@@ -170,6 +170,7 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
                     continue
                 case "ROOT" | "JOINT" | "END":
                     num_roots += key == "ROOT"
+                    _continue(lines, words, 1, lambda word: word not in "{}")
                     marks = ("{", "#", "//", ";")
                     stop = next((at for at, word in enumerate(words) if word in marks), len(words))
                     name = " ".join(words[:stop]) if key != "END" else _end_name(blocks[-1].name, joints)
@@ -184,9 +185,13 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
                     allowed = ["{"]
                     continue
                 case "OFFSET":
+                    _continue(lines, words, 3, lambda word: word[0] in "+-.0123456789")
                     blocks[-1].offset = parse_numbers(words[:3], f"OFFSET of '{blocks[-1].name}'", 3)
                     del words[:3]
                 case "CHANNELS":
+                    _continue(lines, words, 1, str.isdigit)
+                    num_words = 1 + int(words[0]) if words and words[0].isdigit() else 1
+                    _continue(lines, words, num_words, lambda word: word.capitalize() in _CHANNELS)
                     blocks[-1].channels = _pop_channels(words, blocks[-1].name)
                 case "}":
                     blocks.pop()
@@ -198,6 +203,20 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
     if allowed != ["MOTION", "ROOT"]:
         raise FormatError(f"the file ends where {' or '.join(allowed)} is needed")
     return _hierarchy_of(joints)
+
+
+def _tokens(words: list[str]) -> list[str]:
+    return " ".join(words).replace("{", " { ").replace("}", " } ").split()
+
+
+def _continue(lines: Lines, words: list[str], count: int, fits: Callable[[str], bool]) -> None:
+    """Add the words of the next lines, up to a count, as long as each line begins with a word that fits."""
+    while len(words) < count and (line := next(lines.words(), [])):
+        more = _tokens(line)
+        if not fits(more[0]):
+            lines.put_back(" ".join(more))
+            break
+        words += more
 
 
 def _end_name(parent: str, joints: Collection[str]) -> str:
@@ -252,8 +271,14 @@ def _read(data: bytes | str) -> _BvhFile:
 
 def _stated(lines: Lines, label: str) -> str:
     """Return the word after a label at the start of the next line; what follows on the line is put back."""
-    text = " ".join(next((words for words in lines.words() if not words[0].startswith(_COMMENT)), []))
-    stated = re.match(label.replace(" ", r"\s*").replace(":", r"\s*:\s*") + r"(\S*)", text, re.IGNORECASE)
+    pattern = label.replace(" ", r"\s*").replace(":", r"\s*:\s*") + r"(\S+)"
+    text, stated = "", None
+    for words in lines.words():
+        if not words[0].startswith(_COMMENT):
+            text = f"{text} {' '.join(words)}".strip()
+            stated = re.match(pattern, text, re.IGNORECASE)
+        if stated or len(text) > len(label):
+            break
     if not stated:
         raise FormatError(f"'{label}' is expected, found '{shorten(text)}'")
     if rest := text[stated.end() :].strip():

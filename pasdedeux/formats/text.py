@@ -27,6 +27,8 @@ _FEW_FRAMES, _FEW_SHARE = 10, 0.05
 """Frames, or share of them, by which a file may be shorter than it states."""
 _MAX_TOKEN_SHOWN = 40
 _LOOKED_AT_LETTERS = 40
+_PADDING = "\0\x1a"
+"""What old programs put after the end of a text."""
 _DELIMITERS = ",;\t"
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
@@ -130,8 +132,7 @@ class Lines:
         numbers: list[float] = []
         self.number = begun = start
         for words in self.words():
-            if words[0].startswith(comment):
-                continue
+            words = words[: next((at for at, word in enumerate(words) if word.startswith(comment)), len(words))]
             at = len(numbers) % len(columns)
             if at + len(words) > len(columns) and (at or len(words) % len(columns)):
                 self.number = begun if at else self.number
@@ -188,6 +189,7 @@ def decode(data: bytes | str, what: str) -> str:
             text = data.decode(wide or "utf-8-sig").removeprefix("\ufeff")
         except UnicodeDecodeError:
             text = data.decode("latin-1")
+    text = text.rstrip(_PADDING)
     if not text.strip():
         raise FormatError(f"this {what} is empty")
     if "\0" in text:

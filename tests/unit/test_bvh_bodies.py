@@ -168,7 +168,10 @@ SPELLINGS: dict[str, Callable[[str], str]] = {
     "on one line": one_line,
     "a comment before": lambda text: f"# written by hand\n// in a hurry\nExported 2024\n\n{text}",
     "comments inside": lambda text: re.sub("(OFFSET|Frames|Frame Time)", r"# a comment\n\1", text),
-    "comments behind": lambda text: text.replace("{\n", "{ // a block\n"),
+    "comments behind": lambda text: text.replace("{\n", "{ // a block\n").replace("\n", " # what it is\n", 1),
+    "comments behind rows": lambda text: re.sub(r"(?m)^(-?\d.*)$", r"\1 # a frame", text),
+    "a token a line": lambda text: re.sub(r"[ \t]+", "\n", text.replace("joint ", "joint_")),
+    "the end of DOS": lambda text: text + "\x1a\0\0",
     "scientific": lambda text: re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.12E}", text),
     "wrapped rows": lambda text: wrapped(text),
     "blank lines": lambda text: text.replace("\n", "\n \n"),
@@ -192,7 +195,14 @@ def hierarchies(draw: st.DrawFn) -> list[Node]:
         turns = [name for name in names if name.endswith("rotation")]
         channels = {"none": [], "one": turns[:1], "rotations": turns, "all": names}[kind]
         offset = tuple(draw(st.floats(1, 9).map(lambda value: round(value, 3))) for _ in range(3))
-        nodes.append(Node(f"joint {at}", draw(st.integers(0, at - 1)) if at else -1, offset, tuple(channels)))
+        nodes.append(
+            Node(
+                f"joint{draw(st.sampled_from([' ', '_']))}{at}",
+                draw(st.integers(0, at - 1)) if at else -1,
+                offset,
+                tuple(channels),
+            )
+        )
     return nodes
 
 
@@ -206,9 +216,10 @@ def test_a_hierarchy_is_the_same_motion_in_every_spelling(nodes: list[Node], spe
     assert (source.rate_hz, source.notes) == (120.0, ())
     positions, _ = source.to_motion(metres_per_unit=1.0, rate_hz=120.0).world()
     wanted = world_of_file(text)
-    assert set(source.skeleton.joint_names) == set(wanted)
+    names = {name.replace("joint ", "joint_"): name for name in wanted}
+    assert {name.replace("joint ", "joint_") for name in source.skeleton.joint_names} == set(names)
     for at, name in enumerate(source.skeleton.joint_names):
-        np.testing.assert_allclose(positions[:, at], wanted[name], atol=1e-6)
+        np.testing.assert_allclose(positions[:, at], wanted[names[name.replace("joint ", "joint_")]], atol=1e-6)
 
 
 def test_the_plain_reading_agrees_with_a_hand_made_case() -> None:

@@ -17,6 +17,7 @@ column `status` says where a keypoint comes from: annotated, detected, tracked, 
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from pasdedeux.formats.annotated_frames import (
     KeypointStatus,
     get_keypoint_layout,
 )
-from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange, number_people
+from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange, names_in_order, number_people
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.text import MISSING, Lines, parse_integer, parse_number, shorten
 from pasdedeux.plain_text import csv_line, from_cell
@@ -66,7 +67,7 @@ def read_annotation_csv(
                 case "focal_px":
                     focal_px = parse_number(value, "the focal length", *FOCAL_PX)
         for row in lines.table(_NEEDED, COLUMNS)[1]:
-            frame, word = parse_integer(row["frame"], "frame"), row.get("person", "0")
+            frame, word = parse_integer(_whole(row["frame"]), "frame"), _whole(row.get("person", "0"))
             person = word if any(map(str.isalpha, word)) else parse_integer(word, "person")
             joints = people.setdefault((from_cell(row.get("sequence", "")) or sequence_id, frame, person), {})
             if row["joint"] in joints:
@@ -76,7 +77,7 @@ def read_annotation_csv(
             joints[row["joint"]] = (x, y, confidence, _status_of(row["status"]) if "status" in row else math.nan)
     if not people:
         raise FormatError("this annotation table has no rows")
-    names = tuple(dict.fromkeys(name for joints in people.values() for name in joints))
+    names = names_in_order(name for joints in people.values() for name in joints)
     missing = (math.nan, math.nan, 0.0, float(KeypointStatus.MISSING))
     detections = []
     for (sequence, frame, person), joints in people.items():
@@ -126,6 +127,11 @@ ANNOTATION_CSV = AnnotationFormat(
     read_file=read_annotation_csv,
 )
 """Our CSV: it may state layout, image size and rate."""
+
+
+def _whole(word: str) -> str:
+    """Return a whole number without the `.0` that tables of floats give it."""
+    return re.sub(r"(?<=\d)\.0+$", "", word)
 
 
 def _status_of(word: str) -> int:

@@ -20,7 +20,7 @@ from pasdedeux.formats.annotated_frames import (
     KeypointStatus,
     get_keypoint_layout,
 )
-from pasdedeux.formats.detections import Detection, join_detections
+from pasdedeux.formats.detections import Detection, join_detections, names_in_order
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
@@ -67,7 +67,7 @@ def read_cvat(
         sizes[""] = _size(stated.findtext("width", ""), stated.findtext("height", ""), "annotation 0: original_size")
     if not rows:
         raise FormatError("this CVAT file is empty: it holds no skeletons")
-    names = tuple(dict.fromkeys(name for points in rows.values() for name in points))
+    names = names_in_order(name for points in rows.values() for name in points)
     missing = (np.nan, np.nan, 0.0, KeypointStatus.MISSING)
     detections = []
     for (video, frame, person), points in rows.items():

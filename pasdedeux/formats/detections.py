@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, count
 from typing import Any
@@ -327,6 +327,23 @@ def _are_numbers(names: Sequence[str]) -> bool:
     return (
         len(values) == len(names) > 1 and len(fronts) == 1 and values == list(range(values[0], values[0] + len(values)))
     )
+
+
+def names_in_order(names: Iterable[str], *, first: int | None = None) -> tuple[str, ...]:
+    """Return names of joints, each once; where they are numbers, as `3` or `point-3`, counted up without gaps.
+
+    Args:
+        names: Names in any order.
+        first: Number of the first joint; None for 0 where it is there, else 1.
+    """
+    different = tuple(dict.fromkeys(names))
+    numbers = [re.fullmatch(r"(\D*)(\d{1,3})", name.strip()) for name in different]
+    if not different or not all(numbers) or len({match[1] for match in numbers if match}) > 1:
+        return different
+    by_number = {int(match[2]): name for name, match in zip(different, numbers, strict=True) if match}
+    front = next(match[1] for match in numbers if match)
+    start = min(1, *by_number, 1) if first is None else first
+    return tuple(by_number.get(number, f"{front}{number}") for number in range(start, max(by_number) + 1))
 
 
 def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tuple[str, ...]]:

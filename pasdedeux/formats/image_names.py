@@ -32,6 +32,9 @@ _HEX = re.compile(r"[0-9a-f]{6,}", re.IGNORECASE)
 _WORD = re.compile(r"[0-9A-Za-z]+")
 _CAMERA = re.compile(r"(?:cam|camera|view|kinect)[\W_]*$", re.IGNORECASE)
 _FRAME = re.compile(r"(?<![A-Za-z])(?:frames?|frm|fr|f)[\W_]*$", re.IGNORECASE)
+_PHOTOGRAPH = re.compile(r"(?:_?dsc[nf]?|img|pxl|p|photo|pic|picture|dcim)[\W_]*$", re.IGNORECASE)
+_COLLECTED_DIGITS = 12
+"""How cameras name photographs, and how COCO numbers them."""
 _DATE = re.compile(r"(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:[0-2]\d|3[01])")
 
 
@@ -229,11 +232,14 @@ def _are_photographs(alike: Sequence[_Name]) -> bool:
 
 
 def _is_sparse(parsed: Sequence[_Name], frames: Sequence[int]) -> bool:
-    """Tell whether numbers of one video, which names do not call frames, lie far apart and unevenly."""
+    """Tell whether names are of photographs, as cameras or COCO give them, numbered far apart and unevenly."""
+    are_given = all(
+        _PHOTOGRAPH.match(one.texts[0]) or (not any(one.texts) and len(one.numbers[0]) == _COLLECTED_DIGITS)
+        for one in parsed
+    )
     gaps = [later - earlier for earlier, later in pairwise(frames)]
-    is_called_frame = any(_FRAME.search(text) for text in parsed[0].texts)
     is_even = not gaps or (min(gaps) > 1 and not any(gap % min(gaps) for gap in gaps))
-    return not is_even and not is_called_frame and sorted(gaps)[len(gaps) // 2] > _MAX_MEDIAN_GAP
+    return are_given and not is_even and sorted(gaps)[len(gaps) // 2] > _MAX_MEDIAN_GAP
 
 
 def _stills(parsed: Sequence[_Name]) -> dict[str, Place]:

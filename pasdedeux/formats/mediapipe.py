@@ -20,11 +20,18 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError, named
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import MIN_NAMED, UNKNOWN, Detection, join_detections, known_footage
+from pasdedeux.formats.detections import (
+    MIN_NAMED,
+    UNKNOWN,
+    Detection,
+    join_detections,
+    known_footage,
+    names_in_order,
+)
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.image_names import places_of_names
 from pasdedeux.formats.text import MAX_COUNT, MISSING, Lines, decode, parse_json, parse_number, parse_triples, shorten
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, KeypointLayout
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
 _LIST_KEYS = ("frames", "poses", "results", "data", "landmarks", "pose_landmarks")
@@ -39,9 +46,16 @@ _LANDMARK_KEYS = (
 _SEEN_KEYS = ("visibility", "vis", "v", "confidence", "score", "likelihood", "conf")
 _AXIS = r"x|y|z|v|vis|visibility|c|s|conf|confidence|score|likelihood|p"
 _COLUMN = re.compile(
-    rf"(?:(?P<who>(?:p|person|player|dancer|id|ind)_?\d+)[_. ])?"
-    rf"(?:(?P<axis>{_AXIS})_?(?P<index>\d{{1,3}})|(?P<name>.+?)[_. ](?P<of>{_AXIS})|(?P<by>[xyv])_(?P<of_name>[^\d].+))"
+    rf"(?:(?P<who>(?:p|person|player|dancer|id|ind)_?\d+)[_.: -])?"
+    rf"(?:(?P<axis>{_AXIS})_?(?P<index>\d{{1,3}})|(?P<name>.+?)[_.: -](?P<of>{_AXIS})"
+    rf"|(?P<by>{_AXIS})_(?P<of_name>\D.+?))"
+    r"(?:_px)?"
 )
+_LISTS = re.compile(
+    r"(?:\[\s*(?:\[\s*\]\s*,\s*)*){2,5}(?:-?\d|null|NaN)"
+    r'|\{\s*"[^"]*\d[^"]*"\s*:\s*(?:\[\s*){1,4}[\]\d-]'
+)
+"""How JSON of bare lists of numbers begins: lists of frames, or an object of them by number or image."""
 
 
 def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
@@ -75,9 +89,10 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLa
 def _is_mediapipe(start: FileStart) -> bool:
     """Tell whether the file is JSON of landmarks or of lists of points, or a table whose columns are theirs."""
     if start.is_json:
-        is_lists = re.match(r'(\[\s*){3,5}(-?\d|null|NaN)|\{\s*"\d+"\s*:\s*(\[\s*){0,4}[\]\d-]', start.text) is not None
+        if start.has_key("people"):
+            return False
         has_points = start.has_points or start.has_key("landmarks", "pose_landmarks")
-        return is_lists or (has_points and not start.has_key("people"))
+        return has_points or (_LISTS.match(start.text) is not None and not start.has_key("annotations", "image_id"))
     if start.columns[0] == "scorer":
         return True
     keys = {_plain(column) for column in start.columns}
@@ -105,9 +120,15 @@ def _of_frames(content: Any) -> Iterator[Detection]:
     """Yield the people of JSON: a list of frames, an object with one, an object by frame numbers, or one frame."""
     frames = content
     if isinstance(content, dict):
-        is_by_number = all(re.fullmatch(r"[0-9]{1,9}", key) for key in content)
-        numbered = [{"frame": int(key), "landmarks": one} for key, one in content.items()] if is_by_number else None
-        frames = next((content[key] for key in _LIST_KEYS if isinstance(content.get(key), list)), numbered)
+        are_frames = all(isinstance(one, list) and re.search(r"\d", key) for key, one in content.items())
+        are_numbers = all(re.fullmatch(r"[0-9]{1,9}", key) for key in content)
+        places = (
+            {key: ("", int(key)) for key in content} if are_numbers else places_of_names(content if are_frames else ())
+        )
+        named_frames = [{"frame": frame, "landmarks": content[key]} for key, (_, frame) in places.items()]
+        frames = next((content[key] for key in _LIST_KEYS if isinstance(content.get(key), list)), named_frames or None)
+        if len({video for video, _ in places.values()}) > 1:
+            raise FormatError("its names of images are of several videos; give each a file")
     if not isinstance(frames, list):
         raise FormatError("this is no file of landmarks: it has no list of frames")
     for index, frame in enumerate([frames] if _is_pose(frames) else frames):
@@ -134,6 +155,10 @@ def _is_point(value: Any) -> bool:
     return is_numbers and 2 <= len(value) <= 5
 
 
+def _is_nested(value: Any) -> bool:
+    return isinstance(value, list | dict)
+
+
 def _is_pose(value: Any) -> bool:
     """Tell whether a value is the points of one person: a list in order, or an object by name."""
     points = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
@@ -144,7 +169,9 @@ def _poses(value: Any) -> Iterator[tuple[Array, tuple[str, ...] | None]]:
     """Yield the points (K, 3) of everybody in a value, and their names where they have some."""
     if value is None or value in ([], {}):
         return
-    if _is_pose(value):
+    if isinstance(value, list) and len(value) / 3 in LAYOUTS_OF_COUNT and not any(map(_is_nested, value)):
+        yield parse_triples(value, "a list of x, y, confidence"), None
+    elif _is_pose(value):
         points = list(value.values()) if isinstance(value, dict) else value
         names = (
             list(value)
@@ -222,9 +249,7 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
             numbers[key] = lines.number
     if not people:
         raise InputError("this table of landmarks has no rows: nobody was detected")
-    names = tuple(sorted(dict.fromkeys(name for points in people.values() for name in points), key=_by_number))
-    if all(name.isdigit() for name in names):
-        names = tuple(map(str, range(int(names[-1]) + 1)))
+    names = names_in_order((name for points in people.values() for name in points), first=0)
     missing = [math.nan, math.nan, 0.0]
     return [
         Detection(
@@ -290,10 +315,6 @@ def _columns_by_landmark(header: Sequence[str]) -> dict[str, dict[str, tuple[str
 
 def _plain(column: str) -> str:
     return re.sub(r"[\W_]+", "", column.lower())
-
-
-def _by_number(name: str) -> int:
-    return int(name) if name.isdigit() else 0
 
 
 def _value(row: Mapping[str, str], key: str | None) -> float:

@@ -112,12 +112,11 @@ def test_single_photographs_are_numbered_far_apart(names: list[str]) -> None:
     assert {video for video, _ in places_of_names(names).values()} == {""}
 
 
-def test_key_frames_far_apart_but_even_or_called_frames_are_a_video() -> None:
-    for names in (
-        {f"dance_{at}.jpg": ("", at) for at in range(0, 300, 30)},
-        {f"frame_{at}.jpg": ("", at) for at in (3, 70, 155, 290)},
-    ):
-        assert places_of_names(names) == names
+@pytest.mark.parametrize("template", ["dance_{}.jpg", "frame_{}.jpg", "{:04d}.json", "w_{:012d}_keypoints.json"])
+@pytest.mark.parametrize("frames", [range(0, 300, 30), (3, 70, 155, 290)])
+def test_key_frames_far_apart_are_those_of_a_video(template: str, frames: list[int]) -> None:
+    names = {template.format(at): ("", at) for at in frames}
+    assert places_of_names(names) == names
 
 
 @pytest.mark.parametrize(

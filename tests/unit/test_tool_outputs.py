@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
@@ -39,7 +40,9 @@ def wide(people: int, name_of: Callable[[int, str], str], layout: str = "coco17"
 
 def long(people: int, columns: str, row: str) -> str:
     """Return a table with a row for each keypoint."""
-    values = [(f, p, "AB"[p], NAMES[k], *xyc) for f, p, table in listed(people) for k, xyc in enumerate(table.tolist())]
+    values = [
+        (f, p, "AB"[p], NAMES[k], *xyc, k + 1) for f, p, table in listed(people) for k, xyc in enumerate(table.tolist())
+    ]
     return "\n".join([columns, *(row.format(*one) for one in values)])
 
 
@@ -90,6 +93,7 @@ NAMED = [
     for one in ALONE
 ]
 ONE, TWO = wide(1, lambda person, name: name), wide(2, lambda person, name: f"p{person + 1}_{name}")
+ONE_AXIS_FIRST = [re.sub(r"(\w+)_([xyc])\b", r"\2_\1", ONE[0]), *ONE[1:]]
 
 TEXTS = {
     "COCO with confidences as v": coco_of(lambda one, frame, person: one | {"track_id": person}, IMAGES),
@@ -106,6 +110,10 @@ TEXTS = {
     "lists of lists": json.dumps(BY_FRAME),
     "lists of lists of one person": json.dumps(ALONE),
     "lists by frame": json.dumps({str(frame): people for frame, people in enumerate(BY_FRAME)}),
+    "lists by image": json.dumps({f"img ({frame}).jpg": people for frame, people in enumerate(BY_FRAME)}),
+    "flat lists": json.dumps([[[value for point in one for value in point] for one in people] for people in BY_FRAME]),
+    "wide table with axes first, one person": "\n".join(ONE_AXIS_FIRST),
+    "our rows by number of joint": long(2, "frame,person,joint,x,y,confidence", "{0}.0,{1}.0,{7},{4},{5},{6}"),
     "points with names, one person": json.dumps([{"frame": at, "keypoints": one} for at, one in enumerate(NAMED)]),
     "wide table, one person": "\n".join(ONE),
     "wide table in camel case, one person": "\n".join(wide(1, lambda person, name: name.title().replace("_", ""))),

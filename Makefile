@@ -50,7 +50,7 @@ mutants: $(VENV)/.tested
 # Loads files of `pasdedeux reconstruct` into Blender; its module is large and GPL, so it has an environment of its own.
 blender:
 	test -x $(VENV)-blender/bin/python || $(PYTHON) -m venv $(VENV)-blender
-	$(VENV)-blender/bin/python -m pip install --quiet bpy numpy
+	$(VENV)-blender/bin/python -m pip install --quiet bpy numpy usd-core
 	$(VENV)-blender/bin/python tests/blender_check.py $(FILES)
 
 # What a real network sees of real film, and what becomes of it; needs the store of `make demo`.  The network comes with

@@ -2,7 +2,7 @@
 
 Run by hand, `make blender FILES=out`, never by pytest.
 
-Blender's module is large and under the GPL, so it is no dependency: `pip install bpy numpy` in an environment apart.
+Blender's module is large and under the GPL, so it is no dependency: `pip install bpy numpy usd-core` elsewhere.
 """
 
 # ruff: noqa: T201
@@ -12,8 +12,10 @@ import contextlib
 import io
 import json
 import os
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -25,6 +27,19 @@ _BODY22 = ["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
 _BODY22 += [f"{side}_{joint}" for limb in (_LEG, _ARM) for side in ("left", "right") for joint in limb]
 _FROM_BLENDER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Blender's Z is up and its -Y to the front; ours are Y and +Z."""
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Hold back what Blender prints, from Python and from C."""
+    with tempfile.TemporaryFile("w+") as said, contextlib.redirect_stdout(io.StringIO()):
+        kept = os.dup(1)
+        os.dup2(said.fileno(), 1)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
 
 
 def load(path: Path, metres_per_unit: float) -> tuple[bpy.types.Object, str]:
@@ -121,6 +136,61 @@ def check_glb(path: Path) -> None:
                 worst = max(worst, float(np.linalg.norm(place - at)))
     assert worst < _TOLERANCE_M, f"a joint is {1e3 * worst:.2f} mm from where the file has it"
     print(f"{path}: {len(rigs)} people, {len(times)} frames, joints within {1e3 * worst:.4f} mm")
+    if len(times) > 1:
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / "copy.glb"
+            copy.write_bytes(data)
+            run_lines_of_docs(copy)
+            places = [
+                {
+                    tree["nodes"][joint]["name"]: at
+                    for joint, at in nodes_at(tree, tracks, frame, skin["skeleton"]).items()
+                }
+                for frame in range(len(times))
+                for skin in tree["skins"]
+            ]
+            for suffix in (".fbx", ".usdc"):
+                check_converted(copy.with_suffix(suffix), tree["asset"]["extras"]["rate_hz"], places, len(rigs))
+
+
+def run_lines_of_docs(path: Path) -> None:
+    """Convert a GLB by the very lines that the docs print."""
+    page = (Path(__file__).parents[1] / "docs" / "formats-and-units.md").read_text(encoding="utf-8")
+    (lines,) = [text.partition("```")[0] for text in page.split("```python\n")[1:] if "import bpy" in text]
+    assert lines.count('"waltz.glb"') == 1
+    with quiet():
+        exec(compile(lines.replace('"waltz.glb"', repr(str(path))), "docs", "exec"), {})
+
+
+def check_converted(path: Path, rate_hz: float, places: list[dict[str, np.ndarray]], num_people: int) -> None:
+    """Check that a converted file has the rate, and every joint of every frame where the GLB has it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    with quiet():
+        if path.suffix == ".fbx":
+            bpy.ops.import_scene.fbx(filepath=str(path), ignore_leaf_bones=False)
+            found_hz = scene.render.fps / scene.render.fps_base
+        else:
+            script = f"from pxr import Usd; print(Usd.Stage.Open({str(path)!r}).GetTimeCodesPerSecond())"
+            # In a process of its own: Blender holds a USD library too.
+            told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+            found_hz = float(told.stdout)
+            bpy.ops.wm.usd_import(filepath=str(path))
+    assert abs(found_hz - rate_hz) < 1e-3, f"{path.suffix} has {found_hz} Hz in place of {rate_hz}"
+    rigs = sorted((one for one in bpy.data.objects if one.type == "ARMATURE"), key=lambda one: one.name)
+    assert len(rigs) == num_people
+    first = round(min(action.frame_range[0] for action in bpy.data.actions))
+    last = round(max(action.frame_range[1] for action in bpy.data.actions))
+    assert last - first + 1 == len(places) // num_people, f"{path.suffix} has frames {first} to {last}"
+    worst = 0.0
+    for frame in range(last - first + 1):
+        scene.frame_set(first + frame)
+        for person, rig in enumerate(rigs):
+            for name, at in places[frame * num_people + person].items():
+                place = _FROM_BLENDER @ np.array((rig.matrix_world @ rig.pose.bones[name].matrix).translation)
+                worst = max(worst, float(np.linalg.norm(place - at)))
+    assert worst < _TOLERANCE_M, f"{path.suffix}: a joint is {1e3 * worst:.2f} mm from where the GLB has it"
+    print(f"  {path.suffix}: {last - first + 1} frames at {found_hz:g} Hz, joints within {1e3 * worst:.4f} mm")
 
 
 def nodes_at(tree: dict, tracks: dict, frame: int, root: int) -> dict[int, np.ndarray]:

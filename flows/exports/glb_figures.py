@@ -10,10 +10,15 @@ from flows.exports.casts import POSED, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat
 from pasdedeux.formats.glb import GlbPerson, write_glb
 
+_SAID = (
+    "GLB files are in metres, seconds and unit quaternions (x, y, z, w); set the scene of Blender to their rate before "
+    "they are imported, which counts frames at the rate of the scene.",
+)
+
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
     """Write a file for each cast: metres, Y up, the people called A, B, ..., each a skin of capsules."""
-    files = CastFiles(export, out, ("GLB files are in metres, seconds and unit quaternions (x, y, z, w).",))
+    files = CastFiles(export, out, _SAID)
     for cast in casts(export):
         people = [
             GlbPerson(letter, rig.motion, rig.radii_m, rig.positions_m)

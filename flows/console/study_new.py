@@ -39,13 +39,14 @@ _quoted = partial(json.dumps, ensure_ascii=False)
 
 @dataclass(frozen=True)
 class _Person:
-    """The motion file of a person: its length, its digest, what its content shows, what is known of it otherwise."""
+    """The motion file of a person: its length and digest, what its content shows, what is known of it, and notes on it."""
 
     path: Path
     num_frames: int
     sha256: str
     guess: MotionGuess
     known: KnownSource
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     """
     if path.exists():
         raise InputError(f"{path} is there already; choose another name or remove it")
-    sources = [_inspect(file, path.parent) for file in files]
+    sources = [source for file in files for source in _inspect(file, path.parent)]
     people = [source for source in sources if isinstance(source, _Person)]
     videos = [source for source in sources if isinstance(source, _Video)]
     lines = _take_lines(people) if people else []
@@ -96,31 +97,34 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     doubted = (line.removeprefix("# ").partition("#") for line in lines if any(mark in line for mark in _DOUBTS))
     return [
         *(f"found {_said(person)}" for person in people),
+        *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.notes),
         *(f"found 2D poses {one.path}: {one.note}" for one in videos),
         *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
 
 
-def _inspect(path: Path, base: Path) -> _Person | _Video:
-    """Read a file, or a folder of 2D poses."""
+def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
+    """Read everybody of a motion file, or a file or folder of 2D poses."""
     if not path.exists():
         raise InputError(f"file {path} does not exist")
     with named(path.name):
         if path.is_dir():
-            return _read_video(path, base)
+            return [_read_video(path, base)]
         refuse_film([path], path)
         loaded = load_file(path)
         kind = recognise_format(loaded.data)
         if isinstance(kind, AnnotationFormat):
             if kind.is_file_per_frame:
                 raise InputError("a single file of this format is one frame; give the folder")
-            return _read_video(path, base)
+            return [_read_video(path, base)]
         companion = find_companion(path, kind)
-        motion = kind.read(loaded.data, read_again(companion) if companion else b"")
-        sha256, guess = loaded.file.sha256, guess_motion(motion)
+        people, sha256 = [], loaded.file.sha256
         is_fetched = was_fetched(path, sha256)
-        known = known_source(path.name, guess.layout or "", stated_hz=guess.rate_hz, is_fetched=is_fetched)
-        return _Person(path, motion.num_frames, sha256, guess, known)
+        for motion in kind.read_people(loaded.data, read_again(companion) if companion else b""):
+            guess = guess_motion(motion)
+            known = known_source(path.name, guess.layout or "", stated_hz=guess.rate_hz, is_fetched=is_fetched)
+            people.append(_Person(path, motion.num_frames, sha256, guess, known, motion.notes))
+        return people
 
 
 def _read_video(path: Path, base: Path) -> _Video:

@@ -148,6 +148,10 @@ class MotionFormat(FileFormat):
             raise FormatError(f"person {number}: it holds {held}; the take names it more often")
         return self.read_other(data, companion, number)
 
+    def read_people(self, data: bytes, companion: bytes = b"") -> list[SourceMotion]:
+        """Read everybody of a file."""
+        return [self.read_person(number, data, companion) for number in range(self.count_people(data))]
+
     def read_head(self, data: bytes, companion: bytes = b"", *, number: int = 0) -> MotionHead:
         """Return skeleton and length of a person, as `read_person` counts them, after checking the file."""
         if self.head and number == 0:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import io
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flows.console.study_new import write_new_study
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.trc import TRC, read_points, write_trc
 from pasdedeux.skeletons import BODY22
-from tests.builders.source_samples import figure_motion, trc_text
+from tests.builders.bvh_rigs import Node, body_nodes, bvh_of
+from tests.builders.source_samples import c3d_points, figure_motion, trc_text
 
 POSITIONS_M = figure_motion(num_frames=40).world()[0]
 PEOPLE_M = np.stack([POSITIONS_M, POSITIONS_M + np.array([1.0, 0.0, 0.0])], axis=1)
@@ -65,3 +69,49 @@ def test_gaps_and_counts_of_a_trc_are_told() -> None:
         read_points("\n".join(head[:20]))
     with pytest.raises(FormatError, match="line 46: 65 values where 66 are needed"):
         read_points("\n".join([*head, row.rpartition("\t")[0]]))
+
+
+def bvh_of_two() -> bytes:
+    """Return two people below one node, and a frame more than `Frames:` states."""
+    rng = np.random.default_rng(0)
+    text = [
+        bvh_of(nodes := body_nodes(above=[], kinds=(3,), rng=rng, prefix=who), angles_of(nodes, place))
+        for who, place in (("A:", 0.0), ("B:", 90.0))
+    ]
+    trees = "".join(one.partition("HIERARCHY\n")[2].partition("MOTION")[0].replace("ROOT", "JOINT", 1) for one in text)
+    rows = "\n".join(map(" ".join, zip(*(one.strip().split("\n")[-4:] for one in text), strict=True)))
+    tree = f"HIERARCHY\nROOT scene {{\nOFFSET 0 0 0\nCHANNELS 0\n{trees}}}\n"
+    return f"{tree}MOTION\nFrames: 3\nFrame Time: 0.033\n{rows}\n".encode()
+
+
+def angles_of(nodes: list[Node], place: float) -> np.ndarray:
+    """Return four rows in which nothing turns and the root stands at a place along X."""
+    root = {"Xposition": place, "Yposition": 95.0}
+    row = [root.get(channel, 0.0) if node.parent < 0 else 0.0 for node in nodes for channel in node.channels]
+    return np.tile(row, (4, 1))
+
+
+PAIRS = {
+    "pair.c3d": c3d_points("AB"),
+    "pair.trc": trc_text("AB").encode(),
+    "pair.npz": npz(PEOPLE_M),
+    "pair.bvh": bvh_of_two(),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_new_study_of_one_file_has_both_of_its_people(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(PAIRS[name])
+    said = write_new_study(tmp_path / "mine.toml", [tmp_path / name])
+    study = tomllib.loads((tmp_path / "mine.toml").read_text())
+    (take,) = study["ingest"]["takes"]
+    assert take["files"] == [name, name]
+    assert len(take["persons"]) == 2
+    assert sum(line.startswith(f"found {name}") for line in said) == 2
+    notes = [line for line in said if line.startswith(f"note: {name}: ")]
+    assert [note.partition(".bvh: ")[2] for note in notes] == ([] if name != "pair.bvh" else [
+        "it states 3 frames and holds 4, which are read",
+        "its frame time 0.033 is rounded: 30 Hz is taken, not 30.3",
+        "the file holds 2 people, this is the one of 'A:Hips'",
+        "the file holds 2 people, this is the one of 'B:Hips'",
+    ])  # fmt: skip

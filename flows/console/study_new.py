@@ -39,7 +39,7 @@ _quoted = partial(json.dumps, ensure_ascii=False)
 
 @dataclass(frozen=True)
 class _Person:
-    """The motion file of a person: its length and digest, what its content shows, what is known of it, and notes on it."""
+    """Somebody of a motion file: its length, its digest, what its content shows, what is known of it, notes on it."""
 
     path: Path
     num_frames: int

@@ -23,6 +23,7 @@ from pasdedeux.settings import Settings
 
 _NUM_VARIED = 5
 """Numbers that a variation draws; no duet uses more."""
+MIN_DURATION_S = 0.5
 
 
 class DuetStyle(Settings):
@@ -30,7 +31,9 @@ class DuetStyle(Settings):
 
     num_people: ClassVar[int] = 2
 
-    duration_s: float = Field(10.0, ge=0.5, le=600.0, description="Length, seconds; frames lie at 0, 1 / rate, ...")
+    duration_s: float = Field(
+        10.0, ge=MIN_DURATION_S, le=600.0, description="Length, seconds; frames lie at 0, 1 / rate, ..."
+    )
     rate_hz: float = Field(60.0, ge=1.0, le=1000.0, description="Frames per second; any rate samples the same motion")
     heights_m: tuple[float, ...] = Field(
         (1.82, 1.65),

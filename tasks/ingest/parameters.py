@@ -41,8 +41,8 @@ class IngestParameters(Parameters):
     take_seconds: float | None = Field(
         None,
         gt=0,
-        description="Only so much from the start of each take and of each sequence of 2D poses, all of it by default; "
-        "`run --preview`",
+        description="Only so much from the start of each take and of each sequence of 2D poses, all of it by default, "
+        "of built-in duets 0.5 s at least; `run --preview`",
     )
     annotations: tuple[AnnotationOptions, ...] = Field((), description="2D poses of your own")
     videos: tuple[FilmOptions, ...] = Field((), description="Film of your own, with key frames or a detector")

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from flows.exports import EXPORT_FORMATS, Export, export_format, export_reference
 from flows.exports.credits import add_notice
-from flows.exports.overlay_video import Footage
+from flows.exports.overlay_video import Footage, _laid_on
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
@@ -475,6 +475,22 @@ def test_what_is_worse_than_asked_for_lies_apart(store: Store, tmp_path: Path) -
         assert "\nwaltz_same" in units
     with pytest.raises(InputError, match="--verdict is for bvh, glb, c3d, trc, smpl, mp4, not for csv"):
         export_reference(store, text, "csv", tmp_path / "csv", verdict=Level.PASS)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_people_are_laid_on_their_image_the_right_way_up_at_its_scale_and_place(*, together: bool) -> None:
+    """Camera axes have y up, images have it down: two people, whole or one by one, of whom two thirds are given."""
+    people_m = np.random.default_rng(0).normal(0.0, 0.5, (2, 17, 3))
+    drawn_px = [900.0, 500.0] + 240.0 * people_m[..., :2] * [1.0, -1.0]
+    is_given = np.arange(17) % 3 > 0
+    given_px = np.where(is_given[:, None], drawn_px, np.nan)
+    laid_px = _laid_on(people_m, given_px, np.tile(is_given, (2, 1)), together=together)
+    np.testing.assert_allclose(laid_px, drawn_px)
+    apart_px = given_px + np.array([[[0.0, 0.0]], [[300.0, 0.0]]])
+    off_px = np.abs(_laid_on(people_m, apart_px, np.tile(is_given, (2, 1)), together=together) - drawn_px).max(
+        axis=(1, 2)
+    )
+    assert (off_px[0].max() > 1.0) == together, "a pair is laid on as a whole"
 
 
 def test_a_result_is_drawn_on_the_footage_that_is_named(store: Store, tmp_path: Path) -> None:

@@ -97,6 +97,15 @@ def test_a_pair_becomes_takes_poses_annotations_and_cameras(tmp_path: Path, pair
     assert manifests["dance", "random_views"].facts["num_frames"] == 6
 
 
+def test_the_shortest_start_of_takes_is_two_frames_of_files_and_half_a_second_of_duets(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    take = {"id": "dance", "files": list(pair)}
+    shards = planned(takes=[take], duets=[{"name": "hug"}], rate_hz=20.0, take_seconds=0.001)
+    made = run(Store(tmp_path / "store"), [shard for shard in shards if shard.name == "take"])
+    assert {partition: one.facts["num_frames"] for (partition, _), one in made.items()} == {"dance": 1, "hug": 10}
+
+
 def test_virtual_video_shows_the_pose_through_its_stored_camera_unmirrored(
     tmp_path: Path, pair: tuple[Path, Path]
 ) -> None:
@@ -111,6 +120,9 @@ def test_virtual_video_shows_the_pose_through_its_stored_camera_unmirrored(
         ref = manifests["dance", name].ref
         cameras, seen = store.read(ref, "cameras"), store.read(ref, "annotations")
         by_id = {sequence: row for row, sequence in enumerate(cameras["sequence_id"])}
+        x, y, z = cameras["camera_from_world_rotmat"][:, 2].T  # from the people to the camera
+        np.testing.assert_allclose(cameras["yaw_rad"], np.arctan2(x, z), atol=1e-6)
+        np.testing.assert_allclose(cameras["pitch_rad"], np.arcsin(y), atol=1e-6)
         for row in range(0, seen.num_rows, 7):
             camera = by_id[seen["sequence_id"][row]]
             pose = np.flatnonzero(

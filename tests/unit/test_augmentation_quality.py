@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import Augmenter, Source, uniform_variations
+from pasdedeux.augmentation import Augmenter, Source, UserContact, uniform_variations
 from pasdedeux.augmentation.quality import FIGURES, FRAME_LIMITS, FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.figure import limits_of
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from tests.builders.moving_pairs import swaying_pair
@@ -37,6 +38,35 @@ def test_figures_of_a_variant_are_those_of_its_frames_together() -> None:
     assert quality.floor_penetration_m == frames.floor_penetration_m.max()
     assert quality.penetration_m == np.percentile(frames.penetration_m, 95)
     assert variant.frame_verdicts.shape == (FRAMES,)
+
+
+def test_drift_is_that_of_each_kind_of_contact_in_the_frames_in_which_it_is_held() -> None:
+    """Hands drift by 3 cm in ten frames, hand and knee by 2 cm in five, backs by 1 cm in two; plain ones by 9 cm."""
+    apart = np.repeat(swaying_pair(1, apart_m=3.0), 10, axis=0)
+    stated = {"wrist": ("left_wrist", 10, 0.03), "knee": ("right_wrist", 5, 0.02), "spine2": ("spine2", 2, 0.01)}
+    variant, plain, contacts = apart.copy(), apart.copy(), []
+    for other, (own, frames, drift_m) in stated.items():
+        joint_b = other if other == "spine2" else f"left_{other}"
+        contacts.append(UserContact(joint_a=own, joint_b=joint_b, stop_frame=frames))
+        away = normalise(apart[:, 1, BODY22.index(joint_b)] - apart[:, 0, BODY22.index(own)])
+        variant[:, 1, BODY22.index(joint_b)] += drift_m * away
+        plain[:, 1, BODY22.index(joint_b)] += 0.09 * away
+    source = Source(apart, 30.0)
+    quality, frames_of = QualityMeter(source, contacts).measure(
+        points_of(variant),
+        reference=points_of(plain),
+        bone_scale=np.ones((2, 22)),
+        lengths_m=source.lengths_m.reshape(-1),
+        squared_residual=np.linspace(0.0, 9e-4, 10),
+    )
+    assert quality.num_contact_pairs == 17
+    kinds = quality.contact_drift_extremity_m, quality.contact_drift_mixed_m, quality.contact_drift_body_m
+    assert kinds == pytest.approx((0.03, 0.02, 0.01))
+    assert (quality.contact_drift_m, quality.contact_drift_fk_m) == pytest.approx((0.42 / 17, 0.09))
+    assert quality.contact_drift_p95_m == pytest.approx(0.03)
+    np.testing.assert_allclose(frames_of.contact_drift_m, [*[0.02] * 2, *[0.025] * 3, *[0.03] * 5])
+    assert quality.laplacian_error_m == pytest.approx(np.sqrt(4.5e-4))
+    np.testing.assert_allclose(frames_of.laplacian_error_m[[0, -1]], [0.0, 0.03])
 
 
 def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:

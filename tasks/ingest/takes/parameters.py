@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
-from pasdedeux.choreography.duet import DuetStyle
+from pasdedeux.choreography.duet import MIN_DURATION_S, DuetStyle
 from pasdedeux.choreography.duets import DUETS, draw_styles
 from pasdedeux.figure import complete_limits, limits_of
 from pasdedeux.formats.registry import MOTION_FORMATS
@@ -180,7 +180,7 @@ class DuetEntry(Parameters):
 
     name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
     id: str | None = Field(None, pattern=ID, max_length=100, description="Name of the take; the duet's name by default")
-    duration_s: float = Field(10.0, ge=0.5, le=600.0, description="Length, seconds")
+    duration_s: float = Field(10.0, ge=MIN_DURATION_S, le=600.0, description="Length, seconds")
     count: int | None = Field(
         None,
         ge=1,

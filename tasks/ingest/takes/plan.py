@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from pasdedeux.choreography.duet import MIN_DURATION_S
 from pasdedeux.choreography.duets import style_of
 from pasdedeux.errors import InputError, named
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
@@ -152,7 +153,9 @@ def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOpt
     style_of(duet.name, **duet.settings)
     take_id = duet.take_id
     if parameters.take_seconds is not None:
-        duet = duet.model_copy(update={"duration_s": min(duet.duration_s, parameters.take_seconds)})
+        duet = duet.model_copy(
+            update={"duration_s": min(duet.duration_s, max(parameters.take_seconds, MIN_DURATION_S))}
+        )
     parameters_of_shard = DuetParameters(
         take_id=take_id,
         rate_hz=parameters.rate_hz,

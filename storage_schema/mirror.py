@@ -13,6 +13,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import io
+import json
 import os
 import re
 import shutil
@@ -28,6 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from storage_schema.bucket import AT_ONCE, RemoteStore
+from storage_schema.columns import is_plain_name
 from storage_schema.durable import lock_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
 from storage_schema.keys import file_sha256
@@ -43,6 +45,8 @@ _RECORD = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
 _DATASET = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
 """What has a place in a mirror; whatever else is put into the bucket is left alone."""
 _DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
+_MAX_DATASET_BYTES = 200_000_000
+"""Largest tar file of a dataset: its list, card, study and environment."""
 _TIMES = 2
 """A part whose bytes are not those of its name is asked for so often."""
 _YOUNG = timedelta(hours=1)
@@ -294,12 +298,13 @@ class Mirror:
                 continue
             with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
                 try:
-                    with tarfile.open(fileobj=io.BytesIO(self.remote.read(entry["path"]))) as file:
-                        file.extractall(staging.path / "new", filter="data")
+                    if entry["size"] > _MAX_DATASET_BYTES:
+                        raise tarfile.TarError(f"it is larger than {_MAX_DATASET_BYTES / 1e6:.0f} MB")
+                    _unpack(self.remote.read(entry["path"]), staging.path / "new")
                 except FileNotFoundError:
                     continue  # removed since it was listed
-                except tarfile.TarError:
-                    raise CorruptArtifact(f"{self.url}/{entry['path']} is not a dataset: it is no tar file") from None
+                except tarfile.TarError as error:
+                    raise CorruptArtifact(f"{self.url}/{entry['path']} is not a dataset: {error}") from None
                 os.utime(staging.path / "new", ns=(_mark(entry), _mark(entry)))
                 make_folder(folder.parent)
                 with suppress(FileNotFoundError):
@@ -404,6 +409,28 @@ def _is_same(path: Path, entry: ObjectMeta) -> bool:
             os.utime(path, ns=(_mark(entry), _mark(entry)))
         return is_same
     return False
+
+
+def _unpack(data: bytes, folder: Path) -> None:
+    """Write the files of a dataset's tar, which is not compressed, so that no more comes out of it than it has bytes.
+
+    Raises:
+        tarfile.TarError: It is none, or holds something else than files side by side.
+    """
+    folder.mkdir()
+    try:
+        with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
+            for member in archive:
+                name = member.name.removeprefix("./")
+                if member.isdir() and name == ".":
+                    continue
+                is_file = member.isreg() and not member.issparse()
+                if not is_file or not is_plain_name(name) or name.startswith(".") or (folder / name).exists():
+                    raise tarfile.TarError(f"it holds {json.dumps(member.name)[:80]}, which is no file of a dataset")
+                content = archive.extractfile(member)
+                (folder / name).write_bytes(b"" if content is None else content.read())
+    except tarfile.ReadError:
+        raise tarfile.TarError("it is no tar file as this program writes it, without compression") from None
 
 
 def _anonymous(file: tarfile.TarInfo) -> tarfile.TarInfo:

@@ -545,6 +545,73 @@ def test_what_another_process_brings_while_a_mirror_is_refreshed_stays(
     assert len(list(mirror.root.glob("*/??/*/manifest.json"))) == 2
 
 
+def packed(mode: str, *members: tuple[tarfile.TarInfo, bytes]) -> bytes:
+    """Return a tar file of the bucket."""
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode=mode) as file:  # type: ignore[call-overload]
+        for member, content in members:
+            member.size = len(content)
+            file.addfile(member, io.BytesIO(content))
+    return data.getvalue()
+
+
+def member_of(name: str, kind: bytes = tarfile.REGTYPE, target: str = "") -> tarfile.TarInfo:
+    member = tarfile.TarInfo(name)
+    member.type, member.linkname = kind, target
+    return member
+
+
+def sparse(size: int) -> bytes:
+    """Return a tar file of a few bytes that would unpack to this size."""
+    member = member_of("card.md")
+    member.pax_headers = {
+        "GNU.sparse.major": "1",
+        "GNU.sparse.minor": "0",
+        "GNU.sparse.name": "card.md",
+        "GNU.sparse.realsize": str(size),
+    }
+    return packed("w", (member, b"1\n0\n512\n".ljust(512, b"\0") + b"x" * 512))
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (packed("w:gz", (member_of("card.md"), b"\0" * 50_000_000)), "without compression"),
+        (packed("w:xz", (member_of("card.md"), b"\0" * 50_000_000)), "without compression"),
+        (sparse(10**12), "no file of a dataset"),
+        (packed("w", (member_of("../card.md"), b"a")), "no file of a dataset"),
+        (packed("w", (member_of("/tmp/card.md"), b"a")), "no file of a dataset"),
+        (packed("w", (member_of("a/card.md"), b"a")), "no file of a dataset"),
+        (packed("w", (member_of(".hidden"), b"a")), "no file of a dataset"),
+        (packed("w", (member_of("a\x1b]0;b"), b"a")), "no file of a dataset"),
+        (packed("w", (member_of("card.md", tarfile.SYMTYPE, "/etc/passwd"), b"")), "no file of a dataset"),
+        (packed("w", (member_of("card.md", tarfile.LNKTYPE, "/etc/passwd"), b"")), "no file of a dataset"),
+        (packed("w", (member_of("card.md", tarfile.FIFOTYPE), b"")), "no file of a dataset"),
+        (packed("w", (member_of("card.md"), b"a"), (member_of("./card.md"), b"b")), "no file of a dataset"),
+    ],
+    ids=["gz", "xz", "sparse", "above", "root", "folder", "hidden", "escape", "symlink", "link", "pipe", "twice"],
+)
+def test_a_tar_of_the_bucket_holds_plain_files_and_no_more_than_it_has_bytes(
+    data: bytes, why: str, server: S3Server, tmp_path: Path
+) -> None:
+    RemoteStore(server.place).create("datasets/toys@1", data)
+    with pytest.raises(StorageError, match=rf"datasets/toys@1 is not a dataset: .*{why}"):
+        Store(server.place).refresh()
+    mirror = Store(server.place).mirror
+    assert mirror is not None
+    assert not list((mirror.root / "datasets").glob("*"))
+
+
+def test_a_tar_of_the_bucket_has_a_limit_of_size(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = packed("w", (member_of("card.md"), b"a" * 2000))
+    RemoteStore(server.place).create("datasets/toys@1", data)
+    monkeypatch.setattr("storage_schema.mirror._MAX_DATASET_BYTES", len(data) - 1)
+    with pytest.raises(StorageError, match="is larger than 0 MB"):
+        Store(server.place).refresh()
+    monkeypatch.setattr("storage_schema.mirror._MAX_DATASET_BYTES", len(data))
+    Store(server.place).refresh()
+
+
 def test_a_commit_that_is_cut_off_shows_nothing(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 0.0)
     server.fault = lambda method, path: "error" if method == "PUT" and "/parts/" in path else ""

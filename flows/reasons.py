@@ -13,7 +13,7 @@ from tasks.facts import TakeFacts, facts_of
 from tasks.stage import Shard, Stage
 
 _MAX_NAMED = 3  # differences named one by one; more are counted
-_MAX_CHARACTERS = 40  # of a value that is shown
+MAX_CHARACTERS = 40  # of a value that is shown
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def changed_leaves(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str =
 
 def shorten(text: str) -> str:
     """Return a text as it is shown: the beginning of a long one."""
-    return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
+    return text if len(text) <= MAX_CHARACTERS else text[: MAX_CHARACTERS - 3] + "..."
 
 
 def _described(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:

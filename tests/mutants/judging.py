@@ -64,23 +64,34 @@ class Tests:
         """Return the tests that run the statement of a mutant, the quick ones first.
 
         A statement outside functions runs when its module is imported: its tests are those that run a function of the
-        module, then those that run one of a module that imports it.
+        module, then of those that import it, and of those that import these, until there are some.
         """
         inside, lines = _statement(root / mutant.file, mutant.line)
         if inside:
-            return self._in_order({test for line in lines for test in self._by_line.get((mutant.file, line), ())})
-        near = self._of_functions(root, mutant.file)
-        far = {test for file in _importers(root, mutant.file) for test in self._of_functions(root, file)}
-        return self._in_order(near) + self._in_order(far - near)
+            tests = {test for line in lines for test in self._by_line.get((mutant.file, line), ())}
+            return self._in_order(tests, mutant.file)
+        ordered: list[str] = []
+        files, known = [mutant.file], {mutant.file}
+        while files:
+            found = {test for file in files for test in self._of_functions(root, file)} - set(ordered)
+            ordered += self._in_order(found, mutant.file)
+            if ordered and mutant.file not in files:
+                break
+            files = list({other for file in files for other in _importers(root, file)} - known)
+            known |= set(files)
+        return ordered
 
     def _of_functions(self, root: Path, file: str) -> set[str]:
         lines = _lines_of_functions(root / file)
         return {test for line in lines for test in self._by_line.get((file, line), ())}
 
-    def _in_order(self, tests: set[str]) -> list[str]:
-        """Put quick tests first, those of files that have many of them before others, and further cases last."""
+    def _in_order(self, tests: set[str], module: str) -> list[str]:
+        """Put quick tests first, further cases last; before others, files named like the module, or with many tests."""
+        words = set(re.findall("[a-z0-9]+", module))
         files = Counter(test.partition("::")[0] for test in tests)
-        places = {file: place for place, (file, _) in enumerate(sorted(files.items(), key=lambda of: (-of[1], of[0])))}
+        alike = {file: len(words & set(re.findall("[a-z0-9]+", Path(file).stem))) for file in files}
+        ranked = sorted(files, key=lambda file: (-alike[file], -files[file], file))
+        places = {file: place for place, file in enumerate(ranked)}
         cost = {test: self.seconds[test] + FILE_S * places[test.partition("::")[0]] for test in tests}
         cases: Counter[str] = Counter()
         order = []

@@ -6,8 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from flows.planning import Selection
+from flows.reasons import MAX_CHARACTERS, shorten
 from tests.builders.toy_runs import call, run_toys, write_study
 
 
@@ -82,3 +85,10 @@ def test_a_dataset_differs_from_an_older_run_as_its_own_run_does(
         "scores: 0 of",
     ):
         assert words in out
+
+
+@given(st.text(max_size=3 * MAX_CHARACTERS))
+def test_a_text_is_shown_as_it_is_or_its_beginning_as_long_as_allowed(text: str) -> None:
+    shown = shorten(text)
+    assert len(shown) == min(len(text), MAX_CHARACTERS)
+    assert shown == text or text.startswith(shown.removesuffix("..."))

@@ -39,7 +39,6 @@ from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import KeypointStatus
 from pasdedeux.skeletons import BODY22, PAIR17
-from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Manifest, Store, new_run
 from tasks.curation import Choosing
@@ -50,6 +49,7 @@ from tasks.ingest.film.run import find_videos
 from tasks.stage import SourceFile
 from tasks.user_files import digest_of
 from tests.builders.ingest_runs import duet_store, planned, run
+from tests.builders.moving_pairs import swaying_pair
 from tests.builders.mp4_boxes import with_durations
 from tests.builders.painted_film import painted, write_keys
 from tests.builders.rendered_film import write_film
@@ -85,15 +85,23 @@ def test_a_rod_reaches_from_one_end_of_its_capsule_to_the_other() -> None:
     assert (found.balls_scale.reshape(40, 2)[2] == 0.0).all(), "who is not there has no size"
 
 
-def test_bodies_that_overlap_are_marked_where_they_do_and_far_ones_nowhere() -> None:
-    person = np.array([t_pose(name) for name in BODY22.joint_names]) * 1.7
-    for away, is_near in ((0.1, True), (5.0, False)):
-        pair = np.stack([person, person + np.array([0.0, 0.0, away])])
-        bodies = Bodies(People(BODY22, pair[None]))
-        _, through = marks(BODY22, pair, bodies.radii_m)
-        assert bool(len(through)) is is_near
-        if is_near:
-            assert np.abs(through[:, 2] - away / 2).max() < 0.1
+def test_bodies_that_overlap_are_marked_between_their_bones_and_far_ones_nowhere() -> None:
+    pair = swaying_pair(1, apart_m=0.3)[0]
+    pair[1, :, 0] += 0.07  # limbs cross, none lies along another
+    radii = Bodies(People(BODY22, pair[None])).radii_m
+    _, through = marks(BODY22, pair, radii)
+    assert len(through) > 3
+    parents = np.maximum(BODY22.parents, 0)
+    for person in pair:
+        ends, bones = person[parents], person - person[parents]
+        reach = ((through[:, None] - ends) * bones).sum(axis=-1) / np.maximum((bones**2).sum(axis=-1), 1e-12)
+        nearest = ends + np.clip(reach, 0.0, 1.0)[..., None] * bones
+        away = np.linalg.norm(through[:, None] - nearest, axis=-1)
+        assert (away - radii.max(axis=0)).min(axis=1).max() < 0.015, (
+            "the middle of two axes, of a thick and a thin limb"
+        )
+    pair[1, :, 2] += 5.0
+    assert not len(marks(BODY22, pair, radii)[1])
 
 
 def test_rows_in_any_order_become_frames_of_people_and_who_is_missing_is_not_drawn() -> None:

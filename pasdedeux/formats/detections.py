@@ -160,7 +160,7 @@ def join_detections(
         raise FormatError(f"{detections[row].where}: a confidence lies outside 0..{MAX_CONFIDENCE:g}")
     people, has_identities, remarks = number_people(detections)
     names_of = _sequence_names(sequence_id, {one.place[0] for one in detections})
-    is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)
+    is_seen = _is_seen(table)
     return AnnotatedFrames.of(
         arranged.layout,
         sequence_id=tuple(names_of[one.place[0]] for one in detections),
@@ -209,7 +209,9 @@ def arrange(
     all_names = max(named, key=lambda names: len(names or ())) or ()
     known = layout_of_names(all_names) if layout == "auto" else get_keypoint_layout(layout)
     num_named = known.num_named(all_names)
-    if num_named == 0 and layout != "auto" and len(all_names) == known.num_keypoints:
+    # A layout of the user's own has the order of the file, whatever the file calls its joints.
+    is_by_order = num_named == 0 or (not isinstance(layout, str) and num_named < len(all_names))
+    if layout != "auto" and is_by_order and len(all_names) == known.num_keypoints:
         return _of_numbers(detections, layout, may_be_cut=may_be_cut)
     if layout == "auto" and num_named < MIN_NAMED:
         raise FormatError(
@@ -274,10 +276,14 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
     return Arranged(asked, table, np.array(statuses) if len(statuses) == len(detections) else None)
 
 
+def _is_seen(table: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Return which keypoints (row, K) of x, y, confidence (row, K, 3) are detected: not those at the origin."""
+    return (np.nan_to_num(table[..., 2]) > 0) & (table[..., :2] != 0).any(axis=-1)
+
+
 def _begins_with_face(table: npt.NDArray[np.float64]) -> bool:
     """Tell whether the first points (row, K, 3) are MediaPipe's face: all near the nose, unlike the shoulders."""
-    is_seen = (table[..., 2] > 0) & (table[..., :2] != 0).any(axis=-1)
-    points = np.where(is_seen[..., None], table[..., :2], np.nan)
+    points = np.where(_is_seen(table)[..., None], table[..., :2], np.nan)
     far = np.linalg.norm(points - points[:, :1], axis=-1)
     ears = (0, 7, 8)  # turned away, these are half as far as a shoulder
     face, shoulders = np.delete(far[:, :_NUM_FACE], ears, axis=1), far[:, _NUM_FACE : _NUM_FACE + 2]
@@ -296,9 +302,8 @@ def _most_like_people(layouts: Sequence[KeypointLayout], table: npt.NDArray[np.f
     """
     if len(layouts) == 1:
         return layouts[0]
-    points, confidence = table[..., :2], np.nan_to_num(table[..., 2])
-    confidence = np.where((points != 0).any(axis=-1), confidence, 0.0)
-    lengths = {one.name: stretch(one.name, points, confidence) for one in layouts}
+    confidence = np.where(_is_seen(table), table[..., 2], 0.0)
+    lengths = {one.name: stretch(one.name, table[..., :2], confidence) for one in layouts}
     told = sorted((lengths[one.name], one.name) for one in layouts if np.isfinite(lengths[one.name]))
     if told and told[0][0] <= MAX_STRETCH and all(told[0][0] < CLEARLY_SHORTER * length for length, _ in told[1:]):
         return KEYPOINT_LAYOUTS[told[0][1]]

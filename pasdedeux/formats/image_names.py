@@ -27,7 +27,8 @@ _NUMBER = re.compile(r"\d{1,3}(?:[,']\d{3})+(?!\d)|\d+")
 _GROUPED = re.compile(r"\d{1,3}(?:[,'_. ]\d{3})+(?!\d)|\d+")
 """Numbers with thousands apart: with points, blanks and underscores only where names have one template for it."""
 _SUFFIX = re.compile(r"\.(?=[0-9]*[A-Za-z])[A-Za-z0-9]{1,5}$")
-_ROBOFLOW = re.compile(r"\.rf\.[0-9A-Za-z]+")
+_RANDOM = re.compile(r"\.rf\.[0-9A-Za-z]+|[0-9a-f]{8}-(?:[0-9a-f]{4}-){3}[0-9a-f]{12}", re.IGNORECASE)
+"""Digests of Roboflow's files, and universally unique identifiers."""
 _HEX = re.compile(r"[0-9a-f]{6,}", re.IGNORECASE)
 _WORD = re.compile(r"[0-9A-Za-z]+")
 _CAMERA = re.compile(r"(?:cam|camera|view|kinect)[\W_]*$", re.IGNORECASE)
@@ -135,7 +136,7 @@ def _parse(folders: Mapping[str, str], number: re.Pattern[str]) -> list[_Name]:
     stems = {}
     for name in folders:
         base = name.replace("\\", "/").rpartition("/")[2]
-        stems[name] = _ROBOFLOW.sub("", _SUFFIX.sub("", base))
+        stems[name] = _RANDOM.sub("", _SUFFIX.sub("", base))
     words = [_WORD.findall(stem) for stem in stems.values()]
     columns = list(zip(*words, strict=True)) if len(set(map(len, words))) == 1 else []
     random = {place for place, column in enumerate(columns) if _is_random(column)}

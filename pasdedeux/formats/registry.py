@@ -64,7 +64,7 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     holds = f"text that begins with '{shown}'" if shown else "binary data"
     raise FormatError(
         f"this file is none of the known formats, it holds {holds}; motions are read from BVH, ASF/AMC, C3D, TRC and "
-        "npz, 2D poses from JSON, CSV, XML and npz (docs/formats-and-units.md)"
+        "npz, 2D poses from JSON, CSV, XML, text of YOLO and npz (docs/formats-and-units.md)"
     )
 
 

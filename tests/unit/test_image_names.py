@@ -42,6 +42,16 @@ def test_digests_in_names_count_nothing(template: str) -> None:
     assert list(places_of_names(names).values()) == [("", at) for at in (7, 8, 9, 10, 12)]
 
 
+def test_unique_identifiers_in_names_count_nothing() -> None:
+    ids = (
+        "3f2504e0-4f89-11d3-9a0c-0305e82c3301",
+        "6f9619ff-8b86-d011-b42d-00cf4fc964ff",
+        "12345678-1234-1234-1234-123456789012",
+    )
+    names = {f"{one}_{at}.png": ("", at) for at, one in enumerate(ids, start=4)}
+    assert places_of_names(names) == names
+
+
 _TEXT = st.text("abcxyzFG_-. ()@", max_size=6)
 _FIXED = st.lists(st.tuples(_TEXT, st.integers(0, 9999)), max_size=2)
 

@@ -15,6 +15,8 @@ from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.annotation_npz import read_annotation_npz
 from pasdedeux.formats.coco import read_coco
 from pasdedeux.formats.cvat import read_cvat
+from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, layout_of_names
 from tests.builders.source_samples import person_px
 
@@ -176,3 +178,20 @@ def test_few_numbers_that_fit_several_layouts_are_refused_where_none_is_usual() 
 def test_every_layout_is_found_by_its_own_names() -> None:
     for layout in KEYPOINT_LAYOUTS.values():
         assert layout_of_names(layout.keypoint_names) is layout
+
+
+def test_a_layout_of_ones_own_takes_names_where_they_are_its_own_and_else_the_order() -> None:
+    theirs = ["head", "l_paw", "r_paw", "waist"]
+    text = (
+        f'keypoints = {theirs}\n[joints]\nhead = "head"\nleft_wrist = "l_paw"\nright_wrist = "r_paw"\npelvis = "waist"'
+    )
+    own, px = read_layout(text), np.array([[[5.0, 1.0], [9.0, 4.0], [1.0, 4.0], [5.0, 8.0]]])
+    joints = [PAIR17.index(name) for name in ("head", "left_wrist", "right_wrist", "pelvis")]
+    for names, order in (
+        (theirs, [0, 1, 2, 3]),
+        (["Waist", "R Paw", "L-Paw", "Head"], [3, 2, 1, 0]),
+        (["a", "b", "c", "d"], [0, 1, 2, 3]),
+    ):
+        text = "\n".join(f"0,{name},{x},{y}" for name, (x, y) in zip(names, px[0][order], strict=True))
+        found = read_annotation_csv(f"frame,joint,x,y\n{text}\n", layout=own)
+        np.testing.assert_array_equal(found.keypoints_px[0, joints], px[0])

@@ -36,6 +36,27 @@ def critical_s(work: Work) -> float:
     return max(ends)
 
 
+ONE_AFTER_THE_OTHER = [Job(2.0), Job(2.0), Job(2.0), Job(after=(0, 1, 2), is_shard=False)]
+LONG_AND_SHORT = [Job(1.0), Job(3.0), Job(3.0, after=(1,)), Job(5.0)]
+
+
+@pytest.mark.parametrize(
+    ("jobs", "num_workers", "wall_s"),
+    [
+        (ONE_AFTER_THE_OTHER, 1, 6.0 + 3 * EACH_S),
+        (ONE_AFTER_THE_OTHER, 3, 2.0 + 3 * DISPATCH_S + OVERHEAD_S),  # handed out one at a time
+        ([Job(1.0)] * 4, 2, 2.0 + 3 * DISPATCH_S + 2 * OVERHEAD_S),
+        (LONG_AND_SHORT, 2, 6.0 + 3 * DISPATCH_S + 2 * OVERHEAD_S),  # 3 s and 3 s, beside 5 s and 1 s
+        (LONG_AND_SHORT, 1, 12.0 + 4 * EACH_S),
+    ],
+)
+def test_the_clock_of_small_works_is_known(jobs: list[Job], num_workers: int, wall_s: float) -> None:
+    cost = estimate_cost(Work(jobs), num_workers)
+    assert cost.wall_s == pytest.approx(wall_s)
+    assert cost.core_hours == pytest.approx(num_workers * wall_s / 3600)
+    assert cost.busy_share == pytest.approx(sum(job.seconds for job in jobs) / (num_workers * wall_s))
+
+
 @given(work=works(), num_workers=st.integers(1, 8))
 def test_the_clock_keeps_the_bounds_of_any_work_that_lets_no_worker_idle(work: Work, num_workers: int) -> None:
     total = sum(job.seconds for job in work.jobs)

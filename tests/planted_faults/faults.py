@@ -276,7 +276,7 @@ FAULTS = (
           "share if share >= MIN_TRUST else 0.0", "1.0 if share > 0.0 else 0.0",
           "unit/test_people_identity.py::test_junk_joints_of_low_confidence_split_nobody"),
     Fault("a joint at the origin is seen", "pasdedeux/formats/detections.py",
-          " & (table[..., :2] != 0).any(axis=-1)", "",
+          "is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)", "is_seen = confidence > 0",
           "unit/test_keypoint_formats.py::test_what_is_at_the_origin_or_has_no_confidence_is_missing"),
     Fault("an archive unpacks to any size", "pasdedeux/formats/npz.py", "if unpacked > most:", "if unpacked < 0:",
           "contract/test_input_formats.py::"
@@ -326,7 +326,7 @@ FAULTS = (
     Fault("the shards before it are not in a shard's key", "tasks/stage.py", "            after=self.after,\n", "",
           "unit/test_tasks_stage.py::test_all_that_decides_a_shard_is_in_its_key_and_where_things_lie_is_not"),
     Fault("the key names inputs by key, so nothing stops a rebuild", "tasks/stage.py",
-          "{name}:{ref.content_digest}", "{name}:{ref.key}",
+          "[ref.content_digest for ref in refs]", "[ref.key for ref in refs]",
           "unit/test_flows_planning.py::test_a_rebuilt_input_with_the_same_bytes_stops_the_rebuild"),
     Fault("lineage is matched by key", "storage_schema/manifest.py", "key: str = field(compare=False)", "key: str",
           "unit/test_flows_publishing.py::"

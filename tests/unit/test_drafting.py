@@ -51,6 +51,47 @@ def test_names_that_say_nothing_leave_the_mapping_of_every_rig(rig: Rig, seed: i
     assert set(limbs) & set(draft.layout("mine").derived) == set(limbs) & set(known.derived)
 
 
+def with_chain(motion: SourceMotion, parent: str, bones: list[np.ndarray]) -> SourceMotion:
+    """Return a motion with further joints, one below the other, that do not turn."""
+    skeleton, count = motion.skeleton, motion.skeleton.num_joints
+    parents = (skeleton.index(parent), *range(count, count + len(bones) - 1))
+    names = tuple(f"x{count + at}" for at in range(len(bones)))
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (motion.num_frames, len(bones), 1))
+    return replace(
+        motion,
+        skeleton=Skeleton("bvh", skeleton.joint_names + names, skeleton.parents + parents),
+        rest_offsets=np.concatenate([motion.rest_offsets, bones]),
+        local_unitquat=np.concatenate([motion.local_unitquat, still], axis=1),
+    )
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_limbs_are_found_in_bodies_of_other_proportions_with_fingers_twists_hair_and_a_sword(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rig = RIGS[int(rng.integers(len(RIGS)))]
+    names, motion = rig.names, rig.source(seed)
+    parts = {name: part for part, name in names.items()}
+    scales = {part.replace("right_", "left_"): rng.uniform(0.87, 1.13) for part in names}
+    factors = np.array([scales[parts[name].replace("right_", "left_")] for name in motion.skeleton.joint_names])
+    factors *= 1.0 + rng.normal(0.0, 0.005, len(factors))  # no two arms are of one length
+    motion = replace(motion, rest_offsets=motion.rest_offsets * factors[:, None])
+
+    def bones(*metres: tuple[float, float, float]) -> list[np.ndarray]:
+        return [rig.matrix @ np.array(bone) / rig.metres_per_unit for bone in metres]
+
+    for side, out in (("left", 1.0), ("right", -1.0)):
+        for across in (-0.03, 0.0, 0.03):
+            finger = bones((out * 0.09, 0.0, across), (out * 0.03, 0.0, 0.0), (out * 0.02, 0.0, 0.0))
+            motion = with_chain(motion, names[f"{side}_wrist"], finger)
+        motion = with_chain(motion, names[f"{side}_elbow"], bones((out * 0.12, 0.0, 0.0)))
+        motion = with_chain(motion, names[f"{side}_hip"], bones((0.0, -0.2, 0.0)))
+    motion = with_chain(motion, names["right_wrist"], bones((-0.1, 0.0, 0.0), (0.0, 0.5, 0.4)))
+    motion = with_chain(motion, names.get("head", names.get("neck", "")), bones((0, 0.1, -0.1), (0, -0.15, 0)))
+    odd, old_names = renamed(motion, seed)
+    found = {part.part: old_names[part.joint] for part in draft_motion(odd).parts if part.joint}
+    assert {part: found.get(part) for part in NEEDED} == {part: names[part] for part in NEEDED}
+
+
 @pytest.mark.parametrize("rig", [rig for rig in RIGS if rig.pose != "random"], ids=lambda rig: rig.name)
 def test_the_rest_pose_is_enough_but_for_the_sides_of_straight_legs_without_toes(rig: Rig) -> None:
     motion = rig.source()

@@ -20,6 +20,10 @@ from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton
 
 _ALIKE = 0.15
 """Difference of two limbs of one body at most, share of their length."""
+_MOST_OF_A_LIMB = 0.6
+"""Share of the shorter one that is alike of two limbs at least."""
+_ARM_OF_LEG = 0.68
+"""Length of upper arm and forearm over that of thigh and shin [Drillis and Contini 1966]."""
 _LIMB = 0.15
 """Length of a limb at least, share of the longest way through the body."""
 _UPPER_TO_LOWER = {"arm": 1.27, "leg": 1.0}
@@ -27,13 +31,13 @@ _UPPER_TO_LOWER = {"arm": 1.27, "leg": 1.0}
 _BEFORE = {"arm": 1.2, "leg": 0.6}
 _AFTER = {"arm": 1.0, "leg": 0.9}
 """Way from the trunk to the limb, and from its end to tips of hand or foot, in lengths of its upper bone, at most."""
-_BENT_COST, _COVER_COST, _FAR_COST, _NO_HEAD_COST, _SHORT_COST = 10.0, 0.1, 2.0, 1.0, 0.5
+_BENT_COST, _COVER_COST, _FAR_COST, _NO_HEAD_COST = 10.0, 0.1, 2.0, 1.0
 _MOST_JOINTS, _MOST_PAIRS = 30, 12
 """Joints of a limb and pairs of limbs that are looked at: more than any body has."""
 _NECK_HEIGHT = 0.13
 """Height over the shoulders, in lengths of the trunk, from which a joint is no base of a neck."""
-_SKULL_AWAY = 0.2
-"""Usual distance of the joint on which the head turns from the base of the neck, in lengths of the trunk."""
+_SKULL_AWAY = 0.1
+"""Distance of the joint on which the head turns from the base of the neck, in lengths of the trunk, at least."""
 _TOE_ACROSS, _BENT = 0.1, 0.03
 """Share of the shin that a foot leads away from its line at least, and of the leg that a bent knee does."""
 _SURE_SIDE = 0.5
@@ -168,8 +172,12 @@ class _Drafting:
         legs, arms = min(people, key=self._cost, default=(None, None))
         parts: dict[str, DraftedPart] = {}
         if legs and arms:
-            limbs = {"leg": [self._limb("leg", branch) for branch in legs]}
-            limbs["arm"] = [self._limb("arm", branch) for branch in arms]
+            leg = self._triple("leg", legs)
+            arm = self._triple("arm", arms, _ARM_OF_LEG * leg.length)
+            limbs = {
+                "leg": [self._limb("leg", branch, leg.places) for branch in legs],
+                "arm": [self._limb("arm", branch, arm.places) for branch in arms],
+            }
             is_left_first, reason, is_sure = self._sides(limbs)
             for kind, (first, second) in limbs.items():
                 ordered = (first, second) if is_left_first[kind] else (second, first)
@@ -237,36 +245,44 @@ class _Drafting:
         for joint in range(self.skeleton.num_joints):
             ways = [self._longest(child) for child in self.skeleton.children(joint)]
             for first, second in combinations([way for way in ways if self._lengths[way].sum() > _LIMB * body], 2):
-                if self._are_alike(first, second):
-                    pairs.append((_Branch((joint, *first)), _Branch((joint, *second))))
+                alike = self._num_alike(first, second)
+                if alike:
+                    pairs.append((_Branch((joint, *first[:alike])), _Branch((joint, *second[:alike]))))
         return sorted(pairs, key=lambda pair: -float(self._lengths[list(pair[0].path[1:])].sum()))[:_MOST_PAIRS]
 
-    def _are_alike(self, first: Sequence[int], second: Sequence[int]) -> bool:
-        """Tell whether two ways are of like bones, up to a hand or foot that one of them lacks."""
-        total = max(self._lengths[first].sum(), self._lengths[second].sum())
+    def _num_alike(self, first: Sequence[int], second: Sequence[int]) -> int:
+        """Return how many bones from the start of two ways are alike; 0 where that is less than a limb.
+
+        One of two hands may have fingers, or hold something.
+        """
         shared = min(len(first), len(second))
-        differences = np.abs(self._lengths[first[:shared]] - self._lengths[second[:shared]])
-        rest = abs(self._lengths[first].sum() - self._lengths[second].sum())
-        return shared >= 3 and bool((differences <= _ALIKE * total).all()) and rest <= 2 * _ALIKE * total
+        bones = self._lengths[list(first[:shared])], self._lengths[list(second[:shared])]
+        total = min(self._lengths[list(way)].sum() for way in (first, second))
+        are_alike = np.abs(bones[0] - bones[1]) <= _ALIKE * np.maximum(*bones) + _ALIKE / 10 * total
+        alike = shared if are_alike.all() else int(np.argmin(are_alike))
+        return alike if alike >= 3 and bones[0][:alike].sum() > _MOST_OF_A_LIMB * total else 0
 
     def _joints(self, pair: _Pair) -> set[int]:
         return {joint for branch in pair for joint in branch.path[1:]}
 
     def _cost(self, people: tuple[_Pair, _Pair]) -> float:
         """Return how little one pair are legs and the other arms: by proportions, and by a head between the arms."""
-        legs, arms = (
-            [self._triple(kind, branch) for branch in pair] for kind, pair in zip(("leg", "arm"), people, strict=True)
-        )
-        are_short = np.mean([limb.length for limb in legs]) < np.mean([limb.length for limb in arms])
-        proportions = sum(limb.cost for limb in (*legs, *arms))
-        return float(proportions + _NO_HEAD_COST * (not self._head(*people)) + _SHORT_COST * are_short)
+        legs = self._triple("leg", people[0])
+        arms = self._triple("arm", people[1], _ARM_OF_LEG * legs.length)
+        return legs.cost + arms.cost + _NO_HEAD_COST * (not self._head(*people))
 
-    def _triple(self, kind: str, branch: _Branch) -> _Triple:
-        """Return the places on a way where a limb starts, bends and ends: straight bones of the usual proportion."""
-        path = list(branch.path)
-        at = np.cumsum(np.concatenate([[0.0], self._lengths[path[1:]]]))
-        apart = self.positions[:, path, None] - self.positions[:, None, path]
-        chords = np.median(np.linalg.norm(apart, axis=-1), axis=0)
+    def _triple(self, kind: str, pair: _Pair, length: float = 0.0) -> _Triple:
+        """Return the places on two ways where a limb starts, bends and ends: straight bones of the usual proportion.
+
+        Args:
+            kind: arm or leg.
+            pair: The ways.
+            length: What the limb should measure, where that is known.
+        """
+        ways = [list(branch.path) for branch in pair]
+        at = np.mean([np.cumsum(np.concatenate([[0.0], self._lengths[way[1:]]])) for way in ways], axis=0)
+        apart = [self.positions[:, way, None] - self.positions[:, None, way] for way in ways]
+        chords = np.mean([np.median(np.linalg.norm(vectors, axis=-1), axis=0) for vectors in apart], axis=0)
 
         def triple(start: int, middle: int, end: int) -> _Triple:
             upper, lower = at[middle] - at[start], at[end] - at[middle]
@@ -276,23 +292,23 @@ class _Drafting:
             far = max(at[start] / upper - _BEFORE[kind], 0.0) + max((at[-1] - at[end]) / upper - _AFTER[kind], 0.0)
             proportion = abs(np.log(upper / lower / _UPPER_TO_LOWER[kind]))
             cover = 1.0 - (upper + lower) / at[-1]
-            cost = proportion + _BENT_COST * bent + _FAR_COST * far + _COVER_COST * cover
+            size = abs(np.log((upper + lower) / length)) if length > 0 else 0.0
+            cost = proportion + size + _BENT_COST * bent + _FAR_COST * far + _COVER_COST * cover
             return _Triple((start, middle, end), float(upper + lower), float(cost))
 
-        return min((triple(*places) for places in combinations(range(1, len(path)), 3)), key=lambda limb: limb.cost)
+        return min((triple(*places) for places in combinations(range(1, len(at)), 3)), key=lambda limb: limb.cost)
 
-    def _limb(self, kind: str, branch: _Branch) -> dict[str, int]:
+    def _limb(self, kind: str, branch: _Branch, places: tuple[int, int, int]) -> dict[str, int]:
         """Return the joints of a limb by their parts, by names where they tell it."""
         path, parts = branch.path, ARM if kind == "arm" else LEG
-        places = list(self._triple(kind, branch).places)
         named = [[at for at in range(1, len(path)) if self._means(path[at]) == {part}] for part in parts]
         told = [found[0] if len(found) == 1 else place for found, place in zip(named, places, strict=True)]
-        places = told if told[0] < told[1] < told[2] else places
-        limb = {part: path[place] for part, place in zip(parts, places, strict=True)}
-        if kind == "arm" and places[0] > 1:
-            limb["collar"] = path[places[0] - 1]
-        if kind == "leg" and places[2] + 1 < len(path):
-            toe = path[places[2] + 1]
+        start, _, end = told = told if told[0] < told[1] < told[2] else list(places)
+        limb = {part: path[place] for part, place in zip(parts, told, strict=True)}
+        if kind == "arm" and start > 1:
+            limb["collar"] = path[start - 1]
+        if kind == "leg" and end + 1 < len(path):
+            toe = path[end + 1]
             shin = self.positions[:, limb["ankle"]] - self.positions[:, limb["knee"]]
             foot = self.positions[:, toe] - self.positions[:, limb["ankle"]]
             across = np.linalg.norm(np.cross(foot, shin), axis=-1) / np.maximum((shin**2).sum(axis=-1), 1e-12)
@@ -316,9 +332,8 @@ class _Drafting:
         front = np.zeros_like(up)
         for leg in limbs["leg"]:
             hip, knee, ankle = (place[:, leg[part]] for part in LEG)
-            front += np.clip(
-                (knee - (hip + ankle) / 2) / np.linalg.norm(hip - ankle, axis=-1, keepdims=True) / _BENT, -1, 1
-            )
+            length = np.maximum(np.linalg.norm(hip - ankle, axis=-1, keepdims=True), 1e-12)
+            front += np.clip((knee - (hip + ankle) / 2) / length / _BENT, -1, 1)
             if "toe" in leg:
                 front += _units(place[:, leg["toe"]] - ankle)
         left = np.cross(up, _units(front - (front * up).sum(axis=-1, keepdims=True) * up))
@@ -349,9 +364,10 @@ class _Drafting:
         base = self.positions[:, necks[0]] if necks else shoulders
         skulls = named["skull"] or [joint for joint in head if joint not in necks[:1]]
         away = {j: float(np.median(np.linalg.norm(self.positions[:, j] - base, axis=-1))) / length for j in skulls}
-        skulls = [joint for joint in skulls if away[joint] > 0]
+        farthest = max(away, key=away.__getitem__, default=-1)
+        skull = next((joint for joint in skulls if away[joint] > _SKULL_AWAY), farthest)
         trunk |= {"neck": necks[0]} if necks else {}
-        return trunk | ({"skull": min(skulls, key=lambda j: abs(np.log(away[j] / _SKULL_AWAY)))} if skulls else {})
+        return trunk | ({"skull": skull} if away.get(skull) else {})
 
     def _head(self, legs: _Pair, arms: _Pair) -> list[int]:
         """Return the longest way between the arms that does not lead to the legs."""

@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from flows.exports import EXPORT_FORMATS, Export, export_format, export_reference
+from flows.exports.casts import casts
 from flows.exports.credits import add_notice
 from flows.exports.overlay_video import Footage, _laid_on
 from pasdedeux.benchmarks.synthetic import random_pairs
@@ -36,6 +37,7 @@ from pasdedeux.learning.baselines import CopyModel
 from pasdedeux.learning.registry import read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.skeletons.working import WORKING_SKELETONS
 from pasdedeux.verdict import Level
 from storage_schema import (
     TABLES,
@@ -47,6 +49,7 @@ from storage_schema import (
     open_table,
     parse_reference,
     record_latest,
+    resolve,
     source_credits,
 )
 from storage_schema.encoding import encode
@@ -225,10 +228,18 @@ def check_trc(paths: list[Path], text: str, store: Store) -> None:
         lines = path.read_text().split("\n")
         head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
         labels = lines[3].split("\t")[2::3]
-        assert (head["Units"], int(head["NumMarkers"])) == ("m", len(labels))
-        assert (labels[0], labels[-1][:2]) == ("A:pelvis", "B:")
+        joints = WORKING_SKELETONS["body22" if len(labels) == 44 else "pair17"].joint_names
+        assert labels == [f"{who}:{joint}" for who in "AB" for joint in joints]
+        assert lines[4].split("\t")[2:] == [f"{axis}{at}" for at in range(1, len(labels) + 1) for axis in "XYZ"]
         rows = np.loadtxt(lines[6:], delimiter="\t", ndmin=2)
-        assert rows[:, 0].tolist() == list(range(1, int(head["NumFrames"]) + 1))
+        rate, count = float(head["DataRate"]), len(rows)
+        is_moving = text.startswith(("poses", "variants", "motions"))
+        assert rate == 30.0 or not is_moving
+        assert (float(head["CameraRate"]), float(head["OrigDataRate"]), head["OrigDataStartFrame"]) == (rate, rate, "1")
+        assert (head["Units"], head["NumMarkers"]) == ("m", str(len(labels)))
+        assert (head["NumFrames"], head["OrigNumFrames"]) == (str(count), str(count))
+        assert rows[:, 0].tolist() == list(range(1, count + 1))
+        np.testing.assert_allclose(rows[:, 1], np.arange(count) / rate, atol=1e-6, err_msg="the first is at 0 s")
         tables.append(rows[:, 2:].reshape(len(rows), -1, 3))
     check_points(np.concatenate(tables), text, store)
 
@@ -262,15 +273,68 @@ def check_coco(paths: list[Path], text: str, store: Store) -> None:
     read = kind.read({path.name: path.read_bytes()}, sequence_id="s")
     assert (read.frame.tolist(), read.person_id.tolist()) == (rows["frame"].tolist(), rows["person_id"].tolist())
     np.testing.assert_allclose(read.keypoints_px.ravel(), np.concatenate(rows["keypoints_px"]), atol=1e-3)
+    images = {image["id"]: image for image in content["images"]}
+    assert len(images) == len({(name, frame) for name, frame in zip(rows["sequence_id"], rows["frame"], strict=True)})
+    assert [one["id"] for one in content["annotations"]] == list(range(1, rows.num_rows + 1))
+    for row, one in enumerate(content["annotations"]):
+        image, points = images[one["image_id"]], np.reshape(rows["keypoints_px"][row], (-1, 2))
+        place = (str(rows["sequence_id"][row]), int(rows["frame"][row]))
+        assert (image["video_id"], image["frame_id"], image["file_name"]) == (*place, "{}/{:06d}.png".format(*place))
+        assert (image["width"], image["height"]) == (rows["image_width_px"][row], rows["image_height_px"][row])
+        assert (one["track_id"], one["category_id"]) == (rows["person_id"][row], 1)
+        scores = np.asarray(rows["keypoint_confidence"][row])
+        table = np.reshape(one["keypoints"], (-1, 3))
+        np.testing.assert_array_equal(table[:, 2], np.where(scores > 0, 2, 0))
+        np.testing.assert_allclose(table[scores > 0, :2], points[scores > 0], atol=1e-3)
+        np.testing.assert_allclose(one["keypoint_scores"], scores, atol=1e-4)
+        left, top, width, height = one["bbox"]
+        x, y = points[scores > 0].T
+        np.testing.assert_allclose([left, top, left + width, top + height], [min(x), min(y), max(x), max(y)], atol=2e-3)
+        assert one["area"] == pytest.approx(width * height, rel=1e-3)
+        assert one["iscrowd"] == 0
 
 
 def check_mp4(paths: list[Path], text: str, store: Store) -> None:
     (path,) = names_in(paths, ".mp4")
     video = cv2.VideoCapture(str(path))
     assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == NUM_LIFTED
-    is_read, image = video.read()
-    assert is_read
-    assert (np.ptp(image, axis=-1) > 60).sum() > 200, "nobody is drawn"
+    ref = parse_reference(text)
+    (cast,) = casts(Export(store, text, ref, tuple(resolve(ref, store))))
+    assert cast.seen is not None
+    wanted, _ = drawn_px(store, cast.seen)
+    for points in wanted:
+        image = video.read()[1].astype(int)
+        orange, blue = image[..., 2] - image[..., 0] > 40, image[..., 0] - image[..., 2] > 20
+        for person, mask in enumerate((orange, blue)):
+            middles = [points[person, list(bone)].mean(axis=0) for bone in cast.seen.skeleton.bones]
+            near = [
+                mask[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4].any()
+                for x, y in np.round([middle for middle in middles if np.isfinite(middle).all()]).astype(int)
+                if 0 <= x < image.shape[1] and 0 <= y < image.shape[0]
+            ]
+            assert np.mean(near) > 0.7, f"person {person}: {np.mean(near):.0%} of the bones are where they belong"
+
+
+def drawn_px(store: Store, seen: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return where people belong on their annotation, and that: by the least squares of scale and shift, y down."""
+    rows = open_table(references(store)["annotations"], store)
+    given = np.full((*seen.positions_m.shape[:3], 2), np.nan)
+    for row in range(rows.num_rows):
+        frame, person_id = int(rows["frame"][row]), int(rows["person_id"][row])
+        if str(rows["sequence_id"][row]) == seen.sequence_id and frame in seen.frames and person_id in seen.person_ids:
+            place = seen.frames.index(frame), seen.person_ids.index(person_id)
+            given[place] = rows[f"{seen.skeleton.name}_px"][row]
+    drawn = np.full_like(given, np.nan)
+    for at, people in enumerate(seen.positions_m):
+        for who in [slice(None)] if seen.is_pair else [slice(0, 1), slice(1, 2)]:
+            flat, to = people[who][..., :2] * [1, -1], given[at, who]
+            known = np.isfinite(flat).all(axis=-1) & np.isfinite(to).all(axis=-1)
+            x, y = flat[known].T
+            ones, zeros = np.ones_like(x), np.zeros_like(x)
+            system = np.concatenate([np.c_[x, ones, zeros], np.c_[y, zeros, ones]])
+            scale, right, down = np.linalg.lstsq(system, to[known].T.ravel(), rcond=None)[0]
+            drawn[at, who] = flat * scale + [right, down]
+    return drawn, given
 
 
 def check_json(paths: list[Path], text: str, store: Store) -> None:

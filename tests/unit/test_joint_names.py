@@ -18,6 +18,7 @@ from pasdedeux.formats.cvat import read_cvat
 from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, layout_of_names
+from tests.builders.own_sources import film_duet
 from tests.builders.source_samples import person_px
 
 _OPENPOSE_BODY = "RShoulder RElbow RWrist LShoulder LElbow LWrist"
@@ -83,9 +84,9 @@ def as_csv(names: list[str], tables: np.ndarray) -> AnnotatedFrames:
 
 
 def as_npz(names: list[str], tables: np.ndarray) -> AnnotatedFrames:
-    out, count = io.BytesIO(), len(tables)
-    arrays = {"joint_names": np.array(names), "frame": np.arange(count), "person": np.zeros(count, int)}
-    np.savez(out, **arrays, keypoints_px=tables, confidence=np.ones(tables.shape[:2]))
+    out, frames = io.BytesIO(), np.arange(len(tables))
+    people, confidence = np.zeros(len(tables), int), np.ones(tables.shape[:2])
+    np.savez(out, joint_names=np.array(names), frame=frames, person=people, keypoints_px=tables, confidence=confidence)
     return read_annotation_npz(out.getvalue(), "s")
 
 
@@ -166,6 +167,15 @@ def test_numbers_alone_are_told_apart_by_the_body(layout: str) -> None:
     count = tables.shape[1]
     for numbers in (map(str, range(count)), (f"point-{at}" for at in range(1, count + 1))):
         assert as_coco(list(numbers), tables).layout == layout
+
+
+@pytest.mark.parametrize("layout", [one.name for some in LAYOUTS_OF_COUNT.values() if len(some) > 1 for one in some])
+@pytest.mark.parametrize("duet", ["hug", "lift"])
+def test_numbers_alone_of_people_who_move_are_told_apart(duet: str, layout: str) -> None:
+    film = film_duet(duet, duration_s=1.0, rate_hz=10.0)
+    tables = np.nan_to_num(np.concatenate(film.keypoints_px("coco17" if layout == "pair17" else layout)))
+    found = as_coco([str(at) for at in range(tables.shape[1])], tables)
+    assert found.layout == ("coco17" if layout == "pair17" else layout)
 
 
 def test_few_numbers_that_fit_several_layouts_are_refused_where_none_is_usual() -> None:

@@ -47,16 +47,21 @@ def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
     for stage in graph.stages:
         models[stage.name] = stage.parameters
         elsewhere |= {f"{stage.name}.{key}" for key in shared_keys(stage.parameters, graph.shared.values())}
-    keys = (key for name, model in models.items() if section in (None, name) for key in _keys_of(model, name, (model,)))
+    keys = (key for name, model in models.items() if section in (None, name) for key in _keys_of(model, name, {}))
     return [key for key in keys if key.name not in elsewhere]
 
 
-def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[StudyKey]:
+def _keys_of(model: type[BaseModel], path: str, told: dict[type[BaseModel], str]) -> Iterator[StudyKey]:
+    """Yield the keys of a table; those that another table of the section has from the same model are said once."""
+    again: dict[str, list[str]] = {}
     for name, field in model.model_fields.items():
         if field.json_schema_extra is NOT_A_KEY:
             continue
-        place = f"{path}.{name}"
-        inner = list(models_in(field.annotation, place))
+        place, kind = f"{path}.{name}", _declaring(model, name)
+        first = told.setdefault(kind, path)
+        if first != path:
+            again.setdefault(first, []).append(name)
+            continue
         default = to_jsonable_python(field.get_default(call_default_factory=True), fallback=str)
         yield StudyKey(
             name=place,
@@ -66,9 +71,17 @@ def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ..
             unit=_unit(name, field.description or ""),
             meaning=field.description or "",
         )
-        for deeper, found in inner:
-            if found not in above:
-                yield from _keys_of(found, deeper, (*above, found))
+        for deeper, found in models_in(field.annotation, place):
+            yield from _keys_of(found, deeper, told)
+    for first, names in again.items():
+        yield StudyKey(
+            f"{path}.*", f"as {first}.*", None, is_needed=False, unit="", meaning=f"The same keys: {', '.join(names)}"
+        )
+
+
+def _declaring(model: type[BaseModel], name: str) -> type[BaseModel]:
+    """Return the model that declares a field."""
+    return next(kind for kind in model.__mro__ if name in vars(kind).get("__annotations__", {}))
 
 
 def _type_words(annotation: Any) -> str:

@@ -25,16 +25,13 @@ from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.formats.asf_amc import read_asf
 from pasdedeux.formats.file_format import FileStart
-from pasdedeux.formats.guess import guess_unit
 from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
 from pasdedeux.formats.registry import MOTION_FORMATS
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
-from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.learning.model import VariantRequest
 from pasdedeux.learning.registry import Weights, read_weights
 from pasdedeux.skeletons import BODY22
-from pasdedeux.skeletons.layouts import resolve_layout
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
 from tasks.data import LOOK, player_page
@@ -42,9 +39,8 @@ from tasks.evaluation.augmentation import variant_player
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.files import load_file
-from tasks.ingest.takes.known_sources import known_source
-from tasks.ingest.takes.parameters import TakeParameters
-from tasks.ingest.takes.resolution import MIN_UNIT_CONFIDENCE
+from tasks.ingest.takes.parameters import PersonOptions, TakeParameters
+from tasks.ingest.takes.resolution import resolve_file
 from tasks.stage import StageInputs, verdict_of
 from tasks.takes import read_take
 
@@ -121,8 +117,8 @@ def read_targets(bodies: Sequence[str], units_m: Sequence[float]) -> list[Target
 
 def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
     """Read a body from whatever kind of file it is."""
-    data = load_file(path).data
-    start = FileStart(data)
+    loaded = load_file(path)
+    data, start = loaded.data, FileStart(loaded.data)
     try:
         if MOTION_FORMATS["bvh"].recognises(start):
             rest = MOTION_FORMATS["bvh"].read_head(data).rest
@@ -133,20 +129,15 @@ def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
             raise InputError("an AMC file holds no body; give its ASF file")
         else:
             return read_body(path.name, data)
-        layout = resolve_layout("auto", rest.skeleton, rest.rest_offsets)
-        known = known_source(path.name, layout.name, stated_hz=rest.rate_hz)
-        unit_m = rest.metres_per_unit or next(units_m, None) or known.metres_per_unit
-        if unit_m is None:
-            guess = guess_unit(rest)
-            if guess.confidence < MIN_UNIT_CONFIDENCE:
-                raise InputError(f"its unit of length is unknown ({guess.reason}); say --body-unit")
-            unit_m = guess.metres_per_unit
-        motion = rest.to_motion(metres_per_unit=unit_m, rate_hz=1.0)
-        check_layout(motion, layout)
+        unit_m = None if rest.metres_per_unit else next(units_m, None)
+        taken = resolve_file(loaded.file, rest, PersonOptions(metres_per_unit=unit_m))
+        layout = taken.required_layout()
+        motion = rest.to_motion(metres_per_unit=taken.required_unit_m(), rate_hz=1.0)
         body = body_map(layout, motion.skeleton, motion.rest_offsets_m)
         return body_of_skeleton(path.name, OwnSkeleton(motion, body), layout.name)
     except InputError as error:
         said = str(error).replace("; name a layout, or write one under [ingest.mappings]", "")
+        said = said.replace("set metres_per_unit for this take", "say --body-unit")
         raise type(error)(said if said.startswith(path.name) else f"{path.name}: {said}") from None
 
 

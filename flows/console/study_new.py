@@ -17,13 +17,14 @@ from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.guess import USUAL_HEIGHT_M, MotionGuess, common_up_axis, guess_motion
 from pasdedeux.formats.registry import recognise_format
+from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource
 from pasdedeux.people.video import why_no_video
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.readers import refuse_film
 from tasks.ingest.poses2d.resolution import find_annotations
-from tasks.ingest.takes.known_sources import KnownSource, known_source, usual_rate_hz, was_fetched
-from tasks.ingest.takes.resolution import MIN_UNIT_CONFIDENCE, find_companion
+from tasks.ingest.takes.known_sources import known_source, usual_rate_hz, was_fetched
+from tasks.ingest.takes.resolution import find_companion
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
 

@@ -76,11 +76,22 @@ class Motion:
             local_unitquat=np.concatenate([self.local_unitquat, still], axis=1),
         )
 
-    def resample(self, rate_hz: float) -> Motion:
-        """Return motion at another rate: positions linearly, rotations on the short arc, from the first frame on."""
-        if rate_hz == self.rate_hz or self.num_frames < 2:
+    def first_frames(self, count: int) -> Motion:
+        """Return the first frames of the motion, so many."""
+        return replace(
+            self, root_translation_m=self.root_translation_m[:count], local_unitquat=self.local_unitquat[:count]
+        )
+
+    def resample(self, rate_hz: float, *, start_s: float = 0.0) -> Motion:
+        """Return motion at another rate: positions linearly, rotations on the short arc, from a time on.
+
+        Args:
+            rate_hz: Its rate.
+            start_s: Time of its first frame, counted from the first one here.
+        """
+        if (rate_hz == self.rate_hz and not start_s) or self.num_frames < 2:
             return replace(self, rate_hz=rate_hz)
-        before, after, share = frames_at_rate(self.num_frames, from_hz=self.rate_hz, to_hz=rate_hz)
+        before, after, share = frames_at_rate(self.num_frames, from_hz=self.rate_hz, to_hz=rate_hz, start_s=start_s)
         share, roots = share[:, None], self.root_translation_m
         return replace(
             self,
@@ -94,9 +105,12 @@ class Motion:
         )
 
 
-def frames_at_rate(num_frames: int, *, from_hz: float, to_hz: float) -> tuple[Integers, Integers, Array]:
-    """Return where the frames of another rate lie, from the first on: between which two frames, and how far, 0 to 1."""
-    count = int(np.floor((num_frames - 1) * to_hz / from_hz + 1e-9)) + 1
-    at = np.arange(count) * (from_hz / to_hz)
+def frames_at_rate(
+    num_frames: int, *, from_hz: float, to_hz: float, start_s: float = 0.0
+) -> tuple[Integers, Integers, Array]:
+    """Return where the frames of another rate lie, from a time on: between which two frames, and how far, 0 to 1."""
+    first = start_s * from_hz
+    count = int(np.floor((num_frames - 1 - first) * to_hz / from_hz + 1e-9)) + 1
+    at = first + np.arange(count) * (from_hz / to_hz)
     before = np.minimum(np.floor(at + 1e-9).astype(int), num_frames - 1)
     return before, np.minimum(before + 1, num_frames - 1), np.clip(at - before, 0.0, 1.0)

@@ -33,13 +33,13 @@ def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
     return np.stack([own[name] if name in own else of(name) for name in OP14.joint_names], axis=-2)
 
 
-def resample_positions(positions: Array, *, from_hz: float, to_hz: float) -> Array:
-    """Return positions (frame, *batch, 3) at another rate, linearly between frames, from the first frame on.
+def resample_positions(positions: Array, *, from_hz: float, to_hz: float, start_s: float = 0.0) -> Array:
+    """Return positions (frame, *batch, 3) at another rate, linearly between frames, from a time on.
 
     Bones shrink a little between frames that turn; proportions are retargeted afterwards, which puts that right.
     """
-    if from_hz == to_hz or len(positions) < 2:
+    if (from_hz == to_hz and not start_s) or len(positions) < 2:
         return np.array(positions, dtype=np.float64)
-    before, after, share = frames_at_rate(len(positions), from_hz=from_hz, to_hz=to_hz)
+    before, after, share = frames_at_rate(len(positions), from_hz=from_hz, to_hz=to_hz, start_s=start_s)
     share = share.reshape(-1, *([1] * (positions.ndim - 1)))
     return np.asarray(positions[before] + share * (positions[after] - positions[before]), dtype=np.float64)

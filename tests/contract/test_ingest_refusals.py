@@ -26,7 +26,7 @@ def pair(tmp_path: Path) -> tuple[Path, Path]:
 def test_files_of_unequal_length_are_trimmed_when_the_study_says_so(pair: tuple[Path, Path]) -> None:
     pair[1].write_text(write_bvh(figure_motion(num_frames=30, rate_hz=60.0)))
     section = {"id": "d", "files": list(pair)}
-    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters.num_frames == 30
+    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters.persons[1].num_frames == 30
     with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
         planned(takes=[section | {"frames": [0, 35]}])
 

@@ -8,8 +8,9 @@ import pytest
 
 from flows.study_files import read_study_tree, shipped_studies
 from pasdedeux.errors import InputError
-from tasks.ingest.takes.known_sources import CMU_CREDIT, KnownSource, known_source, note_fetched
-from tasks.ingest.takes.parameters import PersonOptions, TakeOptions
+from pasdedeux.formats.resolution import KnownSource
+from tasks.ingest.takes.known_sources import CMU_CREDIT, known_source, note_fetched
+from tasks.ingest.takes.parameters import PersonOptions
 from tasks.ingest.takes.resolution import NOT_STATED, credit_of, find_person
 from tests.builders.own_sources import write_walk
 
@@ -37,17 +38,16 @@ def test_only_files_that_are_known_to_lie_are_put_right(
 
 def test_rate_and_licence_of_cmu_are_those_of_files_that_fetch_brought_and_of_no_other(tmp_path: Path) -> None:
     path = write_walk(tmp_path)
-    take = TakeOptions(id="walk", files=(path,))
     with pytest.raises(InputError, match=r"set rate_hz .* \(CMU's file of this name has 120 Hz\)"):
-        find_person(path, take, PersonOptions(), {})
-    assert credit_of([find_person(path, take, PersonOptions(rate_hz=60), {})], None, None).licence == NOT_STATED
+        find_person(path, PersonOptions(), {})
+    assert credit_of([find_person(path, PersonOptions(rate_hz=60), {})], None, None).licence == NOT_STATED
     note_fetched(path, path.read_bytes())
-    brought = find_person(path, take, PersonOptions(), {})
+    brought = find_person(path, PersonOptions(), {})
     assert brought.parameters.rate_hz == 120
     assert credit_of([brought], None, None) == CMU_CREDIT
     assert credit_of([brought], "CC0-1.0", None).licence == "CC0-1.0"
     path.write_bytes(path.read_bytes() + b"\n")
-    changed = find_person(path, take, PersonOptions(rate_hz=60), {})
+    changed = find_person(path, PersonOptions(rate_hz=60), {})
     assert credit_of([changed], None, None).credit == NOT_STATED
     assert credit_of([brought, changed], None, None).credit == NOT_STATED
     assert credit_of([changed], CMU_CREDIT.licence, CMU_CREDIT.credit) == CMU_CREDIT, "a study may state it"

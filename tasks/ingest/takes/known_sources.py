@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 from pasdedeux.errors import InputError
+from pasdedeux.formats.resolution import KnownSource
 from storage_schema import SourceCredit
 from tasks.user_files import read_text_file
 
@@ -30,14 +30,6 @@ _SALSA_RATE_HZ = 60.0
 _SALSA_METRES_PER_UNIT = {"60": 1.263, "61": 1.191}
 """Scale of the BVH release of these subjects, against the lengths in their ASF files."""
 _BVH_LAYOUT = "cmu_daz"
-
-
-@dataclass(frozen=True)
-class KnownSource:
-    """Facts about a file; None where nothing is known and the file is believed."""
-
-    rate_hz: float | None = None
-    metres_per_unit: float | None = None
 
 
 def known_source(file_name: str, layout: str, *, stated_hz: float | None, is_fetched: bool = False) -> KnownSource:

@@ -29,23 +29,10 @@ UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 
 
 class PersonOptions(Parameters):
-    """What is known of one person's file; each value wins over the take's."""
+    """What is known of a motion file: of a take for the files of all people, of a person for his own, which wins."""
 
-    rate_hz: float | None = Field(None, gt=0, le=10_000, description="True frame rate of the file")
-    metres_per_unit: float | None = Field(None, gt=0, description="Length of the file's unit in metres")
-    up_axis: UpAxis | None = Field(None, description="Axis of the file that points up")
-    layout: str | None = Field(None, description="Joint mapping: a known layout or one of `ingest.mappings`")
-    skeleton: Path | None = Field(None, description="ASF of an AMC file, or BVH template of rotation rows")
-    first_frame: int = Field(0, ge=0, description="Source frame at which the take starts for this person")
-    translation_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="Shift, after scaling")
-    yaw_deg: float = Field(0.0, ge=-360, le=360, description="Turn about the Y axis, before the shift")
-
-
-class CommonOptions(Parameters):
-    """What single takes and families of takes have in common."""
-
-    format: MotionFormatName = Field(
-        "auto", description=f"Format of the files: {', '.join(MOTION_FORMATS)}; detected from the content by default"
+    format: MotionFormatName | None = Field(
+        None, description=f"Format of the file: {', '.join(MOTION_FORMATS)}; detected from the content by default"
     )
     rate_hz: float | None = Field(
         None,
@@ -57,17 +44,49 @@ class CommonOptions(Parameters):
     metres_per_unit: float | None = Field(
         None,
         gt=0,
-        description="Length of the files' unit; by default what the file states, what is known of CMU's salsa BVH, "
-        "or the unit that makes adults",
+        description="Length of the file's unit in metres; by default what the file states, what is known of CMU's "
+        "salsa BVH, or the unit that makes adults",
     )
-    up_axis: UpAxis = Field("auto", description="Axis that points up; by default the one along which the bodies stand")
-    layout: str = Field("auto", description="Joint mapping: a known layout or one of `ingest.mappings`")
+    up_axis: UpAxis | None = Field(
+        None, description="Axis of the file that points up; by default the one along which the bodies stand"
+    )
+    mirrored: bool | None = Field(
+        None, description="Left and right are exchanged in the file, as a left-handed export does: put right"
+    )
+    layout: str | None = Field(
+        None, description="Joint mapping: a known layout or one of `ingest.mappings`; by default told by the joints"
+    )
+    skeleton: Path | None = Field(None, description="ASF of an AMC file, or BVH template of rotation rows")
+    first_frame: int | None = Field(None, ge=0, description="Frame of the file at which the take starts; 0 by default")
+    offset_s: float | None = Field(
+        None,
+        ge=-86_400,
+        le=86_400,
+        description="Time by which a person's file runs ahead of the others', after `first_frame`: so much of it is "
+        "left out, of the others if negative; 0 by default",
+    )
+    translation_m: tuple[float, float, float] | None = Field(None, description="Shift, after scaling")
+    yaw_deg: float | None = Field(None, ge=-360, le=360, description="Turn about the Y axis, before the shift")
+
+    def over(self, take: PersonOptions) -> PersonOptions:
+        """Return the take's options, with these where they say something."""
+        mine = {name: value for name in PersonOptions.model_fields if (value := getattr(self, name)) is not None}
+        return take.part(PersonOptions).model_copy(update=mine)
+
+
+class CommonOptions(PersonOptions):
+    """What single takes and families of takes have in common."""
+
     frames: tuple[int, int] | None = Field(None, description="Source frames taken: first, and one past the last")
     on_unequal: Literal["refuse", "trim"] = Field("refuse", description="What to do with files of unequal length")
     floor: Literal["auto", "keep"] = Field(
         "auto", description="auto: shift a take whose feet do not stand near y = 0; keep: do not shift it"
     )
-    persons: tuple[PersonOptions, ...] = Field((), max_length=26, description="Options of each file, in their order")
+    persons: tuple[PersonOptions, ...] = Field(
+        (),
+        max_length=26,
+        description="Keys of the take that differ for a person, in the order of the files",
+    )
     licence: str | None = Field(
         None, description="Licence of the source; that of CMU for what `fetch` brought, else 'not stated'"
     )
@@ -243,6 +262,10 @@ class PersonParameters(Parameters):
         motion_sha256: Digest of the motion file, by which it is found among the shard's files.
         companion_sha256: Digest of the file that must lie beside it; empty where none must.
         unit_confidence: How sure the length unit is, 1 where the study or the file says it.
+        number: Which person of the file, from 0.
+        first_frame: First frame of the file that is read.
+        num_frames: So many frames of it are read.
+        start_s: Time of the take's first frame, counted from the first that is read; less than a frame.
     """
 
     source_name: str
@@ -254,15 +277,18 @@ class PersonParameters(Parameters):
     metres_per_unit: float = 1.0
     unit_confidence: float = 1.0
     up_axis: UpAxis = "y"
+    mirrored: bool = False
+    number: int = 0
     first_frame: int = 0
+    num_frames: int = 0
+    start_s: float = 0.0
     translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_deg: float = 0.0
 
 
 class TakeParameters(_OfTake):
-    """The shard of a take from files; `num_frames` are frames of the files."""
+    """The shard of a take from files."""
 
-    num_frames: int
     floor: Literal["auto", "keep"]
     persons: tuple[PersonParameters, ...]
     mappings: Mappings

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import ceil
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -10,6 +12,7 @@ from pydantic import ValidationError
 from pasdedeux.choreography.duet import MIN_DURATION_S
 from pasdedeux.choreography.duets import style_of
 from pasdedeux.errors import InputError, named
+from pasdedeux.formats.resolution import one_rate
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
 from tasks.ingest.common import INGEST
@@ -27,6 +30,9 @@ from tasks.ingest.takes.parameters import (
 )
 from tasks.ingest.takes.resolution import PersonSource, credit_of, find_person
 from tasks.stage import Shard, StageInputs
+
+_ALMOST = 1e-6
+"""Share of a frame that is rounding."""
 
 
 def plan_takes(inputs: StageInputs, parameters: IngestParameters) -> tuple[list[Shard], list[Shard]]:
@@ -72,7 +78,7 @@ def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
             keys = [person.motion_sha256, *([f"{performance} {suffix}"] if performance else [])]
             twins = [person.motion_sha256, *(f"{performance} {one}" for one in (".amc", ".bvh") if one != suffix)]
             for other, twin in (use for key in twins for use in uses.get(key, ())):
-                (start, stop), (its_start, its_stop) = _seconds(take, person), _seconds(other, twin)
+                (start, stop), (its_start, its_stop) = _seconds(person), _seconds(twin)
                 if other.is_held_out != take.is_held_out and max(start, its_start) < min(stop, its_stop):
                     name, its_name = person.source_name, twin.source_name
                     shown = name if suffix == Path(its_name).suffix.lower() else f"{its_name}, also {name}"
@@ -84,10 +90,10 @@ def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
                 uses.setdefault(key, []).append((take, person))
 
 
-def _seconds(take: TakeParameters, person: PersonParameters) -> tuple[float, float]:
+def _seconds(person: PersonParameters) -> tuple[float, float]:
     """Return the part of its file that a person's motion is."""
     start = person.first_frame / person.rate_hz
-    return start, start + take.num_frames / person.rate_hz
+    return start, start + person.num_frames / person.rate_hz
 
 
 def _family_shards(
@@ -172,16 +178,13 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
     with named(f"take {take.id}"):
         if len(take.persons) > len(take.files):
             raise InputError(f"options for {len(take.persons)} persons, but it has {len(take.files)} file(s)")
-        options = [*take.persons, *(PersonOptions() for _ in take.files)]
         people = [
-            find_person(path, take, person, parameters.mappings, number=take.files[:at].count(path))
-            for at, (path, person) in enumerate(zip(take.files, options, strict=False))
+            find_person(path, person.over(take), parameters.mappings, number=take.files[:at].count(path))
+            for at, (path, person) in enumerate(zip(take.files, _options(take), strict=True))
         ]
-        num_frames = _common_length(take, people)
+        spans = _spans(take, people, parameters.take_seconds)
         objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
         _check_things(people, objects, contacts)
-    if parameters.take_seconds is not None:
-        num_frames = min(num_frames, max(2, round(parameters.take_seconds * people[0].parameters.rate_hz)))
     layouts = {person.parameters.layout for person in people}
     parameters_of_shard = TakeParameters(
         take_id=take.id,
@@ -190,9 +193,10 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
         is_prior=take.id in parameters.prior,
         source=credit_of(people, take.licence, take.credit),
         capture=parameters.capture,
-        num_frames=num_frames,
         floor=take.floor,
-        persons=tuple(person.parameters for person in people),
+        persons=tuple(
+            person.parameters.model_copy(update=asdict(span)) for person, span in zip(people, spans, strict=True)
+        ),
         mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
         objects_sha256=objects.file.sha256 if objects else "",
         contacts_sha256=contacts.file.sha256 if contacts else "",
@@ -221,22 +225,57 @@ def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, co
         check_contacts(stated, name=file_name, num_frames=num_frames, num_people=len(people), objects=things)
 
 
-def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:
-    """Return the number of source frames that all people of a take have, or refuse a pair that does not fit."""
-    if len({person.parameters.rate_hz for person in people}) > 1:
-        found = " and ".join(f"{person.parameters.rate_hz:g}" for person in people)
-        raise InputError(f"its files have different frame rates, {found} Hz; set rate_hz")
-    lengths = []
-    for person in people:
-        name, start = person.parameters.source_name, person.parameters.first_frame
-        wanted = take.frames[1] - take.frames[0] if take.frames else person.num_frames - start
-        if start >= person.num_frames or (take.frames and start + wanted > person.num_frames):
-            stop = f" to {start + wanted}" if take.frames else ""
-            raise InputError(f"frames from {start}{stop} are wanted, but {name} has {person.num_frames} frames")
+@dataclass(frozen=True)
+class _Span:
+    """Frames of a person's file that are read, and the time of the take's first frame after the first of them."""
+
+    first_frame: int
+    num_frames: int
+    start_s: float
+
+
+def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: float | None) -> list[_Span]:
+    """Return the part of each person's file that is of the take, all of one duration, or refuse files that do not fit.
+
+    `frames` are those of person A's file; of a file of another rate they are those of the same time.
+    """
+    rates = [rate or 0.0 for rate in one_rate([person.parameters.rate_hz for person in people])]
+    stated = [person.over(take).offset_s or 0.0 for person in _options(take)]
+    offsets = [offset - min(stated) for offset in stated]
+    begins, lengths = [], []
+    for person, rate_hz, offset_s in zip(people, rates, offsets, strict=True):
+        name, begin = person.parameters.source_name, person.parameters.first_frame + offset_s * rate_hz
+        first, last = (frame * rate_hz / rates[0] for frame in take.frames or (0.0, 0.0))
+        begin += first
+        wanted = last - first if take.frames else person.num_frames - begin
+        if begin >= person.num_frames or (take.frames and begin + wanted > person.num_frames + _ALMOST):
+            stop = f" to {begin + wanted:.0f}" if take.frames else ""
+            raise InputError(f"frames from {begin:.0f}{stop} are wanted, but {name} has {person.num_frames} frames")
+        begins.append(begin)
         lengths.append(wanted)
-    if len(set(lengths)) > 1 and take.on_unequal == "refuse":
-        names = " and ".join(f"{p.parameters.source_name} {n}" for p, n in zip(people, lengths, strict=True))
+    durations = [length / rate_hz for length, rate_hz in zip(lengths, rates, strict=True)]
+    whole = [duration + offset for duration, offset in zip(durations, offsets, strict=True)]
+    slack = 0.0 if len(set(rates)) == 1 else 1.0 / min(rates)
+    if max(whole) - min(whole) > slack + _ALMOST / max(rates) and take.on_unequal == "refuse":
+        is_in_frames = len(set(rates)) == 1 and not any(offsets)
+        shown = [f"{one:.0f}" for one in lengths] if is_in_frames else [f"{one:.2f}" for one in whole]
+        names = " and ".join(f"{p.parameters.source_name} {n}" for p, n in zip(people, shown, strict=True))
         raise InputError(
-            f'its files have unequal lengths ({names} frames); set on_unequal = "trim" to keep what both have'
+            f"its files have unequal lengths ({names} {'frames' if is_in_frames else 'seconds'}); set "
+            'on_unequal = "trim" to keep what both have'
         )
-    return min(lengths)
+    duration = min(durations)
+    if take_seconds is not None:
+        duration = min(duration, max(2, round(take_seconds * rates[0])) / rates[0])
+    spans = []
+    for person, begin, rate_hz in zip(people, begins, rates, strict=True):
+        first = int(begin + _ALMOST)
+        start = max(begin - first, 0.0) if begin - first > _ALMOST else 0.0
+        count = min(person.num_frames - first, ceil(start + duration * rate_hz - _ALMOST) + (start > 0))
+        spans.append(_Span(first, count, start / rate_hz))
+    return spans
+
+
+def _options(take: TakeOptions) -> list[PersonOptions]:
+    """Return what is said of each person's file alone."""
+    return [*take.persons, *(PersonOptions() for _ in take.files[len(take.persons) :])]

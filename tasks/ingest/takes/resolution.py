@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
-from pasdedeux.formats.guess import UnitGuess, guess_unit
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
-from pasdedeux.formats.working_poses import check_layout
-from pasdedeux.skeletons.layouts import resolve_layout
+from pasdedeux.formats.resolution import KnownSource, Mappings, Resolution, Stated, resolve_motion
+from pasdedeux.formats.source_motion import SourceMotion
 from storage_schema import SourceCredit
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.takes.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
-from tasks.ingest.takes.parameters import CommonOptions, PersonOptions, PersonParameters
+from tasks.ingest.takes.parameters import PersonOptions, PersonParameters
 from tasks.stage import SourceFile
-
-Tables = Mapping[Any, Mapping[str, Any]]
-"""For each working skeleton the changed entries of its table."""
 
 NOT_STATED = "not stated"
 OWN_FILES = "files given in the study"
-MIN_UNIT_CONFIDENCE = 0.3
-"""A length unit that is guessed with less must be stated."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +37,7 @@ class PersonSource:
     num_frames: int
 
 
-def find_person(
-    path: Path, take: CommonOptions, person: PersonOptions, mappings: Mapping[str, Tables], *, number: int = 0
-) -> PersonSource:
+def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, number: int = 0) -> PersonSource:
     """Find and check one person's file, or the person of this number in a file of several.
 
     Raises:
@@ -55,38 +46,43 @@ def find_person(
     """
     loaded = load_file(path)
     with named(path.name):
-        kind = find_format(MOTION_FORMATS, take.format, loaded.data)
-        companion = find_companion(path, kind, person.skeleton)
+        kind = find_format(MOTION_FORMATS, options.format or "auto", loaded.data)
+        companion = find_companion(path, kind, options.skeleton)
         head = _head(kind.name, loaded.file, companion, number)
-        layout_name = person.layout or take.layout
-        layout = resolve_layout(layout_name, head.rest.skeleton, head.rest.rest_offsets, mappings)
-        is_fetched = was_fetched(path, loaded.file.sha256)
-        known = known_source(path.name, layout.name, stated_hz=head.rest.rate_hz, is_fetched=is_fetched)
-        rate = person.rate_hz or take.rate_hz or known.rate_hz or head.rest.rate_hz
-        if rate is None:
-            usual = usual_rate_hz(path.name)
-            hint = f" (CMU's file of this name has {usual:g} Hz)" if usual else ""
-            raise InputError(f"the file states no frame rate; set rate_hz for this take{hint}")
-        stated = person.metres_per_unit or take.metres_per_unit or known.metres_per_unit
-        unit = guess_unit(head.rest) if stated is None else UnitGuess(stated, 1.0, "it is known", 0.0)
-        if unit.confidence < MIN_UNIT_CONFIDENCE:
-            raise InputError(f"its unit of length is unknown ({unit.reason}); set metres_per_unit for this take")
-        check_layout(head.rest.to_motion(metres_per_unit=unit.metres_per_unit, rate_hz=rate), layout)
-    parameters = PersonParameters(
-        source_name=path.name,
-        motion_sha256=loaded.file.sha256,
-        companion_sha256=companion.sha256 if companion else "",
-        format=kind.name,
-        layout=layout_name if layout_name != "auto" else layout.name,
-        rate_hz=rate,
-        metres_per_unit=unit.metres_per_unit,
-        unit_confidence=unit.confidence,
-        up_axis=person.up_axis or take.up_axis,
-        first_frame=(take.frames[0] if take.frames else 0) + person.first_frame,
-        translation_m=person.translation_m,
-        yaw_deg=person.yaw_deg,
-    )
+        taken = resolve_file(loaded.file, head.rest, options, mappings)
+        layout, usual = taken.required_layout(), usual_rate_hz(path.name)
+        parameters = PersonParameters(
+            source_name=path.name,
+            motion_sha256=loaded.file.sha256,
+            companion_sha256=companion.sha256 if companion else "",
+            format=kind.name,
+            layout=layout.name if options.layout in (None, "auto") else str(options.layout),
+            rate_hz=taken.required_rate_hz(f" (CMU's file of this name has {usual:g} Hz)" if usual else ""),
+            metres_per_unit=taken.required_unit_m(),
+            unit_confidence=taken.unit.confidence,
+            up_axis=options.up_axis or "auto",
+            mirrored=bool(options.mirrored),
+            number=number,
+            first_frame=options.first_frame or 0,
+            translation_m=options.translation_m or (0.0, 0.0, 0.0),
+            yaw_deg=options.yaw_deg or 0.0,
+        )
     return PersonSource(parameters, (loaded.file, companion) if companion else (loaded.file,), head.num_frames)
+
+
+def resolve_file(
+    file: SourceFile, rest: SourceMotion, options: PersonOptions | None = None, mappings: Mappings | None = None
+) -> Resolution:
+    """Return what a motion file is taken to be: by what is stated, what is known of published files, its content."""
+    stated = Stated()
+    if options is not None:
+        stated = Stated(options.layout or "auto", options.rate_hz, options.metres_per_unit, options.up_axis or "auto")
+    path = Path(file.path)
+    guessed = resolve_motion(rest, stated, mappings=mappings)
+    layout_name = guessed.layout.name if guessed.layout else ""
+    is_fetched = was_fetched(path, file.sha256)
+    known = known_source(path.name, layout_name, stated_hz=rest.rate_hz, is_fetched=is_fetched)
+    return guessed if known == KnownSource() else resolve_motion(rest, stated, known, mappings)
 
 
 def find_companion(path: Path, kind: MotionFormat, stated: Path | None = None) -> SourceFile | None:

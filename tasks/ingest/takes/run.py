@@ -10,12 +10,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pasdedeux.arrays import Array
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import named
-from pasdedeux.formats.guess import AxisGuess, common_up_axis, guess_up_axis
+from pasdedeux.formats.guess import AxisGuess, MirrorGuess, guess_mirrored
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion, place_points
 from pasdedeux.formats.registry import MOTION_FORMATS
+from pasdedeux.formats.resolution import SURE, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
 from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
 from pasdedeux.interaction.known_contacts import read_contacts
@@ -30,10 +32,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.facts import TakeFacts
 from tasks.ingest.files import read_again
 from tasks.ingest.takes.parameters import DuetParameters, PersonParameters, TakeParameters
-from tasks.stage import Shard, SourceFile, commit
-
-SURE = 0.6
-"""Confidence of a guessed unit or axis below which a take is doubted: a very small or tall adult has 0.5."""
+from tasks.stage import Shard, commit
 
 AWAY_M = 1.0
 """Who touches an object comes nearer than this to it with some joint."""
@@ -73,42 +72,47 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
 
 def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
     """Read the people of a take from their files and commit their poses."""
-    files = {file.sha256: file for file in shard.files}
+    data = {file.sha256: read_again(file) for file in {file.sha256: file for file in shard.files}.values()}
     digests = [person.motion_sha256 for person in parameters.persons]
-    read = [
-        (person, _read(parameters, person, files, number=digests[:at].count(person.motion_sha256)))
-        for at, person in enumerate(parameters.persons)
-    ]
-    guesses = [guess_up_axis(motion) for person, motion in read if person.up_axis == "auto"]
-    common = common_up_axis(guesses) if guesses else None
-    people = []
-    for person, motion in read:
-        source = person.model_copy(update={"up_axis": common.axis}) if common and person.up_axis == "auto" else person
+    motions = [_read(parameters, person, data) for person in parameters.persons]
+    axes = resolve_up_axes(
+        motions,
+        [person.up_axis for person in parameters.persons],
+        [digests.count(one.motion_sha256) == 1 and one.format not in _HAS_POSITIONS_ONLY for one in parameters.persons],
+    )
+    people, is_mirrored = [], []
+    for person, motion, axis in zip(parameters.persons, motions, axes, strict=True):
+        source = person.model_copy(update={"up_axis": axis.axis})
+        if source.mirrored:
+            motion = motion.mirrored(axis.axis)
+        is_mirrored.append(guess_mirrored(motion))
         captured = place_motion(
             motion.to_motion(metres_per_unit=source.metres_per_unit, rate_hz=source.rate_hz, up_axis=source.up_axis),
             translation_m=source.translation_m,
             yaw_rad=float(np.deg2rad(source.yaw_deg)),
         )
         layout = resolve_layout(source.layout, captured.skeleton, captured.rest_offsets_m, parameters.mappings)
-        people.append(_Person(captured, captured.resample(parameters.rate_hz), layout, source))
-    verdict, contacts, objects = _verdict(parameters.persons, common), None, None
+        moved = captured.resample(parameters.rate_hz, start_s=source.start_s)
+        people.append(_Person(captured, moved, layout, source))
+    num_frames = min(person.motion.num_frames for person in people)
+    people = [replace(person, motion=person.motion.first_frames(num_frames)) for person in people]
+    verdict, contacts, objects = _verdict(parameters.persons, axes, is_mirrored, motions), None, None
     if parameters.contacts_sha256:
-        data = read_again(files[parameters.contacts_sha256])
-        contacts = _known_contacts(parameters, people[0].motion.num_frames, data)
+        contacts = _known_contacts(parameters, num_frames, data[parameters.contacts_sha256])
     if parameters.objects_sha256:
-        objects = _objects(parameters, read_again(files[parameters.objects_sha256]), people[0].source.up_axis)
+        objects = _objects(parameters, data[parameters.objects_sha256], people[0].source.up_axis, num_frames)
     return _commit(shard, store, parameters, people, parameters.floor, verdict, contacts, objects)
 
 
 def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[dict[str, Any]]:
     """Return the contacts of the frames that are taken, counted at the study's rate, which has so many of them."""
     first = take.persons[0]
-    known = (contact.within(first.first_frame, first.first_frame + take.num_frames) for contact in read_contacts(data))
+    known = (contact.within(first.first_frame, first.first_frame + first.num_frames) for contact in read_contacts(data))
     stated = []
     for contact in (one for one in known if one is not None):
         # The last frame at the study's rate may come before the end of the last frame that is taken.
         start, stop = (
-            min(int(np.ceil(frame * take.rate_hz / first.rate_hz - 1e-6)), num_frames)
+            int(np.clip(np.ceil((frame / first.rate_hz - first.start_s) * take.rate_hz - 1e-6), 0, num_frames))
             for frame in (contact.start_frame, contact.stop_frame)
         )
         if start < stop:
@@ -116,38 +120,49 @@ def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[
     return stated
 
 
-def _objects(take: TakeParameters, data: bytes, up_axis: str) -> MovingObjects:
+def _objects(take: TakeParameters, data: bytes, up_axis: str, num_frames: int) -> MovingObjects:
     """Return the objects in the world and at the rate of the study, before the take is put on the floor."""
     first, objects = take.persons[0], read_objects(data)
-    ends = objects.ends_m[first.first_frame : first.first_frame + take.num_frames]
+    ends = objects.ends_m[first.first_frame : first.first_frame + first.num_frames]
     upright = rotate(np.broadcast_to(upright_from_file(up_axis), (*ends.shape[:-1], 4)), ends)
     placed = place_points(upright, translation_m=first.translation_m, yaw_rad=float(np.deg2rad(first.yaw_deg)))
-    return replace(objects, ends_m=resample_positions(placed, from_hz=first.rate_hz, to_hz=take.rate_hz))
+    moved = resample_positions(placed, from_hz=first.rate_hz, to_hz=take.rate_hz, start_s=first.start_s)
+    return replace(objects, ends_m=moved[:num_frames])
 
 
-def _read(take: TakeParameters, person: PersonParameters, files: dict[str, SourceFile], *, number: int) -> SourceMotion:
+def _read(take: TakeParameters, person: PersonParameters, files: dict[str, bytes]) -> SourceMotion:
     """Return the wanted frames of one person's file, or of the person of this number in a file of several."""
-    data = read_again(files[person.motion_sha256])
-    companion = read_again(files[person.companion_sha256]) if person.companion_sha256 else b""
+    data, companion = files[person.motion_sha256], files.get(person.companion_sha256, b"")
     with named(f"take {take.take_id}: {person.source_name}"):
-        source = MOTION_FORMATS[person.format].read_person(number, data, companion)
-    return source.frames(person.first_frame, person.first_frame + take.num_frames)
+        source = MOTION_FORMATS[person.format].read_person(person.number, data, companion)
+    return source.frames(person.first_frame, person.first_frame + person.num_frames)
 
 
-def _verdict(persons: tuple[PersonParameters, ...], up: AxisGuess | None) -> Verdict:
+def _verdict(
+    persons: tuple[PersonParameters, ...],
+    axes: Sequence[AxisGuess],
+    mirrors: Sequence[MirrorGuess],
+    motions: Sequence[SourceMotion],
+) -> Verdict:
     """Say what of a take was guessed, and whether the stages for pairs will pass it over."""
     unit = min(person.unit_confidence for person in persons)
-    axis = 1.0 if up is None else up.confidence
+    up = min(axes, key=lambda axis: axis.confidence)
     reasons = []
     if unit < SURE:
         reasons.append(f"its length unit is a guess (confidence {unit:.1f}); set metres_per_unit")
-    if up is not None and axis < SURE:
-        reasons.append(f"its up axis {up.axis} is a guess (confidence {axis:.1f}); set up_axis")
+    if up.confidence < SURE:
+        reasons.append(f"its up axis {up.axis} is a guess (confidence {up.confidence:.1f}); set up_axis")
+    for person, mirror in zip(persons, mirrors, strict=True):
+        if mirror.is_mirrored and mirror.confidence >= SURE:
+            words = "are exchanged still" if person.mirrored else "seem exchanged; look, and set mirrored = true"
+            reasons.append(f"left and right of {person.source_name} {words}")
     if len(persons) != 2:
         who = "one person only" if len(persons) == 1 else f"{len(persons)} people"
         reasons.append(f"it has {who}: what needs pairs passes it over")
     level = Level.WARN if reasons else Level.PASS
-    return Verdict(level, "; ".join(reasons), figure="confidence of unit and up axis", value=min(unit, axis))
+    for person, motion in zip(persons, motions, strict=True):
+        reasons += [f"{person.source_name}: {note.rstrip('.')}" for note in motion.notes]
+    return Verdict(level, "; ".join(reasons), figure="confidence of unit and up axis", value=min(unit, up.confidence))
 
 
 def _commit(
@@ -164,8 +179,8 @@ def _commit(
 
     A take that fails the check is committed without its motion where the study leaves such takes out.
     """
-    captured = [derive_working_poses(person.captured, person.layout).body22_m for person in people]
-    found = check_capture(np.stack(captured, axis=1), rate_hz=people[0].captured.rate_hz)
+    captured, captured_hz = _captured_together(people)
+    found = check_capture(captured, rate_hz=captured_hz)
     names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
     judged = judge_capture(found, parameters.capture.limits, names)
     take_id = parameters.take_id
@@ -216,6 +231,18 @@ def _commit(
         sources=[parameters.source],
         verdict=verdict,
     )
+
+
+def _captured_together(people: Sequence[_Person]) -> tuple[Array, float]:
+    """Return body22 as captured (frame, person, 22, 3) and its rate: that of the fastest file, where they differ."""
+    rate_hz = max(person.captured.rate_hz for person in people)
+    motions = [person.captured.resample(rate_hz, start_s=person.source.start_s) for person in people]
+    num_frames = min(motion.num_frames for motion in motions)
+    places = [
+        derive_working_poses(motion.first_frames(num_frames), person.layout).body22_m
+        for motion, person in zip(motions, people, strict=True)
+    ]
+    return np.stack(places, axis=1), rate_hz
 
 
 def _object_rows(take_id: str, objects: MovingObjects) -> dict[str, Any]:

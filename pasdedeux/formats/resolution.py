@@ -1,0 +1,170 @@
+"""What a motion file is taken to be: layout, rate, length unit and up axis, each with where it comes from.
+
+One place decides, so that what `study new` calls sure is what a study accepts and `retarget` takes: what is stated
+wins, then what is known of a published file, then what the file says, then what its content shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.guess import AxisGuess, UnitGuess, common_up_axis, guess_unit, guess_up_axis
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.working_poses import check_layout
+from pasdedeux.skeletons.layouts import Layout, resolve_layout
+from pasdedeux.skeletons.layouts.layout import Table
+
+MIN_UNIT_CONFIDENCE = 0.3
+"""A length unit that is guessed with less must be stated."""
+SURE = 0.6
+"""Confidence of a guessed unit or axis below which a take is doubted: a very small or tall adult has 0.5."""
+ONE_RATE = 2e-4
+"""Rates that differ by a smaller share are one rate, written with other digits: 30 and 30.0003 Hz, not 29.97 Hz."""
+
+Mappings = Mapping[str, Mapping[Any, Table]]
+"""Layouts of a study's own, and changes to known ones, as `resolve_layout` takes them."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a user says of a motion file; None and "auto" where nothing is said."""
+
+    layout: str = "auto"
+    rate_hz: float | None = None
+    metres_per_unit: float | None = None
+    up_axis: str = "auto"
+
+
+@dataclass(frozen=True)
+class KnownSource:
+    """Facts about a published file; None where nothing is known and the file is believed."""
+
+    rate_hz: float | None = None
+    metres_per_unit: float | None = None
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """What a motion file is taken to be.
+
+    Args:
+        layout: Its joints, fitted to its skeleton; None where no layout fits.
+        why_no_layout: Why none fits; empty where one does.
+        rate_hz: Its true frame rate; None where nobody says it.
+        unit: Length of its unit: confidence 1 where it is stated, known or in the file.
+    """
+
+    layout: Layout | None
+    why_no_layout: str
+    rate_hz: float | None
+    unit: UnitGuess
+
+    def required_layout(self) -> Layout:
+        """Return the layout.
+
+        Raises:
+            InputError: There is none; says why.
+        """
+        if self.layout is None:
+            raise InputError(self.why_no_layout)
+        return self.layout
+
+    def required_rate_hz(self, hint: str = "") -> float:
+        """Return the rate.
+
+        Raises:
+            InputError: There is none.
+        """
+        if self.rate_hz is None:
+            raise InputError(f"the file states no frame rate; set rate_hz for this take{hint}")
+        return self.rate_hz
+
+    def required_unit_m(self) -> float:
+        """Return the length of the unit, metres.
+
+        Raises:
+            InputError: It is a guess that nobody should rely on.
+        """
+        if self.unit.confidence < MIN_UNIT_CONFIDENCE:
+            raise InputError(f"its unit of length is unknown ({self.unit.reason}); set metres_per_unit for this take")
+        return self.unit.metres_per_unit
+
+
+def resolve_motion(
+    source: SourceMotion,
+    stated: Stated = Stated(),
+    known: KnownSource = KnownSource(),
+    mappings: Mappings | None = None,
+) -> Resolution:
+    """Return what a motion file is taken to be; its rest pose is enough.
+
+    A layout that does not fit the rest pose, because it puts two joints on one place, is none.
+    """
+    layout, why_not = None, ""
+    try:
+        layout = resolve_layout(stated.layout, source.skeleton, source.rest_offsets, mappings)
+    except InputError as error:
+        why_not = str(error)
+    rate_hz = stated.rate_hz or known.rate_hz or source.rate_hz
+    unit_m = stated.metres_per_unit or known.metres_per_unit
+    unit = guess_unit(source, layout)
+    if unit_m is not None:
+        unit = UnitGuess(unit_m, 1.0, "it is known", unit.height_m / unit.metres_per_unit * unit_m)
+    if layout is not None and unit.confidence >= MIN_UNIT_CONFIDENCE:
+        try:
+            check_layout(source.to_motion(metres_per_unit=unit.metres_per_unit, rate_hz=rate_hz or 1.0), layout)
+        except InputError as error:
+            layout, why_not = None, str(error)
+    return Resolution(layout, why_not, rate_hz, unit)
+
+
+def one_rate(rates_hz: Sequence[float | None]) -> list[float | None]:
+    """Return rates with those that differ in the last digits alone made one: the first of them.
+
+    >>> one_rate([30.0, 30.0003, 29.97, None])
+    [30.0, 30.0, 29.97, None]
+    """
+    kept: list[float | None] = []
+    for rate_hz in rates_hz:
+        near = (one for one in kept if one and rate_hz and abs(one - rate_hz) <= ONE_RATE * rate_hz)
+        kept.append(next(near, rate_hz))
+    return kept
+
+
+def resolve_up_axes(
+    sources: Sequence[SourceMotion], stated: Sequence[str], stands_alone: Sequence[bool]
+) -> list[AxisGuess]:
+    """Return the up axis of each person's file: what is stated, else how the bodies stand.
+
+    Whoever clearly stands along the axis along which his rest pose stands too has that axis: his file says so twice.
+    The others have the axis of those who stand most clearly, because one of two who were captured together may lie on
+    the floor all the time.
+
+    Args:
+        sources: The motion of each person.
+        stated: What is said of each: an axis, or "auto".
+        stands_alone: Whether each has a file of his own, with a rest pose.
+    """
+    guesses = [
+        guess_up_axis(source) if axis == "auto" else AxisGuess(axis, 1.0)
+        for source, axis in zip(sources, stated, strict=True)
+    ]
+    free = [at for at, axis in enumerate(stated) if axis == "auto"]
+    if not free:
+        return guesses
+    common = common_up_axis([guesses[at] for at in free])
+    for at in free:
+        guess = guesses[at]
+        is_clear = stands_alone[at] and guess.confidence >= SURE
+        if guess.axis == common.axis or not (is_clear and _rest_axis(sources[at]) == guess.axis):
+            guesses[at] = common
+    return guesses
+
+
+def _rest_axis(source: SourceMotion) -> str:
+    """Return the axis along which the rest pose stands."""
+    rest = SourceMotion.at_rest(source.skeleton, source.rest_offsets)
+    return guess_up_axis(rest).axis

@@ -1,0 +1,172 @@
+"""Two files are two files: each person has his own rate, layout, unit and up axis, and both come to stand together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flows.console.retargeting import find_take
+from pasdedeux.choreography.duets import make_duet
+from pasdedeux.errors import InputError
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.source_motion import upright_from_file
+from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import conjugate, multiply, rotate
+from pasdedeux.skeletons.layouts import LAYOUTS
+from storage_schema import Store
+from tasks.ingest import files as ingest_files
+from tests.builders.ingest_runs import planned, run
+from tests.builders.rigs import RIGS
+
+DURATION_S = 2.0
+NEAR_M = 1e-3
+
+
+@cache
+def waltz(rate_hz: float) -> tuple[Motion, ...]:
+    """Return the two of a waltz, a function of time, at a rate."""
+    return tuple(make_duet("waltz", duration_s=DURATION_S, rate_hz=rate_hz).motions)
+
+
+def truth_m(times_s: np.ndarray, person: int) -> np.ndarray:
+    """Return body22 (frame, 22, 3) of a person at times that are frames of 600 Hz."""
+    places = derive_working_poses(waltz(600.0)[person], LAYOUTS["body22"]).body22_m
+    return np.asarray(places[np.round(times_s * 600.0).astype(int)])
+
+
+def body22_of(store: Store, ref: Any) -> np.ndarray:
+    """Return body22 (frame, person, 22, 3) of a take."""
+    poses = store.read(ref, "poses")
+    places, person = np.stack(list(poses["body22_m"])).reshape(-1, 22, 3), np.asarray(poses["person"])
+    return np.stack([places[person == number] for number in np.unique(person)], axis=1)
+
+
+def write_two(folder: Path, *rates_hz: float) -> list[Path]:
+    paths = [folder / f"{name}.bvh" for name in "ab"[: len(rates_hz)]]
+    for person, (path, rate_hz) in enumerate(zip(paths, rates_hz, strict=True)):
+        path.write_text(write_bvh(waltz(rate_hz)[person]))
+    return paths
+
+
+def turned_to(motion: Motion, axis: str) -> Motion:
+    """Return a motion in axes of which this one points up, as a file may have them."""
+    turn = conjugate(upright_from_file(axis))
+
+    def turned(vectors: np.ndarray) -> np.ndarray:
+        return rotate(np.broadcast_to(turn, (*vectors.shape[:-1], 4)), vectors)
+
+    local = motion.local_unitquat
+    back = np.broadcast_to(conjugate(turn), local.shape)
+    return replace(
+        motion,
+        rest_offsets_m=turned(motion.rest_offsets_m),
+        root_translation_m=turned(motion.root_translation_m),
+        local_unitquat=multiply(np.broadcast_to(turn, local.shape), multiply(local, back)),
+    )
+
+
+@pytest.mark.parametrize("rates_hz", [(30.0, 60.0), (120.0, 50.0), (60.0, 60.006), (60.0, 59.94)])
+def test_files_of_two_rates_are_brought_together_by_time(tmp_path: Path, rates_hz: tuple[float, float]) -> None:
+    take = {"id": "waltz", "files": write_two(tmp_path, *rates_hz), "floor": "keep"}
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+    shards = planned(takes=[take], rate_hz=60.0, **options)
+    store = Store(tmp_path / "store")
+    (made,) = run(store, shards).values()
+    places = body22_of(store, made.ref)
+    times_s = np.arange(len(places)) / 60.0
+    assert times_s[-1] > DURATION_S - 0.1
+    for person in (0, 1):
+        worst = np.abs(places[:, person] - truth_m(times_s, person)).max()
+        assert worst < 3 * NEAR_M if 30.0 in rates_hz or 50.0 in rates_hz else worst < NEAR_M
+
+
+def test_the_same_is_so_without_a_study(tmp_path: Path) -> None:
+    files = list(map(str, write_two(tmp_path, 30.0, 60.0)))
+    with find_take(files, tmp_path, (), None) as (store, ref):
+        places = body22_of(store, ref)
+    times_s = np.arange(len(places)) / 30.0
+    expected = np.stack([truth_m(times_s, person) for person in (0, 1)], axis=1)
+    expected[..., 1] += (places - expected)[..., 1].mean()  # it may be put on the floor
+    assert np.abs(places - expected).max() < NEAR_M
+
+
+@pytest.mark.parametrize("offset_s", [0.25, 0.26, -0.255])
+def test_a_file_that_began_earlier_is_shifted_in_time(tmp_path: Path, offset_s: float) -> None:
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+    take = {"id": "waltz", "files": write_two(tmp_path, 120.0, 60.0), "floor": "keep"}
+    shards = planned(takes=[take | {"persons": [{}, {"offset_s": offset_s}]}], rate_hz=30.0, **options)
+    store = Store(tmp_path / "store")
+    (made,) = run(store, shards).values()
+    places = body22_of(store, made.ref)
+    assert len(places) == pytest.approx((DURATION_S - abs(offset_s)) * 30.0, abs=1.5)
+    for person, late_s in enumerate((max(-offset_s, 0.0), max(offset_s, 0.0))):
+        times_s = late_s + np.arange(len(places)) / 30.0
+        assert np.abs(places[:, person] - truth_m(times_s, person)).max() < NEAR_M
+
+
+def test_files_of_two_rates_and_lengths_are_refused_in_seconds(tmp_path: Path) -> None:
+    files = write_two(tmp_path, 30.0, 60.0)
+    short = waltz(60.0)[1].first_frames(60)
+    files[1].write_text(write_bvh(short))
+    with pytest.raises(InputError, match=r"unequal lengths \(a.bvh 2.0\d and b.bvh 1.00 seconds\).*on_unequal"):
+        planned(takes=[{"id": "waltz", "files": files}])
+    assert planned(takes=[{"id": "waltz", "files": files, "on_unequal": "trim"}])
+
+
+@pytest.mark.parametrize("axis", ["z", "x"])
+def test_a_partner_in_other_axes_does_not_float(tmp_path: Path, axis: str) -> None:
+    files = write_two(tmp_path, 60.0, 60.0)
+    files[1].write_text(write_bvh(turned_to(waltz(60.0)[1], axis)))
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+    store = Store(tmp_path / "store")
+    (made,) = run(store, planned(takes=[{"id": "waltz", "files": files}], rate_hz=60.0, **options)).values()
+    assert list(store.read(made.ref, "takes")["up_axis"]) == ["y", axis]
+    heads = body22_of(store, made.ref)[:, :, 15, 1].mean(axis=0)
+    assert np.ptp(heads) < 0.3
+
+
+def test_a_partner_who_lies_has_the_axis_of_the_other(tmp_path: Path) -> None:
+    """The rest pose stands along y, so a body along z lies on the floor."""
+    files = write_two(tmp_path, 60.0, 60.0)
+    lying = turned_to(waltz(60.0)[1], "z")
+    files[1].write_text(write_bvh(replace(lying, rest_offsets_m=waltz(60.0)[1].rest_offsets_m, local_unitquat=_laid())))
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+    store = Store(tmp_path / "store")
+    (made,) = run(store, planned(takes=[{"id": "waltz", "files": files}], rate_hz=60.0, **options)).values()
+    assert list(store.read(made.ref, "takes")["up_axis"]) == ["y", "y"]
+
+
+def _laid() -> np.ndarray:
+    """Return local rotations of the second person, whose root is turned so that the body lies along z."""
+    motion = waltz(60.0)[1]
+    local = motion.local_unitquat.copy()
+    turn = np.broadcast_to(conjugate(upright_from_file("z")), local[:, 0].shape)
+    local[:, motion.skeleton.root] = multiply(turn, local[:, motion.skeleton.root])
+    return local
+
+
+def test_people_of_two_rigs_are_one_take(tmp_path: Path) -> None:
+    rigs = {rig.name: rig for rig in RIGS}
+    files = []
+    for name in ("mixamo with a namespace", "lafan1", "xsens"):
+        files.append(tmp_path / f"{len(files)}.bvh")
+        files[-1].write_text(rigs[name].bvh())
+    (shard,) = planned(takes=[{"id": "three", "files": files}], virtual_video={"num_videos": 0, "num_random_views": 0})
+    assert [person.layout for person in shard.parameters.persons] == ["mixamo", "lafan", "xsens"]
+
+
+def test_a_shard_reads_each_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = write_two(tmp_path, 30.0, 30.0)
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+    shards = planned(takes=[{"id": "waltz", "files": files}], **options)
+    opened: list[Path] = []
+    read = ingest_files.read_file
+    monkeypatch.setattr(ingest_files, "read_file", lambda path: opened.append(path) or read(path))
+    run(Store(tmp_path / "store"), shards)
+    assert sorted(opened) == files

@@ -8,10 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 
 from flows.building import MAX_TASKS, Build, StartTask
-from flows.machine import remembered_ctrl_c, why_few
+from flows.machine import why_few
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
 from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
+from flows.signals import remembered_ctrl_c
 from storage_schema import RunFolder, StorageError, new_run
 from tasks.shards import ClusterPool, ClusterSettings, HerePool, Pool, connect, worker_environment
 
@@ -76,7 +77,7 @@ def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
     else:
         run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
     with connect(settings, store_root=root) as client:
-        yield ClusterPool(client, root, is_shared=settings.is_shared)
+        yield ClusterPool(client, root, is_shared=settings.is_shared, note=run.listener.note)
 
 
 def begin(run: Run, plan: Plan) -> RunFolder:

@@ -1,17 +1,14 @@
-"""What this machine is: cores, memory, room on a disk, and its keyboard's Ctrl-C."""
+"""What this machine is: cores, memory, room on a disk."""
 
 from __future__ import annotations
 
 import math
 import os
 import shutil
-import signal
 import tempfile
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import pasdedeux
@@ -151,32 +148,3 @@ def nearest_folder(folder: Path) -> Path:
     while not folder.exists():
         folder = folder.parent
     return folder
-
-
-@contextmanager
-def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
-    """Give a function that tells whether Ctrl-C was pressed in this block; a second one is as if there were no block.
-
-    Args:
-        is_passed_on: Whether the first one does what it did before, too.  What Python raises at it is lost where it
-            arrives in a finalizer, of Dask's futures for example, so that alone does not end the work.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    # Where Ctrl-C is ignored, as in the background of a shell, it stays so for work that it would break off.
-    is_ignored = is_passed_on and not callable(before)
-    if threading.current_thread() is not threading.main_thread() or is_ignored:
-        yield lambda: False
-        return
-    is_pressed = threading.Event()
-
-    def remember(number: int, frame: FrameType | None) -> None:
-        is_pressed.set()
-        signal.signal(signal.SIGINT, before)
-        if is_passed_on and callable(before):
-            before(number, frame)
-
-    signal.signal(signal.SIGINT, remember)
-    try:
-        yield is_pressed.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -192,6 +192,8 @@ class RemoteStore:
             except PreconditionError:
                 raise
             except BaseError as error:
+                if "NoSuchBucket" in str(error):
+                    raise RemoteError(f"{self.url}: cannot {what}: there is no such bucket") from None
                 num_asked += 1
                 # What the client does not ask for again: a list that was cut off, and a conditional write that was not
                 # answered in time, which may have been done.

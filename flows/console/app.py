@@ -16,6 +16,7 @@ import typer.core
 from typer import Option
 
 from flows.console.context import Context, app, echo
+from flows.signals import ended_as_by_ctrl_c
 from pasdedeux.plain_text import visible
 
 if TYPE_CHECKING:
@@ -98,7 +99,8 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
     """Run one command; gives the exit code and never lets an error out as a traceback unless asked to (`--debug`)."""
     context = Context(given_graph=graph)
     try:
-        code = app(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
+        with ended_as_by_ctrl_c():
+            code = app(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
     except _UsageError as error:
         error.message = visible(error.message)
         error.show()

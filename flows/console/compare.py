@@ -20,7 +20,7 @@ from flows.console.context import (
     graph_of,
     open_store,
 )
-from flows.console.display import counted, format_table, outcome_lines
+from flows.console.display import format_table, outcome_lines
 from flows.console.run import build
 from flows.differences import Changes, compare, differences
 from flows.machine import cluster_settings
@@ -80,7 +80,7 @@ def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
     scores = [(f"  {score.name}", *score.cells) for score in found.scores[:num_rows]]
     yield from format_table(("", "a", "b", ""), scores, text_columns=(0, 3)) if scores else ()
     if len(found.scores) > num_rows:
-        yield f"  and {counted(len(found.scores) - num_rows, 'more')}; --rows shows them"
+        yield f"  and {len(found.scores) - num_rows} more; --rows shows them"
 
 
 @app.command()

@@ -19,7 +19,7 @@ from flows.console.display import Steps, format_table, make_listener
 from flows.console.fetch import small_database_words
 from flows.console.live import STOP_NAME, follow_folder, follow_lines
 from flows.exports.export_format import FileNames, write_text
-from flows.machine import remembered_ctrl_c
+from flows.signals import remembered_ctrl_c
 from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.pictures import PLAYER, Picture

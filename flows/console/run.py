@@ -44,6 +44,7 @@ from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, writable_home
 from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
 from flows.records import uncollected
+from flows.signals import ENDING
 from flows.study import Study, load_study
 from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
@@ -261,8 +262,8 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
 
 
 def _load_prefect() -> ModuleType:
-    """Import what needs Prefect, in a thread that leaves Ctrl-C to the main one."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Import what needs Prefect, in a thread that leaves signals that end the run to the main one."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
     module = import_module("flows.dataset")
     for name in _IMPORTED_BY_FLOWS:
         import_module(name)

@@ -55,9 +55,14 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     if not opened.root.is_dir():
         raise UnknownReference(f"there is no store in {opened}; --store names the folder of one")
     found = verify_store(opened)
-    size = f"{found.num_artifacts} artifacts, {found.num_files} files, {found.num_bytes / 1e6:.1f} MB"
+    size = (
+        f"{counted(found.num_artifacts, 'artifact')}, {counted(found.num_files, 'file')}, "
+        f"{found.num_bytes / 1e6:.1f} MB"
+    )
     lines = [*map(str, found.problems), *(f"note: {note}" for note in found.notes)]
-    lines.append(f"{size}: " + ("all as their manifests say" if found.is_ok else f"{len(found.problems)} problems"))
+    lines.append(
+        f"{size}: " + ("all as their manifests say" if found.is_ok else counted(len(found.problems), "problem"))
+    )
     damaged = {problem.stage for problem in found.problems if problem.kind is not ProblemKind.EXTRA}
     if stages := sorted(damaged - RESERVED_NAMES):
         force = " ".join(f"--force {stage}" for stage in stages)

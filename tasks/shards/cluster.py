@@ -86,12 +86,12 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
     }
     with dask.config.set(options):
         if settings.scheduler is not None:
-            with _client_of(settings.scheduler) as client:
+            with _client_of(settings.scheduler) as client, _without_asyncio_words():
                 _only_fit_workers(client, settings.scheduler, store_root)
                 yield client
             return
         if settings.profile is not None:
-            with started(settings.profile) as cluster, _client_of(cluster) as client:
+            with started(settings.profile) as cluster, _client_of(cluster) as client, _without_asyncio_words():
                 await_workers(client, settings.profile)
                 _only_fit_workers(client, settings.profile.cluster, store_root)
                 yield client
@@ -114,13 +114,23 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
             with _client_of(cluster) as client:
                 client.register_plugin(_tether(), name="pasdedeux-tether")
                 try:
-                    yield client
+                    with _without_asyncio_words():
+                        yield client
                 except BaseException:
-                    logging.getLogger("asyncio").setLevel(logging.CRITICAL + 1)  # what was cancelled needs no message
                     _kill_workers(cluster)
                     raise
         finally:
             cluster.close()
+
+
+@contextmanager
+def _without_asyncio_words() -> Iterator[None]:
+    """Silence asyncio where this block fails: what was cancelled needs no message beside the error."""
+    try:
+        yield
+    except BaseException:
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL + 1)
+        raise
 
 
 def _client_of(scheduler: Any) -> Client:
@@ -131,6 +141,8 @@ def _client_of(scheduler: Any) -> Client:
     """
     from distributed import Client
 
+    if isinstance(scheduler, str) and scheduler.startswith("tls://"):
+        _check_tls(scheduler)
     for _ in range(_GREETINGS):
         try:
             return Client(scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
@@ -139,6 +151,19 @@ def _client_of(scheduler: Any) -> Client:
         except (OSError, TimeoutError, ValueError) as error:
             raise ClusterError(f"no Dask scheduler answers at {scheduler}: {in_one_line(error)}") from None
     raise ClusterError(f"what answers at {scheduler} is not a Dask scheduler")
+
+
+def _check_tls(address: str) -> None:
+    """Refuse TLS without Dask's settings of the client, or with settings that cannot be read: ClusterError."""
+    from distributed.security import Security
+
+    words = "DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY"
+    try:
+        has_context = Security().get_connection_args("client").get("ssl_context") is not None
+    except (OSError, ValueError) as error:
+        raise ClusterError(f"certificates for {address} cannot be read: {in_one_line(error)}; see {words}") from None
+    if not has_context:
+        raise ClusterError(f"{address} needs certificates of a client; set {words} in the environment of this command")
 
 
 def peak_memory_bytes(client: Client | None) -> int:
@@ -180,14 +205,15 @@ def _tether() -> Any:
 
 @contextmanager
 def _no_ctrl_c_for_children() -> Iterator[None]:
-    """Start threads and processes that never see Ctrl-C: a terminal sends it to all, and only this one answers.
+    """Start threads and processes that never see Ctrl-C or SIGHUP: a terminal sends them to all, only this one answers.
 
-    Both inherit what is blocked here; a Ctrl-C that comes meanwhile arrives when the block ends.  The resource tracker
-    of multiprocessing lifts the block where it is started, so it is started before.
+    Both inherit what is blocked here; a signal that comes meanwhile arrives when the block ends.  The resource tracker
+    of multiprocessing lifts the block of SIGINT where it is started, so it is started first; it ignores SIGTERM.
     """
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -314,6 +340,7 @@ def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> No
     # A function of the module: what is inside the plugin travels as a copy, and so would the list.
     if reason := _why_unfit(mine, store_root, worker):
         is_refused.append(reason)
+        logging.getLogger("distributed.worker").error("refused by a run of pasdedeux: %s", reason)
         worker.log_event(_REFUSALS, reason)
         # Gracefully: what it was given counts as given back, not as a death under a shard.
         worker.loop.add_callback(worker.close_gracefully, reason="not fit for the run")

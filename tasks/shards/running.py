@@ -272,18 +272,22 @@ class ClusterPool(Pool):
     """Computes on the workers of a Dask client, somebody's (`is_shared`) or the run's own.
 
     A shard whose worker dies is sent again by the scheduler; one that kills several workers fails, and is named.
+    `note` is told of workers that come later and are refused.
     """
 
-    def __init__(self, client: Client, store_root: str, *, is_shared: bool = False) -> None:
+    def __init__(
+        self, client: Client, store_root: str, *, is_shared: bool = False, note: Callable[[str], None] | None = None
+    ) -> None:
         super().__init__(client, store_root)
-        self._is_shared = is_shared
-        self._num_refused_before = len(refusals(client)) if is_shared else 0
+        self._is_shared, self._note = is_shared, note
+        self._num_refused_before = self._num_told = len(refusals(client)) if is_shared else 0
         self._seen_at = time.monotonic()
         self._count_workers()
 
     def work(self) -> bool:
         """Count the workers of somebody's cluster: they come and go; ClusterError where none is left."""
         if self._is_shared and time.monotonic() - self._counted_at > _COUNT_AGAIN_S:
+            self._tell_refused()
             self._count_workers()
         return False
 
@@ -296,6 +300,14 @@ class ClusterPool(Pool):
         """Return the most memory that this process or any worker alive has held."""
         with _scheduler_is_there():
             return peak_memory_bytes(self.client)
+
+    def _tell_refused(self) -> None:
+        with _scheduler_is_there():
+            new = refusals(self.client)[self._num_told :]
+        self._num_told += len(new)
+        if new and self._note is not None:
+            more = f" (and {len(new) - 1} more since)" if len(new) > 1 else ""
+            self._note(f"refused: {new[-1]}{more}")
 
     def _count_workers(self) -> None:
         with _scheduler_is_there():

@@ -210,9 +210,9 @@ class RealRun:
         return [p for p in self.descendants() if command_of(p).find("spawn_main") >= 0]
 
 
-def wait_until_gone(processes: Sequence[psutil.Process]) -> None:
+def wait_until_gone(processes: Sequence[psutil.Process], *, limit_s: float = 60.0) -> None:
     """Wait until none of these processes runs any more."""
-    wait_until(lambda: not any(_is_running(p) for p in processes), "the run's processes to end", limit_s=60.0)
+    wait_until(lambda: not any(_is_running(p) for p in processes), "the run's processes to end", limit_s=limit_s)
 
 
 def command_of(process: psutil.Process) -> str:

@@ -149,13 +149,15 @@ class Outside:
     def start(self, kind: str, *more: str) -> subprocess.Popen[bytes]:
         """Start a scheduler or one more worker."""
         more = (*more, "--nthreads", "1", "--no-nanny") if kind == "worker" else more
+        log = self._file.with_name("processes.log").open("ab")
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", kind, "--scheduler-file", str(self._file), "--no-dashboard", *more],
             cwd=ROOT,
             env=self._environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
         )
+        log.close()
         self.processes.append(process)
         return process
 

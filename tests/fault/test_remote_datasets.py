@@ -245,6 +245,8 @@ def test_the_command_line_pushes_and_pulls_and_says_no_credential(
     assert call("pull", "toys@1", server.place, "--store", str(other)) == 0
     assert f"toys@1 is in {server.place}: 13 artifacts new" in capsys.readouterr().out
     assert call("push", "toys", "bucket/there", "--store", str(store.root)) == 2
+    assert call("pull", "toys", "s3://nowhere/datasets", "--store", str(other)) == 1
+    assert "s3://nowhere/datasets: cannot list datasets: there is no such bucket" in capsys.readouterr().err
     server.fault = lambda method, path: "error"
     assert call("pull", "toys", server.place, "--store", str(other)) == 1
     said = capsys.readouterr()

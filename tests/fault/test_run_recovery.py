@@ -94,19 +94,20 @@ def test_a_run_killed_in_mid_stage_leaves_no_process_and_the_next_one_computes_o
     assert digests(tmp_path / "store") == undisturbed
 
 
-def test_ctrl_c_ends_everything_and_the_next_run_goes_on(
-    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
+@pytest.mark.parametrize("is_for_all", [False, True], ids=["alone", "group"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
+def test_what_ends_a_run_from_outside_ends_everything_and_the_next_run_goes_on(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]], number: signal.Signals, is_for_all: bool
 ) -> None:
     gate = hold(tmp_path, "bend-t0-s1")
     first = start()
     first.wait_for("bend-t0-s1")
     left = descendants(first)
-    first.interrupt()
+    (os.killpg if is_for_all else os.kill)(first.process.pid, number)
     code, _, err = first.finish()
-    assert code == 130
-    assert "interrupted; the same command continues the work" in err
-    assert "Traceback" not in err
-    wait_until_gone(left)
+    assert (code, err.splitlines()[-1]) == (130, "interrupted; the same command continues the work")
+    assert not [word for word in ("Traceback", "resource_tracker", "Warning") if word in err], err
+    wait_until_gone(left, limit_s=5.0)
     gate.unlink()
 
     second = start("--workers", "0")
@@ -165,13 +166,17 @@ def test_a_killed_scheduler_is_one_sentence_and_the_run_can_be_finished(
     finish_here(tmp_path, undisturbed)
 
 
-def test_shards_of_late_workers_with_another_package_go_to_one_that_is_fit(
-    tmp_path: Path, undisturbed: dict[str, list[str]]
+def test_shards_of_late_workers_with_another_package_go_to_one_that_is_fit_and_that_is_said(
+    tmp_path: Path, undisturbed: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with in_mid_shard_elsewhere(tmp_path) as (outside, run):
+    monkeypatch.setattr("tasks.shards.running._COUNT_AGAIN_S", 0.1)
+    said: list[str] = []
+    with in_mid_shard_elsewhere(tmp_path, note=said.append) as (outside, run):
         outside.worker.kill()
         for late in [outside.start("worker", "--preload", str(unfit(tmp_path))) for _ in range(DEATHS_ALLOWED + 1)]:
             late.wait(timeout=60)
+        assert " has numpy 1.0, here it is " in (tmp_path / "processes.log").read_text(), "in the worker's log"
+        wait_until(lambda: any(" has numpy 1.0, here it is " in words for words in said), "a word of the run")
         another = outside.start("worker")
         (tmp_path / "gates" / "hold-grow-t0-s1").unlink()
         assert run.result(timeout=60).num_computed == EVERYTHING
@@ -241,7 +246,9 @@ def finish_here(folder: Path, undisturbed: dict[str, list[str]]) -> None:
 
 
 @contextmanager
-def in_mid_shard_elsewhere(folder: Path) -> Iterator[tuple[Outside, Future[Outcome]]]:
+def in_mid_shard_elsewhere(
+    folder: Path, *, note: Callable[[str], None] | None = None
+) -> Iterator[tuple[Outside, Future[Outcome]]]:
     """Run the toys on somebody's cluster, one shard of them held in work."""
     hold(folder, "grow-t0-s1")
     study, store, ran = write_study(folder), folder / "store", folder / "gates" / "ran.txt"
@@ -249,7 +256,7 @@ def in_mid_shard_elsewhere(folder: Path) -> Iterator[tuple[Outside, Future[Outco
     with Outside(folder) as outside:
         settings = ClusterSettings(scheduler=outside.address)
         with ThreadPoolExecutor(1) as here, connect(settings, store_root=str(store)) as client:
-            run = here.submit(run_toys, study, store, pool=ClusterPool(client, str(store), is_shared=True))
+            run = here.submit(run_toys, study, store, pool=ClusterPool(client, str(store), is_shared=True, note=note))
             wait_until(lambda: ran.exists() and "grow-t0-s1" in ran.read_text(), "a shard in work")
             yield outside, run
 

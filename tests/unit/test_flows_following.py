@@ -15,7 +15,7 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.console.live import STOP_NAME, FollowedFile, follow_folder, follow_lines, list_frames
-from flows.machine import remembered_ctrl_c
+from flows.signals import remembered_ctrl_c
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m

@@ -15,6 +15,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
 
+import dask
 import numpy as np
 import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
@@ -240,6 +241,16 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: 
     with (
         pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
         connect(ClusterSettings(scheduler="tcp://127.0.0.1:9"), store_root=str(tmp_path)),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("ca_file", [None, "nowhere.pem"])
+def test_tls_without_certificates_of_a_client_is_one_sentence(tmp_path: Path, ca_file: str | None) -> None:
+    with (
+        dask.config.set({"distributed.comm.tls.ca-file": ca_file}),
+        pytest.raises(ClusterError, match=r"certificates .*DASK_DISTRIBUTED__COMM__TLS__CA_FILE.*_TLS__CLIENT__KEY"),
+        connect(ClusterSettings(scheduler="tls://127.0.0.1:9"), store_root=str(tmp_path)),
     ):
         pass
 

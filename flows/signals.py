@@ -1,0 +1,77 @@
+"""Signals that end a process from outside: Ctrl-C, and those that do the same."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+ENDING = (signal.SIGTERM, signal.SIGHUP)
+"""With which schedulers of jobs, containers, services and closed terminals end a process."""
+
+
+@contextmanager
+def ended_as_by_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP do in this block what Ctrl-C does; what ignores one of them, as `nohup` does, still does.
+
+    They often come together, so further ones are ignored: a second must not break off what the first one ends.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in ENDING}
+    taken = [number for number, handler in before.items() if handler == signal.SIG_DFL]
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        for number in taken:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, before[number])
+
+
+@contextmanager
+def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
+    """Give a function that tells whether this process was asked to end in this block, by Ctrl-C, SIGTERM or SIGHUP.
+
+    A second Ctrl-C is as if there were no block; a second one of the others is ignored in it.
+
+    Args:
+        is_passed_on: Whether the first one raises KeyboardInterrupt, too.  That is lost where it arrives in a
+            finalizer, of Dask's futures for example, so that alone does not end the work.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING)}
+    # What is ignored, as Ctrl-C in the background of a shell, stays so for work that it would break off.  What ends
+    # a process without a word is no handler of ours: SIGTERM and SIGHUP have one below the command line.
+    taken = [number for number, handler in before.items() if callable(handler)]
+    if not is_passed_on and signal.SIGINT not in taken:
+        taken.append(signal.SIGINT)
+    is_asked = threading.Event()
+
+    def remember(number: int, _frame: FrameType | None) -> None:
+        is_asked.set()
+        for other in taken:
+            signal.signal(other, before[other] if number == signal.SIGINT else signal.SIG_IGN)
+        if number != signal.SIGINT and signal.SIGINT in taken:
+            signal.signal(signal.SIGINT, before[signal.SIGINT])
+        if is_passed_on:
+            raise KeyboardInterrupt
+
+    for number in taken:
+        signal.signal(number, remember)
+    try:
+        yield is_asked.is_set
+    finally:
+        for number in taken:
+            signal.signal(number, before[number])

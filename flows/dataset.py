@@ -22,6 +22,7 @@ from flows.prefect_server import LocalServer, check_server, signed_in, telemetry
 from flows.publishing import Published, publish, refuse_unpublished
 from flows.study import load_study
 from pasdedeux.evaluation.verdicts import figure_words
+from pasdedeux.plain_text import markdown_text
 from pasdedeux.verdict import Verdict
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
@@ -148,7 +149,7 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
     key = re.sub("[^a-z0-9]", "-", f"pasdedeux-{run.study.name}".lower())
     create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
     if published is not None:
-        words = "\n- ".join([published.words, *published.failures])
+        words = "\n- ".join(map(markdown_text, (published.words, *published.failures)))
         create_markdown_artifact(words, key=f"{key}-dataset", description=published.words)
 
 

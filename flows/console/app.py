@@ -74,7 +74,7 @@ COMMANDS = {
     "bench": Command("this_machine", "Measure kernels, or whole commands, here, each relative to a plain form."),
     "view": Command("view", "Look at takes, draws, pairs, reconstructions and variants in a browser."),
     "dataset": Command("datasets", "Named, immutable versions of what was built."),
-    "fetch": Command("fetch", "Download freely available motion capture."),
+    "fetch": Command("fetch", "Download freely available motion capture, and networks of detectors."),
     "study": Command("studies", "List, show and write studies; explain their keys."),
 }
 """All commands by name, in the order in which `--help` lists them."""

@@ -42,7 +42,7 @@ _FEW_POSES = 2000
 _BUILD_S_PER_MB, _BUILT_MB_PER_MB = 1.0, 0.6
 """Seconds on one core, and size in the store: 0.3 and 0.56 for people alone, more for partners."""
 
-_group = typer.Typer(help="Download freely available motion capture.", no_args_is_help=True)
+_group = typer.Typer(help="Download freely available motion capture, and networks of detectors.", no_args_is_help=True)
 app.add_typer(_group, name="fetch")
 
 

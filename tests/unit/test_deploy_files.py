@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import re
+import runpy
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,27 @@ def test_the_image_is_locked_and_runs_as_nobody_in_particular() -> None:
     for line in lines:
         if line.startswith("COPY "):
             assert all((ROOT / source).exists() for source in line.split()[1:-1]), line
+
+
+def test_images_can_be_given_by_digest() -> None:
+    digest = re.compile(r"\$\{PASDEDEUX_\w+_IMAGE:-[\w.:-]+\}")
+    images = {service["image"] for service in COMPOSE["services"].values()} - {"pasdedeux"}
+    images |= {service["build"]["args"]["BASE"] for service in COMPOSE["services"].values() if "build" in service}
+    assert images
+    assert all(digest.fullmatch(image) for image in images), images
+    assert [line for line in (DEPLOY / "Dockerfile").read_text().splitlines() if line.startswith("FROM")] == [
+        "FROM ${BASE}"
+    ]
+
+
+def test_a_list_of_hashes_has_every_package_but_the_program() -> None:
+    def item(name: str, version: str, **info: Any) -> dict[str, Any]:
+        return {"metadata": {"name": name, "version": version}, "download_info": info}
+
+    files = [item(name, "1.0", archive_info={"hashes": {"sha256": name[0] * 64}}) for name in ("Torch", "attrs")]
+    report = {"install": [item("pasdedeux", "0.2.0", dir_info={}), *files]}
+    module = runpy.run_path(str(DEPLOY / "lock.py"))
+    assert module["locked"](report) == [f"attrs==1.0 --hash=sha256:{'a' * 64}", f"torch==1.0 --hash=sha256:{'T' * 64}"]
 
 
 def test_the_composed_builder_asks_for_what_a_deployment_knows() -> None:

@@ -19,7 +19,7 @@ from flows.console.display import format_table
 from flows.exports import export_reference
 from flows.exports.credits import write_credits
 from flows.templates import render as render_here
-from pasdedeux.evaluation.report import render
+from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.summary import Credit, Summary
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, get_keypoint_layout
 from pasdedeux.formats.annotation_csv import read_annotation_csv, write_annotation_csv
@@ -124,6 +124,7 @@ def test_cards_and_pages_show_what_others_wrote_as_text(text: str) -> None:
     card = DatasetCard(text, text, summary, {text: 1}, {text: True}, [text])
     for page in (render("card.md", card=card), markdown_text(text)):
         assert not re.search(r"<script|(?<!\\)\[(x|click)(?<!\\)\]|\x1b", page)
+    assert "<script>alert" not in render("report.html", report=Report(text, text, summary, [Section(text, (text,))]))
     rows = [line for line in render("card.md", card=card).splitlines() if line.startswith("| ")]
     assert len(rows) == 2, "a name makes no rows of its own"
     verdict = {"figure": text, "value": 1.0, "unit": text, "baseline_name": text, "baseline": 1.0}

@@ -50,7 +50,7 @@ def show(
       pasdedeux study show sampling_paper --resolved
     """
     if not is_resolved and not as_json and not settings:
-        echo(study_text(name, Path.cwd()), nl=False)
+        echo(study_text(name, Path.cwd()).removesuffix("\n"))
         return
     study, _ = load_study(name, graph_of(context), settings=settings or ())
     if as_json:

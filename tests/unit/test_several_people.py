@@ -14,6 +14,9 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.trc import TRC, read_points, write_trc
 from pasdedeux.skeletons import BODY22
+from storage_schema import Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs, verdict_of
 from tests.builders.bvh_rigs import Node, body_nodes, bvh_of
 from tests.builders.source_samples import c3d_points, figure_motion, trc_text
 
@@ -115,3 +118,18 @@ def test_a_new_study_of_one_file_has_both_of_its_people(name: str, tmp_path: Pat
         "the file holds 2 people, this is the one of 'A:Hips'",
         "the file holds 2 people, this is the one of 'B:Hips'",
     ])  # fmt: skip
+
+
+def test_what_a_reader_assumed_is_in_the_verdict_of_the_take(tmp_path: Path) -> None:
+    (tmp_path / "pair.bvh").write_bytes(bvh_of_two())
+    section = {"takes": [{"id": "a", "files": [str(tmp_path / "pair.bvh")] * 2}], "rate_hz": 30.0}
+    store = Store(tmp_path / "store")
+    shard = STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section))[0]
+    ref = STAGE.run_shard(shard, store)
+    verdict = verdict_of(store.manifest(ref))
+    assert verdict is not None
+    reason = verdict.reason
+    assert "pair.bvh: it states 3 frames and holds 4, which are read" in reason
+    assert "pair.bvh: its frame time 0.033 is rounded: 30 Hz is taken, not 30.3" in reason
+    body22 = np.asarray(store.read(ref, "poses")["body22_m"]).reshape(2, 4, 22, 3)
+    np.testing.assert_allclose(body22[1] - body22[0], np.broadcast_to([0.9, 0.0, 0.0], body22[0].shape), atol=1e-6)

@@ -6,8 +6,9 @@ import gc
 import json
 import os
 import platform
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from storage_schema import (
     MissingArtifact,
     RunFolder,
     ShardRecord,
+    StorageError,
     Store,
     list_runs,
     open_run,
@@ -33,6 +35,7 @@ PLAN_FILE, ENVIRONMENT_FILE = "plan.json", "environment.json"
 """Files of a run's folder beside the resolved study: what was planned, what it ran on."""
 
 _RUN = "run.json"
+_RUNNING = re.compile(rb'"status": *("running")')
 
 
 def read_last_run(store: Store, study: str) -> LatestRun | None:
@@ -116,7 +119,19 @@ def end_record(
 ) -> None:
     """Write how the run ended, what it did, stage by stage, and the most memory that a process of it held."""
     said = {"status": status, "stages": list(stages), "peak_memory_bytes": peak_memory_bytes}
-    folder.write(_RUN, {**_identity(folder, study), **said})
+    try:
+        folder.write(_RUN, {**_identity(folder, study), **said})
+    except StorageError:
+        _mark_failed(folder)
+        raise
+
+
+def _mark_failed(folder: RunFolder) -> None:
+    """Turn `running` into `failed` in place: on a full disk there is no room for another file."""
+    with suppress(OSError), (folder.path / _RUN).open("r+b") as file:
+        if (status := _RUNNING.search(file.read())) is not None:
+            file.seek(status.start(1))
+            file.write(b'"failed" ')
 
 
 def describe_runs(store: Store) -> list[dict[str, str]]:

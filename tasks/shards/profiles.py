@@ -78,12 +78,26 @@ def started(profile: ClusterProfile) -> Iterator[Any]:
             with suppress(Exception):
                 cluster._created.clear()  # it asserts of every job that it has ended, also of those that never began
                 cluster.close()
+            _remove_keys(cluster)
             if not isinstance(error, Exception):
                 raise
             raise ClusterError(f"{profile.cluster} cannot start its jobs: {in_one_line(error)}") from None
-    with cluster:
-        cluster.adapt(minimum=profile.min_workers, maximum=max(profile.min_workers, profile.max_workers))
-        yield cluster
+    try:
+        with cluster:
+            cluster.adapt(minimum=profile.min_workers, maximum=max(profile.min_workers, profile.max_workers))
+            yield cluster
+    finally:
+        _remove_keys(cluster)
+
+
+def _remove_keys(cluster: Any) -> None:
+    """Remove keys and certificates that dask-jobqueue wrote for its jobs into a shared folder.
+
+    They are open temporary files, which stay there where the process ends before they are collected.
+    """
+    for name, file in vars(cluster).items():
+        if name in ("_job_ca_file", "_job_key", "_job_cert"):
+            file.close()
 
 
 async def _scaled(cluster: SpecCluster, num_workers: int) -> None:

@@ -29,7 +29,7 @@ from flows.records import describe_runs
 from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Verdict
-from storage_schema import ArtifactRef, CorruptArtifact, Store, create_dataset, read_latest, verify
+from storage_schema import ArtifactRef, CorruptArtifact, RunFolder, Store, create_dataset, read_latest, verify
 from storage_schema.errors import FullDisk
 from tasks.graph import Graph
 from tasks.shards import Call, ClusterPool, ClusterSettings, HereClient, HerePool, Pool, ShardDone, ShardError, connect
@@ -198,17 +198,24 @@ def test_ctrl_c_ends_the_run_also_where_what_it_raises_is_lost(tmp_path: Path) -
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_full_disk_ends_the_work_at_once(tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tried: list[str] = []
 
     def find_no_room(shard: Shard, store: Store) -> ArtifactRef:
         tried.append(name_of(shard))
+        monkeypatch.setattr(RunFolder, "write", refuse)
+        raise FullDisk("no room")
+
+    def refuse(*_: object) -> None:
         raise FullDisk("no room")
 
     stages = tuple(replace(one, run_shard=find_no_room) if one.name == "grow" else one for one in TOYS.stages)
     with pytest.raises(ShardError, match=r"^stage grow, t0, shard s0: no room$"):
         run_toys(write_study(tmp_path), tmp_path / "store", graph=Graph(stages))
     assert tried == ["grow t0 s0"]
+    assert [one["status"] for one in describe_runs(Store(tmp_path / "store"))] == ["failed"]
 
 
 @pytest.mark.parametrize("is_on_cluster", [False, True])

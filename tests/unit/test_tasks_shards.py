@@ -38,7 +38,7 @@ from tasks.shards import (
     run,
     worker_environment,
 )
-from tasks.shards.profiles import cluster_class
+from tasks.shards.profiles import cluster_class, read_profile, started
 from tasks.stage import Shard, StageInputs, kept
 from tests.builders.toy_runs import ROOT
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
@@ -310,6 +310,15 @@ def test_jobs_of_the_profile_for_this_machine_compute_the_same_with_its_threads_
         found = compute(run_grow, shards(), ClusterPool(client, str(tmp_path / "far"), is_shared=True))
     own = compute(run_grow, shards(), here(tmp_path / "near"))
     assert {key: done.ref for key, done in found.items()} == {key: done.ref for key, done in own.items()}
+
+
+def test_keys_of_a_clusters_jobs_are_gone_from_the_shared_folder_when_it_has_ended(tmp_path: Path) -> None:
+    profile = read_profile(ROOT / "deploy" / "clusters" / "here.toml")
+    options = {**profile.options, "security": True, "shared_temp_directory": str(tmp_path)}
+    with started(profile.model_copy(update={"options": options})) as cluster:
+        assert len(list(tmp_path.iterdir())) == 3, "authority, certificate and key"
+    assert list(tmp_path.iterdir()) == []
+    assert cluster is not None, "it is not collected, as where a process ends"
 
 
 @pytest.mark.parametrize(

@@ -226,7 +226,7 @@ def guess_motion(source: SourceMotion) -> MotionGuess:
     """Return estimates of everything that a motion file may not state."""
     known = find_layout(source.skeleton, source.rest_offsets)
     draft = None if known else draft_motion(source)
-    layout = draft.layout("draft") if draft and not draft.missing else known
+    layout = draft.layout("draft") if draft and draft.is_whole else known
     return MotionGuess(
         layout=known.name if known else None,
         draft=draft,
@@ -246,7 +246,7 @@ def _layout_of(source: SourceMotion) -> Layout | None:
     """Return the known layout of a motion, else the one that is drafted; None where that lacks parts."""
     known = find_layout(source.skeleton, source.rest_offsets)
     draft = None if known else draft_motion(source)
-    return draft.layout("draft") if draft and not draft.missing else known
+    return draft.layout("draft") if draft and draft.is_whole else known
 
 
 def _positions(source: SourceMotion) -> tuple[Array, Array]:

@@ -155,4 +155,30 @@ def test_any_tree_is_drafted_or_missing(seed: int, num_joints: int, is_chain: bo
     skeleton = Skeleton("bvh", tuple(f"q{at}" for at in range(num_joints)), parents)
     offsets = rng.integers(-1, 2, (num_joints, 3)) * rng.choice([0.0, 1.0])
     draft = draft_mapping(skeleton, offsets)
-    assert draft.missing or draft.layout("mine").tables
+    assert not draft.is_whole or draft.layout("mine").tables
+
+
+@pytest.mark.parametrize("prefixes", [("A:", "B:"), ("P1_", "P2_"), None])
+@pytest.mark.parametrize("rig", RIGS[::6], ids=lambda rig: rig.name)
+def test_two_people_in_one_tree_are_not_mixed(rig: Rig, prefixes: tuple[str, str] | None) -> None:
+    motion, count = rig.source(), len(rig.source().skeleton.joint_names)
+    skeleton = motion.skeleton
+    first, second = prefixes or ("", "")
+    named = [f"{prefix}{name}" for prefix in (first, second) for name in skeleton.joint_names]
+    names = ("world", *(named if prefixes else (f"q{at}z" for at in np.random.default_rng(0).permutation(2 * count))))
+    parents = (-1, *(at + 1 if at >= 0 else 0 for at in skeleton.parents))
+    parents += tuple(at + 1 + count if at >= 0 else 0 for at in skeleton.parents)
+    apart = np.array([0.0, 1.0, 1.0]) / rig.metres_per_unit
+    offsets = np.concatenate([np.zeros((1, 3)), motion.rest_offsets, motion.rest_offsets])
+    offsets[1 + count] = apart
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (motion.num_frames, 1, 1))
+    local = np.concatenate([still, motion.local_unitquat, motion.local_unitquat], axis=1)
+    both = SourceMotion(Skeleton("bvh", names, parents), offsets, motion.root_translation, local)
+    assert find_layout(both.skeleton, both.rest_offsets) is None
+    draft = draft_motion(both)
+    assert draft.are_several
+    with pytest.raises(InputError, match="several people"):
+        draft.layout("mine")
+    if prefixes == ("A:", "B:"):
+        with pytest.raises(InputError, match="its joints are those of several people; give each person a file"):
+            resolve_layout("auto", both.skeleton, both.rest_offsets)

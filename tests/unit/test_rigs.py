@@ -143,6 +143,14 @@ def test_parts_of_a_mapping_are_enough_and_the_rest_is_derived() -> None:
         resolve_layout("mine", odd.skeleton, odd.rest_offsets, {"mine": {"parts": parts}})
 
 
+def test_changes_to_a_known_layout_reach_files_with_a_namespace() -> None:
+    motion = RIGS[1].source()
+    mappings = {"mixamo": {"pair17": {"head": {"Head": 0.5, "Neck": 0.5}, "spine": "Spine1"}}}
+    found = resolve_layout("auto", motion.skeleton, motion.rest_offsets, mappings).joint_map("pair17")
+    assert found.weights("head") == {"mixamorig:Head": 0.5, "mixamorig:Neck": 0.5}
+    assert found.weights("spine") == {"mixamorig:Spine1": 1.0}
+
+
 def test_the_small_file_is_recognised_and_complete() -> None:
     motion = read_bvh(SMALL_BVH)
     layout = find_layout(motion.skeleton, motion.rest_offsets)

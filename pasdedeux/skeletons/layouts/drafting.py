@@ -12,7 +12,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.skeletons.layouts.fitting import NEEDED, NORMAL_NAMES, fit_parts, rest_positions
+from pasdedeux.skeletons.layouts.fitting import NEEDED, NORMAL_NAMES, SEVERAL_PEOPLE, fit_parts, rest_positions
 from pasdedeux.skeletons.layouts.layout import Layout
 from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
 from pasdedeux.skeletons.layouts.names import SIDES, normal_names
@@ -38,6 +38,8 @@ _NECK_HEIGHT = 0.13
 """Height over the shoulders, in lengths of the trunk, from which a joint is no base of a neck."""
 _SKULL_AWAY = 0.1
 """Distance of the joint on which the head turns from the base of the neck, in lengths of the trunk, at least."""
+_LIKE_PEOPLE = 0.4
+"""Logarithm by which limbs of two people differ in length at most."""
 _TOE_ACROSS, _BENT = 0.1, 0.03
 """Share of the shin that a foot leads away from its line at least, and of the leg that a bent knee does."""
 _SURE_SIDE = 0.5
@@ -72,11 +74,13 @@ class Draft:
 
     Args:
         parts: From the pelvis to the toes; what is not told is derived.
+        are_several: Whether there are limbs of several bodies.
         skeleton: The joints of the file.
         rest_offsets: Their offsets (J, 3).
     """
 
     parts: tuple[DraftedPart, ...]
+    are_several: bool
     skeleton: Skeleton = field(repr=False)
     rest_offsets: Array = field(repr=False)
 
@@ -85,12 +89,19 @@ class Draft:
         """Needed parts for which no joint was found."""
         return [part.part for part in self.parts if not part.joint]
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is a layout: one body with all that is needed."""
+        return not self.missing and not self.are_several
+
     def layout(self, name: str) -> Layout:
         """Return the layout that the draft is.
 
         Raises:
-            InputError: Needed parts are missing.
+            InputError: Needed parts are missing, or there are several bodies.
         """
+        if self.are_several:
+            raise InputError(SEVERAL_PEOPLE)
         if self.missing:
             raise InputError(f"no joint was found for {', '.join(self.missing)}; write [ingest.mappings.{name}.parts]")
         parts = {part.part: part.joint for part in self.parts}
@@ -192,7 +203,18 @@ class _Drafting:
             parts.get(part) or (DraftedPart(part, "", "no joint was found", False) if part in needed else None)
             for part in ("pelvis", "neck", "skull", *limb_parts)
         )
-        return Draft(tuple(row for row in rows if row), self.skeleton, self.rest_offsets)
+        are_several = bool(legs and arms and self._are_several(pairs, legs, arms))
+        return Draft(tuple(row for row in rows if row), are_several, self.skeleton, self.rest_offsets)
+
+    def _are_several(self, pairs: Sequence[_Pair], legs: _Pair, arms: _Pair) -> bool:
+        """Tell whether there are further legs and arms, of like length, that hang from other joints."""
+        used = self._joints(legs) | self._joints(arms)
+        for kind, known in (("leg", legs), ("arm", arms)):
+            length = self._triple(kind, known).length
+            others = [pair for pair in pairs if pair[0].path[0] != known[0].path[0] and not self._joints(pair) & used]
+            if not any(abs(np.log(self._triple(kind, pair).length / length)) < _LIKE_PEOPLE for pair in others):
+                return False
+        return True
 
     @cached_property
     def _lengths(self) -> Array:

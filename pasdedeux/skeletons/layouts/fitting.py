@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from pasdedeux.skeletons.working import BODY22
 
 NEEDED = by_side("left", *ARM, *LEG)
 """Parts that a file must have; it needs neck or head besides."""
+SEVERAL_PEOPLE = "its joints are those of several people; give each person a file, or a mapping"
 _SPINE = {"spine1": 0.23, "spine2": 0.45, "spine3": 0.68, "spine": 1 / 3, "chest": 2 / 3}
 """Place of joints between the pelvis and the base of the neck, shares of the way; those of body22's T-pose."""
 _SNAP = 0.12
@@ -51,6 +53,8 @@ def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
         rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
     """
     joints = by_normal_name(skeleton.joint_names)
+    if _are_several(skeleton):
+        return None
     fitting = [
         layout
         for layout in LAYOUTS.values()
@@ -92,6 +96,8 @@ def resolve_layout(
         InputError: No known layout fits, the name is neither known nor that of a mapping, or joints are missing.
     """
     mappings = mappings or {}
+    if _are_several(skeleton) and name not in mappings:
+        raise InputError(SEVERAL_PEOPLE)
     if name == "auto":
         found = find_layout(skeleton, rest_offsets)
         if found is None:
@@ -111,7 +117,32 @@ def resolve_layout(
     else:
         raise InputError(f"layout '{name}' is not known; known: {', '.join([*LAYOUTS, *mappings])}")
     tables = {key: table for key, table in mappings.get(layout.name, {}).items() if key != "parts"}
-    return layout.with_tables(tables) if tables else layout
+    return layout.with_tables(_in_words_of(skeleton, layout.name, tables)) if tables else layout
+
+
+def _in_words_of(skeleton: Skeleton, layout_name: str, tables: Mapping[str, Table]) -> dict[str, Table]:
+    """Return tables in the names of a file; they may have those of the layout, without the file's namespace."""
+    joints, normal = by_normal_name(skeleton.joint_names), NORMAL_NAMES.get(layout_name, {})
+
+    def name_of(name: str) -> str:
+        return name if name in skeleton.joint_names else joints.get(normal.get(name, ""), name)
+
+    return {
+        key: {
+            joint: name_of(entry) if isinstance(entry, str) else {name_of(name): entry[name] for name in entry}
+            for joint, entry in table.items()
+        }
+        for key, table in tables.items()
+    }
+
+
+def _are_several(skeleton: Skeleton) -> bool:
+    """Tell whether every limb that a known layout needs is there twice, under other namespaces."""
+    counts = Counter(normal_names(skeleton.joint_names))
+    twice = {name: name for name, count in counts.items() if count > 1}
+    return len(twice) >= len(NEEDED) and any(
+        _in_file(layout, twice).keys() >= set(NEEDED) for layout in LAYOUTS.values()
+    )
 
 
 def _fits_none(joint_names: Sequence[str]) -> str:

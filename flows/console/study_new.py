@@ -12,23 +12,31 @@ from pathlib import Path
 
 import numpy as np
 
+from flows.console.display import format_table
 from flows.templates import render
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import AnnotationFormat
-from pasdedeux.formats.guess import USUAL_HEIGHT_M, MotionGuess, common_up_axis, guess_motion
+from pasdedeux.formats.guess import USUAL_HEIGHT_M, AxisGuess, draft_motion, guess_mirrored
 from pasdedeux.formats.registry import recognise_format
-from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource
+from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, one_rate, resolve_up_axes
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.people.video import why_no_video
+from pasdedeux.skeletons.layouts import Draft, find_layout
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.readers import refuse_film
 from tasks.ingest.poses2d.resolution import find_annotations
 from tasks.ingest.takes.known_sources import known_source, usual_rate_hz, was_fetched
-from tasks.ingest.takes.resolution import find_companion
+from tasks.ingest.takes.parameters import PersonOptions
+from tasks.ingest.takes.resolution import find_companion, resolve_file
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
+from tasks.stage import SourceFile
 from tasks.views import ViewsParameters
 
 _SURE, _LIKELY = 0.9, 0.6
+_LOOKED_AT, _JUMP_M, _JUMP = 50, 0.15, 5.0
+"""Frames that may show a jump, its length at least, and how many times the largest steps after it."""
 ONE_TAKE = 0.98
 """Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""
 
@@ -40,14 +48,28 @@ _quoted = partial(json.dumps, ensure_ascii=False)
 
 @dataclass(frozen=True)
 class _Person:
-    """Somebody of a motion file: its length, its digest, what its content shows, what is known of it, notes on it."""
+    """Somebody of a motion file: his motion, what it is taken to be, and the mapping drafted where no layout fits.
+
+    `layout` is the name of the layout, or of the mapping; empty where a mapping lacks joints that are needed.
+    """
 
     path: Path
-    num_frames: int
     sha256: str
-    guess: MotionGuess
+    motion: SourceMotion
+    taken: Resolution
     known: KnownSource
-    notes: tuple[str, ...] = ()
+    layout: str
+    draft: Draft | None
+
+    @property
+    def num_frames(self) -> int:
+        """Length of the file."""
+        return self.motion.num_frames
+
+    @property
+    def duration_s(self) -> float | None:
+        """Length of the file in seconds, where its rate is known."""
+        return None if self.taken.rate_hz is None else self.num_frames / self.taken.rate_hz
 
 
 @dataclass(frozen=True)
@@ -79,10 +101,12 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     lines = _take_lines(people) if people else []
     shown = [_quoted(_shown(person.path, path.parent)) for person in people]
     take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
+    mappings = _mappings(people)
     text = render(
         "new_study.toml",
         name=_identifier(path.stem),
         take=take,
+        mappings=mappings,
         videos=videos,
         are_pairs=any(video.num_persons >= 2 for video in videos),
         are_moving=any(video.is_moving for video in videos),
@@ -98,7 +122,8 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     doubted = (line.removeprefix("# ").partition("#") for line in lines if any(mark in line for mark in _DOUBTS))
     return [
         *(f"found {_said(person)}" for person in people),
-        *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.notes),
+        *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.motion.notes),
+        *_drafted(people),
         *(f"found 2D poses {one.path}: {one.note}" for one in videos),
         *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
@@ -119,13 +144,23 @@ def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
                 raise InputError("a single file of this format is one frame; give the folder")
             return [_read_video(path, base)]
         companion = find_companion(path, kind)
-        people, sha256 = [], loaded.file.sha256
-        is_fetched = was_fetched(path, sha256)
-        for motion in kind.read_people(loaded.data, read_again(companion) if companion else b""):
-            guess = guess_motion(motion)
-            known = known_source(path.name, guess.layout or "", stated_hz=guess.rate_hz, is_fetched=is_fetched)
-            people.append(_Person(path, motion.num_frames, sha256, guess, known, motion.notes))
-        return people
+        motions = kind.read_people(loaded.data, read_again(companion) if companion else b"")
+        return [_person(path, loaded.file, motion) for motion in motions]
+
+
+def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
+    """Return what somebody's motion is taken to be: as a study will, and by a draft where no known layout fits."""
+    taken, draft, layout = resolve_file(file, motion), None, ""
+    if taken.layout is not None:
+        layout = taken.layout.name
+    elif find_layout(motion.skeleton, motion.rest_offsets) is None:
+        draft, name = draft_motion(motion), _identifier(path.stem)
+        if not draft.missing:
+            parts = {part.part: part.joint for part in draft.parts}
+            taken = resolve_file(file, motion, PersonOptions(layout=name), {name: {"parts": parts}})
+            layout = name if taken.layout is not None else ""
+    known = known_source(path.name, layout, stated_hz=motion.rate_hz, is_fetched=was_fetched(path, file.sha256))
+    return _Person(path, file.sha256, motion, taken, known, layout, draft)
 
 
 def _read_video(path: Path, base: Path) -> _Video:
@@ -155,39 +190,124 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
     for person in people:
         if (other := by_digest[person.sha256]) is not person.path:
             raise InputError(f"{other} and {person.path} are the same, byte for byte; a person has a file of their own")
-    layout, up = people[0].guess.layout, common_up_axis([person.guess.up for person in people])
+    axes = resolve_up_axes(
+        [person.motion for person in people],
+        ["auto"] * len(people),
+        [sum(person.sha256 == other.sha256 for other in people) == 1 for person in people],
+    )
+    told = [
+        [_layout(person), _axis(axis), _rate(person), *_mirror(person), _unit(person)]
+        for person, axis in zip(people, axes, strict=True)
+    ]
+    # What is said of everybody alike is said of the take.
+    shared = [line for line in told[0][:-1] if all(_key(line) in map(_key, lines) for lines in told[1:])]
+    keys = set(map(_key, shared))
+    own = [[line for line in lines if _key(line) not in keys] for lines in told]
     return [
         *_length(people),
-        "# layout: its joints fit no known layout; write one under [ingest.mappings]"
-        if layout is None
-        else f'layout = "{layout}"    # by the names of the joints: sure',
-        f'up_axis = "{up.axis}"         # bodies stand along it: {_words(up.confidence)}',
-        _rate(people[0]),
-        *(line for person in people for line in ("[[ingest.takes.persons]]", _unit(person))),
+        *_jump(people),
+        *shared,
+        *(line for lines in own for line in ("[[ingest.takes.persons]]", *lines)),
     ]
+
+
+def _key(line: str) -> str:
+    """Return what a line says without its remark."""
+    return line.removeprefix("# ").partition("#")[0].strip()
+
+
+def _mappings(people: Sequence[_Person]) -> list[str]:
+    """Return the drafted mappings of a study, each once."""
+    drafts = {_identifier(person.path.stem): person.draft for person in people if person.draft is not None}
+    return [draft.toml(name) for name, draft in drafts.items()]
+
+
+def _drafted(people: Sequence[_Person]) -> list[str]:
+    """Return the drafts as a table for the terminal, and what is missing."""
+    lines = []
+    for path, draft in {person.path: person.draft for person in people if person.draft is not None}.items():
+        rows = [
+            (part.part, part.joint or "none", "sure" if part.is_sure else "A GUESS", part.reason)
+            for part in draft.parts
+        ]
+        lines.append(f"{path.name}: no known layout fits its joints; this mapping is drafted:")
+        lines += format_table(("part", "joint", "is it sure", "by"), rows, text_columns=range(4))
+        if draft.missing:
+            lines.append(f"{path.name}: no joint was found for {', '.join(draft.missing)}; set them in the study")
+    lines += [
+        f"{person.path.name}: {person.taken.why_no_layout}"
+        for person in people
+        if not person.layout and not (person.draft and person.draft.missing)
+    ]
+    return lines
+
+
+def _layout(person: _Person) -> str:
+    if not person.layout:
+        return f"# layout: {person.taken.why_no_layout.partition(';')[0]}: SET IT, it is needed"
+    if person.draft is not None:
+        return f'layout = "{person.layout}"    # drafted below: look at its guesses'
+    assert person.taken.layout is not None
+    derived = person.taken.layout.derived
+    rest = f"; not in the file, derived: {', '.join(derived)}" if derived else ""
+    return f'layout = "{person.layout}"    # by the names of the joints: sure{rest}'
+
+
+def _axis(axis: AxisGuess) -> str:
+    return f'up_axis = "{axis.axis}"         # bodies stand along it: {_words(axis.confidence)}'
+
+
+def _mirror(person: _Person) -> list[str]:
+    """Return the line that exchanges left and right, where a file has them the wrong way round."""
+    mirror = guess_mirrored(person.motion, person.taken.layout)
+    if not mirror.is_mirrored or mirror.confidence < _LIKELY:
+        return []
+    return [
+        f"mirrored = true       # {person.path.name}: toes and knees point backwards, left and right are exchanged: "
+        "A GUESS - CHECK IT"
+    ]
+
+
+def _jump(people: Sequence[_Person]) -> list[str]:
+    """Offer to leave out a first frame that is no part of the motion, such as a T-pose."""
+    for person in people:
+        some = person.motion.frames(0, _LOOKED_AT)
+        positions, _ = forward_kinematics(some.skeleton, some.rest_offsets, some.root_translation, some.local_unitquat)
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1).max(axis=-1) * person.taken.unit.metres_per_unit
+        if len(steps) > 2 and steps[0] > max(_JUMP_M, _JUMP * np.percentile(steps[1:], 95)):
+            last = min(other.num_frames for other in people)
+            return [
+                f"# frames = [1, {last}]   # {person.path.name} jumps by {steps[0]:.2f} m after frame 0, a T-pose "
+                "perhaps: A GUESS - uncomment it if so"
+            ]
+    return []
 
 
 def _said(person: _Person) -> str:
     """Say what a motion file holds."""
-    unit, rate_hz = person.guess.unit, person.known.rate_hz or person.guess.rate_hz or usual_rate_hz(person.path.name)
+    rate_hz = person.taken.rate_hz or usual_rate_hz(person.path.name)
     lasts = "" if rate_hz is None else f" ({person.num_frames / rate_hz:.1f} s at {rate_hz:g} Hz)"
-    height_m = unit.height_m / unit.metres_per_unit * (person.known.metres_per_unit or unit.metres_per_unit)
-    return f"{person.path.name}: {person.num_frames} frames{lasts}, about {height_m:.2f} m tall"
+    return f"{person.path.name}: {person.num_frames} frames{lasts}, about {person.taken.unit.height_m:.2f} m tall"
 
 
 def _length(people: Sequence[_Person]) -> list[str]:
-    """Say whether the files are of one take, by their lengths."""
-    lengths = [person.num_frames for person in people]
-    if len(set(lengths)) == 1:
+    """Say whether the files are of one take, by their lengths: in seconds where their rates differ."""
+    lengths: list[float] = [person.num_frames for person in people]
+    shown, what, slack = [str(length) for length in lengths], "frames", 0.0
+    rates = [rate for rate in one_rate([person.taken.rate_hz for person in people]) if rate]
+    if len(set(rates)) > 1 and len(rates) == len(people):
+        lengths, slack = [person.duration_s or 0.0 for person in people], 1.0 / min(rates)
+        shown, what = [f"{length:.2f}" for length in lengths], "seconds"
+    if max(lengths) - min(lengths) <= slack:
         return []
     is_near = min(lengths) >= ONE_TAKE * max(lengths)
-    asked = f"files have {' and '.join(map(str, lengths))} frames: ARE THEY OF ONE TAKE?"
+    asked = f"files have {' and '.join(shown)} {what}: ARE THEY OF ONE TAKE?"
     near = f'on_unequal = "trim"      # the {asked}'
     return [near if is_near else f"# {near} Then switch this on"]
 
 
 def _rate(person: _Person) -> str:
-    stated_hz, known_hz = person.guess.rate_hz, person.known.rate_hz
+    stated_hz, known_hz = person.motion.rate_hz, person.known.rate_hz
     if known_hz is not None:
         is_other = stated_hz is not None and abs(stated_hz - known_hz) > 0.01
         header = f"; the header says {stated_hz:g}" if is_other else ""
@@ -204,7 +324,7 @@ def _rate(person: _Person) -> str:
 
 def _unit(person: _Person) -> str:
     """Return the length unit of a person."""
-    unit, name, known_m = person.guess.unit, person.path.name, person.known.metres_per_unit
+    unit, name, known_m = person.taken.unit, person.path.name, person.known.metres_per_unit
     if known_m is not None:
         return f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
     if unit.confidence >= MIN_UNIT_CONFIDENCE:

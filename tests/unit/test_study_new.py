@@ -24,7 +24,9 @@ from tasks.projections import ProjectionsParameters
 from tasks.seeds import SeedsParameters
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
+from tests.builders.ingest_runs import planned
 from tests.builders.own_sources import write_walk
+from tests.builders.rigs import RIGS, Rig
 from tests.builders.source_samples import bvh_text, csv_text, figure_motion
 
 
@@ -196,3 +198,65 @@ def test_key_frames_are_lifted_and_no_motion_is_asked_of_them(tmp_path: Path) ->
     sections = tomllib.loads(new_study(tmp_path / "keys.csv", name="keys").text)
     assert {"views", "seeds", "chains", "lifting"} <= set(sections)
     assert not {"projections", "reconstruction"} & set(sections)
+
+
+@pytest.mark.parametrize("rig", RIGS, ids=lambda rig: rig.name)
+def test_what_a_new_study_calls_sure_is_what_a_plan_accepts(tmp_path: Path, rig: Rig) -> None:
+    """Whatever the rig: the study is planned as it was written, or the terminal says what is missing."""
+    path = tmp_path / "person.bvh"
+    path.write_text(rig.bvh())
+    study = tmp_path / "mine.toml"
+    said = write_new_study(study, [path])
+    section = tomllib.loads(study.read_text(encoding="utf-8"))["ingest"]
+    section["takes"][0]["files"] = [str(path)]
+    missing = [line for line in said if "SET IT, it is needed" in line]
+    if missing:
+        assert rig.metres_per_unit == 0.1, "of these units no program's is a decimetre"
+        with pytest.raises(InputError, match="set metres_per_unit"):
+            planned(**section)
+        return
+    shards = planned(**section)
+    assert shards[0].parameters.persons[0].layout == rig.layout
+    assert f'layout = "{rig.layout}"' in study.read_text(encoding="utf-8")
+
+
+def test_a_mapping_is_drafted_shown_and_accepted_where_no_layout_fits(tmp_path: Path) -> None:
+    names = iter(f"bone{number}" for number in range(1000))
+    source = RIGS[0].bvh()
+    for name in dict.fromkeys(re.findall(r"(?:ROOT|JOINT) (\S+)", source)):
+        source = re.sub(rf"\b{name}\b", next(names), source)
+    path, study = tmp_path / "odd.bvh", tmp_path / "mine.toml"
+    path.write_text(source)
+    said = write_new_study(study, [path])
+    assert any("this mapping is drafted" in line for line in said)
+    assert any(line.split()[:1] == ["left_knee"] for line in said)
+    section = tomllib.loads(study.read_text(encoding="utf-8"))["ingest"]
+    assert len(section["mappings"]["odd"]["parts"]) >= 13
+    assert planned(**{**section, "takes": [section["takes"][0] | {"files": [str(path)]}]})
+
+
+def test_two_rigs_rates_and_axes_are_written_for_each(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.bvh", tmp_path / "b.bvh"
+    rigs = {rig.name: rig for rig in RIGS}
+    first.write_text(rigs["mixamo with a namespace"].bvh())
+    text = rigs["unreal"].bvh()
+    step = re.search(r"Frame Time: (\S+)", text)
+    assert step is not None
+    second.write_text(text.replace(step[0], f"Frame Time: {float(step[1]) / 2:.9f}"))
+    made = new_study(first, second)
+    people = made.ingest.takes[0].persons
+    assert [person.layout for person in people] == ["mixamo", "unreal"]
+    assert [person.rate_hz for person in people] == [30.0, 60.0]
+    assert [person.up_axis for person in people] == ["y", "z"]
+    assert "12 frames" in made.said[0]
+    assert any("0.40 and 0.20 seconds: ARE THEY" in line for line in made.said)
+
+
+def test_a_t_pose_before_the_take_is_offered_to_be_cut(tmp_path: Path) -> None:
+    lines = bvh_text(num_frames=40).splitlines()
+    start = next(at for at, line in enumerate(lines) if line.startswith("Frame Time"))
+    lines[start + 1] = " ".join("0" for _ in lines[start + 1].split())
+    (tmp_path / "a.bvh").write_text("\n".join(lines))
+    made = new_study(tmp_path / "a.bvh")
+    assert "# frames = [1, 40]" in made.text
+    assert any(line.startswith("in doubt: frames = [1, 40]: a.bvh jumps by") for line in made.said)

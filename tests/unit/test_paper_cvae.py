@@ -15,7 +15,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.mesh_refine import MeshRefineModel
 from pasdedeux.learning.model import Trained, Training, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
-from pasdedeux.learning.networks.layers import divergence, draw_latent
+from pasdedeux.learning.networks.layers import _graph, divergence, draw_latent
 from pasdedeux.learning.registry import MODELS, ModelDescription, describe, load_model, model_arrays
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.window_vae import PaperCvaeModel
@@ -170,3 +170,12 @@ def test_a_gpu_that_runs_out_of_memory_is_said_and_what_was_trained_is_kept(monk
         InputError, match=r"too little free memory for training; what segment 0 left is kept; .*device=c"
     ):
         train(1, state=first.state)
+
+
+def test_the_graph_of_a_skeleton_is_symmetric_and_keeps_the_roots_of_the_numbers_of_neighbours() -> None:
+    """D^-1/2 (A + 1) D^-1/2 of Kipf and Welling 2017 has the eigenvector sqrt(D) with eigenvalue 1, and none above."""
+    graph = _graph(BODY22).double().numpy()
+    root = np.sqrt([1.0 + len(BODY22.children(joint)) + (joint != BODY22.root) for joint in range(BODY22.num_joints)])
+    np.testing.assert_array_equal(graph, graph.T)
+    np.testing.assert_allclose(graph @ root, root, rtol=1e-6)
+    assert np.linalg.eigvalsh(graph).max() < 1.0 + 1e-6

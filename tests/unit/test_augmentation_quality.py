@@ -80,6 +80,14 @@ def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
     assert np.isnan([variant.verdict.value, variant.verdict.baseline]).all()
 
 
+def test_people_who_never_stand_are_a_warning_where_all_else_passes() -> None:
+    drifting = swaying_pair(FRAMES)
+    drifting[..., :2] += np.arange(FRAMES)[:, None, None, None] / 30.0  # a metre a second, along and upwards
+    (variant,) = Augmenter(Source(drifting, 30.0)).solve(uniform_variations([1.0], ["A"]))
+    assert variant.verdict.level is Level.WARN
+    assert variant.verdict.reason.startswith("nobody ever stands")
+
+
 def test_the_source_itself_passes_in_every_frame() -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
     _, frames = _measure(source, source.positions_m)

@@ -291,7 +291,7 @@ def _num_lost(path: Path, stated: float, stated_hz: float, times_s: Sequence[flo
 
 def _is_cut_matroska(path: Path) -> bool | None:
     """Tell whether a Matroska or WebM file ends before its segment does; None of other files, or of an unknown size."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(4096)
     at = head.find(_SEGMENT)
     if not head.startswith(_EBML) or at < 0:

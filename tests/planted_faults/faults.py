@@ -276,7 +276,7 @@ FAULTS = (
           "share if share >= MIN_TRUST else 0.0", "1.0 if share > 0.0 else 0.0",
           "unit/test_people_identity.py::test_junk_joints_of_low_confidence_split_nobody"),
     Fault("a joint at the origin is seen", "pasdedeux/formats/detections.py",
-          "is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)", "is_seen = confidence > 0",
+          "(np.nan_to_num(table[..., 2]) > 0) & (table[..., :2] != 0).any(axis=-1)", "table[..., 2] > 0",
           "unit/test_keypoint_formats.py::test_what_is_at_the_origin_or_has_no_confidence_is_missing"),
     Fault("an archive unpacks to any size", "pasdedeux/formats/npz.py", "if unpacked > most:", "if unpacked < 0:",
           "contract/test_input_formats.py::"

@@ -104,7 +104,7 @@ def test_the_good_files_are_planned(folder: Path, capsys: pytest.CaptureFixture[
         ),
         (
             written(write_bvh(figure_motion(num_frames=12, rate_hz=50.0))),
-            ("its files have different frame rates, 60 and 50 Hz; set rate_hz",),
+            ("its files have unequal lengths (60_01.bvh 0.20 and 61_01.bvh 0.24 seconds); ",),
         ),
         (told(options=", frames = [4, 20]"), ("frames from 4 to 20 are wanted, but 60_01.bvh has 12 frames",)),
         (

@@ -13,6 +13,7 @@ from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
 from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
 from flows.signals import remembered_ctrl_c
+from pasdedeux.plain_text import counted
 from storage_schema import RunFolder, StorageError, new_run
 from tasks.shards import ClusterPool, ClusterSettings, HerePool, Pool, connect, worker_environment
 
@@ -72,7 +73,7 @@ def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
     if settings.profile is not None:
         run.listener.note(f"starting {settings.profile.cluster}, waiting for its first worker")
     elif settings.scheduler is None:
-        workers = f"{settings.num_workers} local worker{'s' * (settings.num_workers != 1)}"
+        workers = counted(settings.num_workers, "local worker")
         run.listener.note(f"starting {workers}{why_few(settings)}")
     else:
         run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")

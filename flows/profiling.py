@@ -10,6 +10,7 @@ from pathlib import Path
 from pasdedeux.evaluation.pictures import Picture, figure_svg, label_axis, legend_beside, new_figure
 from pasdedeux.evaluation.report import render
 from pasdedeux.evaluation.score_tables import TextTable
+from pasdedeux.plain_text import counted
 from storage_schema import Manifest, Store
 from tasks.shards import Place, ShardDone
 
@@ -51,7 +52,8 @@ def _words(bars: Sequence[_Bar]) -> str:
     )
     busy = sum(bar.seconds for bar in bars) / (num_processes * end_s) if end_s else 0.0
     return (
-        f"{len(bars)} shards, without those that were there already. Processes: {num_processes}, for {end_s:.1f} s, "
+        f"{counted(len(bars), 'shard')}, without those that were there already. Processes: {num_processes}, "
+        f"for {end_s:.1f} s, "
         f"at work {busy:.0%} of that. Memory is the most that a process had held by the end of a shard."
     )
 

@@ -1,4 +1,4 @@
-"""Text that others wrote, such as names, notes and credits, made harmless where it is shown or leaves."""
+"""Text for people: numbers with nouns, and what others wrote (names, notes, credits) made harmless."""
 
 from __future__ import annotations
 
@@ -12,6 +12,17 @@ _FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\n]")
 """Begins what a table program computes instead of showing it."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(inf|nan)", re.IGNORECASE)
 _MARKS = str.maketrans({"<": "&lt;", ">": "&gt;", "|": "\\|", "[": "\\[", "]": "\\]", "\n": " ", "\t": " "})
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, which makes its plural with an s; people are people.
+
+    >>> counted(1, "shard"), counted(1200, "shard"), counted(2, "person")
+    ('1 shard', '1200 shards', '2 people')
+    """
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} people" if noun == "person" else f"{number} {noun}s"
 
 
 def visible(text: str, *, is_line: bool = False) -> str:

@@ -9,11 +9,10 @@ import typer
 from typer import Argument, Option
 
 from flows.console.context import JsonOption, StoreOption, answer, app, open_store
-from flows.console.display import counted
 from flows.planning import PlanError
 from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, mixture, read_last_run
-from pasdedeux.plain_text import visible
+from pasdedeux.plain_text import counted, visible
 from storage_schema import (
     ArtifactRef,
     Dataset,

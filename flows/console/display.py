@@ -16,7 +16,7 @@ from flows.planning import Plan, StagePlan, State
 from flows.progress import Listener, Progress
 from flows.records import last_manifests, read_last_run
 from pasdedeux.evaluation.verdicts import verdict_words
-from pasdedeux.plain_text import visible
+from pasdedeux.plain_text import counted, visible
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, Store
 from tasks.stage import Shard
@@ -27,11 +27,6 @@ _SILENCE_S = 5.0
 _LOOK_UP_S = 0.5
 _NAMED = 3
 """Shards in work that are named."""
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: "1 shard", "2 shards"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def make_listener(*, is_quiet: bool = False) -> Listener:

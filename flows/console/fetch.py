@@ -16,7 +16,6 @@ import typer
 from typer import Option
 
 from flows.console.context import StoreOption, WorkersOption, app, echo, graph_of, open_store
-from flows.console.display import counted
 from flows.console.run import build_and_report
 from flows.exports.credits import CREDITS_NAME, add_notice
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
@@ -24,6 +23,7 @@ from flows.outcomes import Run
 from flows.study import load_study
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
+from pasdedeux.plain_text import counted
 from tasks.downloads import FetchError, download
 from tasks.user_files import read_file
 

@@ -19,6 +19,7 @@ from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, 
 from pasdedeux.formats.detections import Detection, join_detections
 from pasdedeux.formats.humanoid import AXES
 from pasdedeux.formats.openpose import openpose_frame_number, read_people
+from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.body import Body
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.person import LivePose
@@ -208,10 +209,10 @@ class _Times:
     def in_words(self) -> str:
         """Say all of it."""
         if not self._delays_s:
-            return f"{len(self._work_s)} frames, nobody to be seen"
+            return f"{counted(len(self._work_s), 'frame')}, nobody to be seen"
         work, delay = _spread_ms(self._work_s), _spread_ms(self._delays_s)
-        poses = f"{len(self._delays_s)} poses"
-        return f"{len(self._work_s)} frames, {poses}; work per frame {work}, a pose {delay} after its image"
+        poses = counted(len(self._delays_s), "pose")
+        return f"{counted(len(self._work_s), 'frame')}, {poses}; work per frame {work}, a pose {delay} after its image"
 
 
 def _spread_ms(seconds: list[float]) -> str:

@@ -31,6 +31,7 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.learning.model import VariantRequest
 from pasdedeux.learning.registry import Weights, read_weights
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
@@ -82,7 +83,7 @@ def _take_of_files(
     if len(files) > len(ascii_uppercase):
         raise InputError(f"{len(files)} motion files are given, one a person; a take has at most 26 people")
     if len(units_m) > len(files):
-        raise InputError(f"--unit is given {len(units_m)} times for {len(files)} file{'s' * (len(files) > 1)}")
+        raise InputError(f"--unit is given {counted(len(units_m), 'time')} for {counted(len(files), 'file')}")
     last = len(units_m) - 1
     units = [units_m[min(person, last)] if units_m else None for person in range(len(files))]
     take = {

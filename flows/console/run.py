@@ -35,7 +35,7 @@ from flows.console.context import (
     next_command,
     open_store,
 )
-from flows.console.display import cost_lines, counted, make_listener, outcome_lines, plan_lines, summary_lines
+from flows.console.display import cost_lines, make_listener, outcome_lines, plan_lines, summary_lines
 from flows.costs import estimate_cost, planned_work
 from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
@@ -46,6 +46,7 @@ from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unp
 from flows.records import uncollected
 from flows.signals import ENDING
 from flows.study import Study, load_study
+from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
 from tasks.graph import Graph

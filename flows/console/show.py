@@ -12,11 +12,12 @@ import numpy.typing as npt
 from typer import Argument, Option
 
 from flows.console.context import JsonOption, StoreOption, answer, app, echo, open_store, say
-from flows.console.display import counted, format_table
+from flows.console.display import format_table
 from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, export_selection
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.people.names import person_names
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import WORKING_SKELETONS
 from pasdedeux.verdict import Level
 from storage_schema import (
@@ -89,7 +90,7 @@ def _row_lines(described: Mapping[str, Any], store: Store, reference: str) -> It
         place = f"{step['stage']}@{step['key'][:12]} {step['partition']} {step['name']}".rstrip()
         yield f"  {'  ' * step['depth']}{place}"
     if (more := len(described["lineage"]) - _MAX_STEPS) > 0:
-        yield f"  ... and {more} more artifacts: --json"
+        yield f"  ... and {counted(more, 'more artifact')}: --json"
     for file in described["files"][:_MAX_STEPS]:
         yield f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})"
 
@@ -225,7 +226,7 @@ def _score_lines(store: Store, text: str, asked_rows: int | None) -> Iterator[st
         yield from format_table(table.headings, table.rows[:num_rows], text_columns=range(len(table.headings)))
         if len(table.rows) > num_rows:
             more = f"--rows {len(table.rows)}" if len(topics) == 1 else f"pasdedeux show {scope}/{topic}"
-            yield f"... {len(table.rows) - num_rows} more rows: {more}"
+            yield f"... {counted(len(table.rows) - num_rows, 'more row')}: {more}"
     yield f"all {num_figures:,} figures: --json --rows {num_figures}"
 
 

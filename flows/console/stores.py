@@ -14,8 +14,9 @@ from typer import Option
 
 from flows.collecting import Collection, collect, find_garbage
 from flows.console.context import JsonOption, StoreOption, answer, app, open_store
-from flows.console.display import counted, format_table, manifest_lines
+from flows.console.display import format_table, manifest_lines
 from flows.records import describe_runs, last_manifests, read_last_run, uncollected
+from pasdedeux.plain_text import counted
 from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 from storage_schema.manifest import RESERVED_NAMES

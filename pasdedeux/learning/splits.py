@@ -13,6 +13,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22
 
 SplitName = Literal[
@@ -144,8 +145,8 @@ def make_split(
     for what, found in (("training", train), ("test", test)):
         if not found:
             raise InputError(
-                f"split '{name}' has no {what} variant among {len(keys)} variants of {len(takes)} "
-                f"take{'s' * (len(takes) != 1)}; it needs {_NEEDS[kind]}"
+                f"split '{name}' has no {what} variant among {len(keys)} variants of "
+                f"{counted(len(takes), 'take')}; it needs {_NEEDS[kind]}"
             )
     return Split(name, tuple(train), tuple(left), tuple(test), shares_takes=not is_across)
 

@@ -16,6 +16,7 @@ from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_tab
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.clips import CLIP_FRAMES, clips_of, pair_frame
+from pasdedeux.plain_text import counted
 from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
 from tasks.evaluation.augmentation import contact_drifts, variant_player
@@ -87,7 +88,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     ]
     seen = "it learned from other scales of them" if facts.shares_takes else "it did not learn from them"
     count = sum(map(len, clips[facts.model].values()))
-    notes = [f"{in_words(facts.model)}: {count} motions of {len(parts)} test take{'s' * (len(parts) != 1)}; {seen}."]
+    notes = [f"{in_words(facts.model)}: {count} motions of {counted(len(parts), 'test take')}; {seen}."]
     if settings.num_realism_variants:
         classifier, said = train_on_real(shard, store, takes, settings.classifier)
         notes += said

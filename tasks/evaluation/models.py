@@ -19,6 +19,7 @@ from pasdedeux.learning.model import VALIDATION_FALL as FALL
 from pasdedeux.learning.model import TrainingItem
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, EXPI18
 from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store, TableData
@@ -148,8 +149,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
         *([f"Models and figures are of {skeleton}; surfaces are not measured."] * (skeleton != BODY22.name)),
-        f"Split {split_name}: {len(tested)} of {len(test)} test variants, of {len(meters)} "
-        f"take{'s' * (len(meters) != 1)}, learned from {learned}. "
+        f"Split {split_name}: {len(tested)} of {len(test)} test variants, of "
+        f"{counted(len(meters), 'take')}, learned from {learned}. "
         + (
             "Intervals are over test variants, which of one take are much alike: they do not generalise to other takes."
             if facts.shares_takes

@@ -23,7 +23,7 @@ from storage_schema.provenance import code_version
 from tasks.data import LOOK
 from tests.builders.pages import Page
 from tests.builders.storage_rows import put
-from tests.builders.toy_runs import STUDY, build_here, call, run_toys, write_study
+from tests.builders.toy_runs import ROOT, STUDY, build_here, call, run_toys, write_study
 
 
 @pytest.fixture(scope="module")
@@ -458,3 +458,11 @@ def test_what_is_there_of_a_run_that_failed_or_had_no_evaluation_is_summed_up(
     out = capsys.readouterr().out
     assert re.search(r" models \(\d+ kB\)", out)
     assert "is it good: not judged" in out
+
+
+@pytest.mark.parametrize("package", ["flows", "tasks", "storage_schema", "pasdedeux"])
+def test_numbers_get_their_nouns_in_one_place(package: str) -> None:
+    by_hand = re.compile(r"""\{'s' \*|else 's'\}|counted\([^()]*, .more.\)|\bproblems"\)""")
+    texts = {path.relative_to(ROOT): path.read_text() for path in (ROOT / package).rglob("*.py")}
+    found = {str(path): match[0] for path, text in texts.items() if (match := by_hand.search(text))}
+    assert found == {}, "`counted` does it"

@@ -16,7 +16,14 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import Draft, Layout, draft_mapping, find_layout
 from pasdedeux.skeletons.skeleton import by_side
 
-UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001, "CMU unit": 0.0254 / 0.45}
+UNITS_M = {
+    "metre": 1.0,
+    "decimetre": 0.1,
+    "centimetre": 0.01,
+    "inch": 0.0254,
+    "millimetre": 0.001,
+    "CMU unit": 0.0254 / 0.45,
+}
 """Length units that motion files come in: so far apart that only one of them can make an adult of a body."""
 
 ADULT_HEIGHT_M = (1.35, 2.1)

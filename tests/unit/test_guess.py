@@ -43,11 +43,8 @@ def test_axis_unit_and_handedness_of_every_rig_are_found(rig: Rig) -> None:
     assert guess.up.axis == rig.axes.split()[1].lstrip("+")
     assert guess.up.confidence > 0.95
     assert (guess.mirror.is_mirrored, guess.mirror.confidence) == (False, 1.0)
-    if rig.metres_per_unit == 0.1:  # no unit that files come in
-        assert guess.unit.confidence < 0.3
-    else:
-        assert guess.unit.metres_per_unit == pytest.approx(rig.metres_per_unit)
-        assert guess.unit.height_m == pytest.approx(1.7, abs=0.08)  # 5 %, whatever the rest pose
+    assert guess.unit.metres_per_unit == pytest.approx(rig.metres_per_unit)
+    assert guess.unit.height_m == pytest.approx(1.7, abs=0.08)  # 5 %, whatever the rest pose
 
 
 @pytest.mark.parametrize("pose", ["T", "A", "random"])

@@ -293,10 +293,9 @@ def _is_cut_matroska(path: Path) -> bool | None:
     """Tell whether a Matroska or WebM file ends before its segment does; None of other files, or of an unknown size."""
     with open_file(path) as file:
         head = file.read(4096)
-    at = head.find(_SEGMENT)
-    if not head.startswith(_EBML) or at < 0:
+    start = head.find(_SEGMENT) + len(_SEGMENT)
+    if not head.startswith(_EBML) or start < len(_SEGMENT) or start + 8 > len(head):
         return None
-    start = at + len(_SEGMENT)
     width = 9 - head[start].bit_length()  # the leading zeros of the first byte tell how long the number is
     size = int.from_bytes(head[start : start + width]) & ((1 << 7 * width) - 1)
     is_unknown = size == (1 << 7 * width) - 1

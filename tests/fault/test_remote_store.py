@@ -33,6 +33,7 @@ from storage_schema import (
     Store,
     create_dataset,
     in_use,
+    lease,
     list_datasets,
     list_runs,
     open_table,
@@ -339,6 +340,21 @@ def test_a_stopped_process_that_has_a_mirror_is_named_while_it_is_waited_for(
     (said,) = caplog.messages
     assert said.startswith(f"waiting for the mirror {mirror.root} of {server.place}, which process {holder.pid} on ")
     assert f"if it is stopped, continue it (`kill -CONT {holder.pid}`) or end it" in said
+
+
+def test_a_lease_is_free_at_once_only_where_its_process_of_this_very_system_is_dead() -> None:
+    boot, container = lease._system().split()
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+
+    def is_free(system: str, pid: int) -> bool:
+        return lease._is_dead_here({"system": system, "pid": pid})
+
+    assert is_free(f"{boot} {container}", ended.pid)
+    assert not is_free(f"{boot} {container}", os.getpid())
+    assert not is_free(f"{boot} pid:[1]", ended.pid), "another container of this machine"
+    assert not is_free(f"another-boot {container}", ended.pid), "another machine with the same number"
+    assert not is_free("", ended.pid), "a system that does not say"
 
 
 def test_a_run_whose_lease_was_taken_says_so_and_leaves_the_records_of_the_other(

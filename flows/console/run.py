@@ -9,7 +9,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
@@ -46,6 +46,7 @@ from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unp
 from flows.records import uncollected
 from flows.signals import ENDING
 from flows.study import Study, load_study
+from pasdedeux.errors import InputError
 from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level
 from storage_schema import Store, in_use
@@ -134,8 +135,11 @@ def with_page(study: Study, graph: Graph, store: Store, selection: Selection) ->
     """Return the graph for a selection: with `until`, of what that needs and the page on it, unless all is fresh."""
     if selection.until is None or selection.until not in graph.names:
         return graph
-    if not selection.force and make_plan(study, graph, store).is_fresh:
-        return graph
+    if not selection.force:
+        # A later stage that cannot be planned, such as training of too few sizes, is no matter of what is wanted.
+        with suppress(InputError):
+            if make_plan(study, graph, store).is_fresh:
+                return graph
     return graph.only({selection.until, *graph.above(selection.until), *graph.reporting})
 
 

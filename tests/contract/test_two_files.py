@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flows.console.app import run_command_line
 from flows.console.retargeting import find_take
+from flows.console.study_new import write_new_study
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
@@ -21,7 +23,7 @@ from pasdedeux.kinematics.rotations import conjugate, multiply, rotate
 from pasdedeux.skeletons.layouts import LAYOUTS
 from storage_schema import Store
 from tasks.ingest import files as ingest_files
-from tests.builders.ingest_runs import planned, run
+from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.rigs import RIGS
 
 DURATION_S = 2.0
@@ -170,3 +172,19 @@ def test_a_shard_reads_each_file_once(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(ingest_files, "read_file", lambda path: opened.append(path) or read(path))
     run(Store(tmp_path / "store"), shards)
     assert sorted(opened) == files
+
+
+def test_two_people_on_one_rig_are_no_error_and_need_no_split_before_training(tmp_path: Path) -> None:
+    first = make_duet("waltz", duration_s=DURATION_S, rate_hz=30.0).motions
+    files = [tmp_path / "a.bvh", tmp_path / "b.bvh"]
+    for path, motion in zip(files, first, strict=True):
+        path.write_text(write_bvh(replace(motion, rest_offsets_m=first[0].rest_offsets_m)))
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+    (made,) = run(Store(tmp_path / "store"), planned(takes=[{"id": "w", "files": files}], **options)).values()
+    assert "betas" not in judged(made).reason
+    study = tmp_path / "mine.toml"
+    write_new_study(study, files)
+    study.write_text(f"{study.read_text()}\n[augmentation]\nscales = [0.75, 1.25]\n")
+    asked = ["plan", str(study), "--store", str(tmp_path / "other")]
+    assert run_command_line([*asked, "--until", "augmentation"]) == 0
+    assert run_command_line(asked) == 2

@@ -41,6 +41,12 @@ AWAY_M = 1.0
 _HAS_POSITIONS_ONLY = {name for name, kind in MOTION_FORMATS.items() if not kind.has_rotations}
 
 
+_WITH_BETAS = "smpl"
+"""Files of this format say the body: one body of two people is an error."""
+_NO_LIMIT = (-1.0, -1.0)
+"""Limits of a figure that is a length and too small past them."""
+
+
 @dataclass(frozen=True)
 class _Person:
     """One person of a take, as captured and at the study's rate, and where the motion is from."""
@@ -182,7 +188,10 @@ def _commit(
     captured, captured_hz = _captured_together(people)
     found = check_capture(captured, rate_hz=captured_hz)
     names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
-    judged = judge_capture(found, parameters.capture.limits, names)
+    limits = dict(parameters.capture.limits)
+    if not all(person.source.format == _WITH_BETAS for person in people):
+        limits["body_difference_m"] = _NO_LIMIT  # two people may well be captured on one rig
+    judged = judge_capture(found, limits, names)
     take_id = parameters.take_id
     facts = TakeFacts(
         take_id=take_id,

@@ -13,7 +13,7 @@ from flows.exports import RestPose, Units
 
 @app.command()
 def retarget(
-    take: Annotated[list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or a motion file a person.")],
+    take: Annotated[list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a study file, or a motion file a person.")],
     to: Annotated[list[str], Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
     store: Annotated[Path, Option(metavar="DIR", help="Store of TAKE and NAME.")] = Path("store"),
@@ -32,7 +32,9 @@ def retarget(
 
     TAKE is STUDY/TAKE of a store, a reference to poses, or motion files that need no study, one a person (BVH, AMC with
     its ASF, positions), person A first.  The first --to is for person A, the next for B, and so on; `source` keeps
-    somebody as captured.  A body is a BVH or ASF file of another person, a table of joint distances in metres (CSV with
+    somebody as captured.
+    A study file, as `study new` writes it, adds what the files of its first take do not say: layouts, mappings, axes.
+    A body is a BVH or ASF file of another person, a table of joint distances in metres (CSV with
     the columns from, to, distance_m), or joint positions with the names of body22 or SMPL (npz, JSON).
 
     \b

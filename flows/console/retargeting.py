@@ -17,6 +17,7 @@ from flows.exports import RestPose, Units, write_credits
 from flows.exports.export_format import write_text
 from flows.exports.model_weights import stored_weights
 from flows.exports.own_skeletons import Person, RigFiles, people_of_take
+from flows.study import load_study
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.augmentation.variations import Variation
@@ -38,6 +39,7 @@ from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_
 from tasks.data import LOOK, player_page
 from tasks.evaluation.augmentation import variant_player
 from tasks.facts import ModelFacts, TakeFacts
+from tasks.graph import load_graph
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.files import load_file
 from tasks.ingest.takes.parameters import PersonOptions, TakeParameters
@@ -60,6 +62,10 @@ def find_take(
     Raises:
         InputError: It is not there, not one, or its files cannot be read.
     """
+    if len(take) == 1 and Path(take[0]).suffix == ".toml" and Path(take[0]).is_file():
+        with _read_section(_section_of_study(take[0])) as found:
+            yield found
+        return
     if len(take) > 1 or Path(take[0]).is_file():
         with _take_of_files(take, units_m, rate_hz) as found:
             yield found
@@ -94,13 +100,36 @@ def _take_of_files(
     }
     section = IngestParameters.model_validate({"takes": [take]})
     try:
-        planned = STAGE.plan(StageInputs(manifests={}, seed=0), section)[0].parameters
-        assert isinstance(planned, TakeParameters)
-        own_hz = min(person.rate_hz for person in planned.persons)
-        shard = STAGE.plan(StageInputs(manifests={}, seed=0), section.model_copy(update={"rate_hz": own_hz}))[0]
+        with _read_section(section) as found:
+            yield found
     except InputError as error:
         said = str(error).replace("set metres_per_unit for this take", "say --unit")
-        raise type(error)(said.replace("set rate_hz for this take", "say --rate")) from None
+        said = said.replace("set rate_hz for this take", "say --rate")
+        if re.search(r"; set \w+|\[ingest\.mappings\]|persons", said):
+            said += "; `pasdedeux study new take.toml --from FILE ...` writes such keys, and TAKE may be take.toml"
+        raise type(error)(said) from None
+
+
+def _section_of_study(path: str) -> IngestParameters:
+    """Return the first take of a study's files, with all that the study says of it.
+
+    Raises:
+        InputError: It has no [[ingest.takes]], or is no study.
+    """
+    section = load_study(path, load_graph())[0].parameters["ingest"]
+    assert isinstance(section, IngestParameters)
+    if not section.takes:
+        raise InputError(f"study {path} has no [[ingest.takes]]")
+    return IngestParameters(takes=section.takes[:1], mappings=section.mappings, capture=section.capture)
+
+
+@contextmanager
+def _read_section(section: IngestParameters) -> Iterator[tuple[Store, ArtifactRef]]:
+    """Read the only take of a section at the least of the rates of its files."""
+    planned = STAGE.plan(StageInputs(manifests={}, seed=0), section)[0].parameters
+    assert isinstance(planned, TakeParameters)
+    own_hz = min(person.rate_hz for person in planned.persons)
+    shard = STAGE.plan(StageInputs(manifests={}, seed=0), section.model_copy(update={"rate_hz": own_hz}))[0]
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
         yield store, STAGE.run_shard(shard, store)

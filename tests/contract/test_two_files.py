@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -188,3 +189,20 @@ def test_two_people_on_one_rig_are_no_error_and_need_no_split_before_training(tm
     asked = ["plan", str(study), "--store", str(tmp_path / "other")]
     assert run_command_line([*asked, "--until", "augmentation"]) == 0
     assert run_command_line(asked) == 2
+
+
+def test_a_study_file_says_of_a_take_to_retarget_what_its_files_do_not(tmp_path: Path) -> None:
+    """A drafted mapping serves `retarget` as it serves a study; without it the message names the way."""
+    rig = RIGS[0].bvh()
+    for number, name in enumerate(dict.fromkeys(re.findall(r"(?:ROOT|JOINT) (\S+)", rig))):
+        rig = re.sub(rf"\b{name}\b", f"bone{number}", rig)
+    file, study = tmp_path / "odd.bvh", tmp_path / "take.toml"
+    file.write_text(rig)
+    with (
+        pytest.raises(InputError, match=r"ingest.mappings.*study new take.toml --from FILE"),
+        find_take([str(file)], tmp_path, (), None),
+    ):
+        pass
+    write_new_study(study, [file])
+    with find_take([str(study)], tmp_path, (), None) as (store, ref):
+        assert body22_of(store, ref).shape[1:] == (1, 22, 3)

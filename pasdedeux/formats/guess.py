@@ -40,8 +40,8 @@ _SAMPLE = 200
 """Frames that a guess is made from."""
 _STANDS, _CLEARLY, _AT_REST = 0.7, 0.9, 0.5
 """Mean cosine between body and axis from which the body stands along it, and clearly; confidence in a rest pose."""
-_WALKS = 0.5
-"""Share of the stature by which feet move of somebody who does not lie."""
+_WALKS, _FLAT = 0.5, 0.4
+"""Shares of the stature by which feet move of somebody who does not lie, and to which somebody who lies is thick."""
 _LEVEL = 0.05
 """Share of the stature by which hands that stand may change their height."""
 _BENT, _HARDLY, _CLEAR = 0.03, 0.3, 0.5
@@ -129,7 +129,9 @@ def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGue
         return replace(at_rest, confidence=_AT_REST)
     if at_rest.confidence <= _CLEARLY and stands.confidence <= _STANDS:
         return AxisGuess("y", min(stands.confidence, 0.3))
-    if is_other and float(np.ptp(feet, axis=0).max()) < _WALKS * stature:
+    across = body[..., "xyz".index(at_rest.axis[-1])]
+    may_lie = float(np.median(np.ptp(across, axis=1))) < _FLAT * stature
+    if is_other and may_lie and float(np.ptp(feet, axis=0).max()) < _WALKS * stature:
         return replace(stands, confidence=_AT_REST)
     heights = body[..., "xyz".index(stands.axis[-1])] * (-1.0 if stands.axis[0] == "-" else 1.0)
     hands, soles = heights[:, _WRISTS].min(axis=1), heights[:, _ANKLES].min(axis=1)
@@ -140,10 +142,12 @@ def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGue
 
 
 def _axis_at_rest(source: SourceMotion, layout: Layout | None) -> AxisGuess:
-    """Return the axis along which the rest pose stands, and how clearly."""
+    """Return the axis along which the rest pose stands, and how clearly: not at all where legs and trunk go one way."""
     _, body = _sample(SourceMotion.at_rest(source.skeleton, source.rest_offsets), layout)
     assert body is not None
-    return _axis_of(_directions(body[:, BODY22.index("neck")] - body[:, _ANKLES].mean(axis=1))[0])
+    feet, hips, neck = body[0, _ANKLES].mean(axis=0), body[0, _HIPS].mean(axis=0), body[0, BODY22.index("neck")]
+    stands = _directions(neck - hips) @ _directions(hips - feet) > _STANDS
+    return _axis_of(_directions(neck - feet)) if stands else AxisGuess("y", 0.0)
 
 
 def _axis_of(direction: Array) -> AxisGuess:

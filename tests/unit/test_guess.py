@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.guess import common_up_axis, guess_mirrored, guess_motion, guess_unit, guess_up_axis
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
-from pasdedeux.kinematics import forward_kinematics
+from pasdedeux.kinematics import forward_kinematics, local_rotations
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
+from pasdedeux.skeletons.layouts.fitting import rest_positions
 from tests.builders.rigs import RIGS, SMALL_BVH, Rig
 from tests.builders.source_samples import bvh_text
 
@@ -101,6 +102,17 @@ def test_a_body_that_leans_or_lies_against_its_rest_pose_is_no_sure_one(lean_rad
     assert (guess.axis, guess.confidence) == (axis, 0.5)
     sure = guess_up_axis(replace(MIXAMO, axes="+x +z -y").source())
     assert common_up_axis([guess, sure]) == sure
+
+
+def test_a_rest_pose_that_is_no_person_raises_no_doubt_of_one_frame_that_stands() -> None:
+    """As files whose joints have frames of their own: every bone points along x at rest."""
+    source = replace(MIXAMO, pose="random").source().frames(0, 1)
+    along = np.linalg.norm(source.rest_offsets, axis=-1)[:, None] * np.array([1.0, 0.0, 0.0])
+    places = forward_kinematics(source.skeleton, source.rest_offsets, source.root_translation, source.local_unitquat)[0]
+    local = local_rotations(source.skeleton, rest_positions(source.skeleton, along), places)
+    standing = replace(source, rest_offsets=along, local_unitquat=local)
+    assert guess_up_axis(standing).axis == "y"
+    assert guess_up_axis(standing).confidence > 0.9
 
 
 def test_hands_that_stand_leave_doubt() -> None:

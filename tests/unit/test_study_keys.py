@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from flows.study_files import StudyError
 from flows.study_keys import study_keys
 from pasdedeux.sampling.prior import PriorSettings
 from tasks.graph import load_graph
+from tasks.ingest import IngestParameters
 
 KEYS = {key.name: key for key in study_keys(load_graph())}
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,3 +82,31 @@ def test_one_value_of_the_prior_reaches_seeds_and_chains(tmp_path: Path) -> None
         load_study(str(file), load_graph(), settings=["seeds.alpha=2"], environment={})
     with pytest.raises(StudyError, match=r"physical_prior\.alpa: .*alpha"):
         load_study(str(file), load_graph(), settings=["physical_prior.alpa=2"], environment={})
+
+
+def test_every_key_of_ingest_is_in_an_example_of_the_docs_that_a_study_takes() -> None:
+    """Keys that tables share count wherever one of them has them."""
+    used: set[str] = set()
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        for block in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            section = tomllib.loads(block).get("ingest") if "ingest" in block else None
+            if section:
+                used |= set(_paths("ingest", section))
+            if section and page.name == "studies.md" and "duets" in section:
+                IngestParameters.model_validate(section)
+    shared = {"takes.N.persons.N.": "takes.N.", "pairs.NAME.": "takes.N.", "videos.N.": "annotations.N."}
+    used |= {f"ingest.{key.removeprefix('ingest.').replace(a, b)}" for key in used for a, b in shared.items()}
+    leaves = [name for name in KEYS if name.startswith("ingest.") and not name.endswith("*")]
+    leaves = [name for name in leaves if not any(other.startswith(f"{name}.") for other in KEYS)]
+    assert [name for name in leaves if not any(key == name or key.startswith(f"{name}.") for key in used)] == []
+
+
+def _paths(path: str, value: object) -> Iterator[str]:
+    """Yield the keys of a table as `study keys` names them."""
+    yield path
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _paths(f"{path}.{'NAME' if path == 'ingest.pairs' else name}", inner)
+    for inner in value if isinstance(value, list) else ():
+        if isinstance(inner, dict):
+            yield from _paths(f"{path}.N", inner)

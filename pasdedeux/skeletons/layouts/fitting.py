@@ -99,10 +99,10 @@ def resolve_layout(
     if _are_several(skeleton) and name not in mappings:
         raise InputError(SEVERAL_PEOPLE)
     if name == "auto":
-        found = find_layout(skeleton, rest_offsets)
-        if found is None:
+        known = find_layout(skeleton, rest_offsets)
+        if known is None:
             raise InputError(_fits_none(skeleton.joint_names))
-        layout = found
+        layout = known
     elif name in mappings and name not in LAYOUTS:
         told = mappings[name].get("parts")
         layout = Layout(name, "of the study", {})
@@ -216,10 +216,10 @@ def _in_file(layout: Layout, joints: Mapping[str, str]) -> dict[str, Entry]:
     for part, entry in layout.parts.items():
         if isinstance(entry, str):
             is_limb = part.startswith(SIDES)
-            found = [name for name in map(there, entry.split("|")) if name and not (is_limb and name in taken)]
-            if found:
-                parts[part] = found[0]
-                taken |= {found[0]} if is_limb else set()
+            names = [name for name in map(there, entry.split("|")) if name and not (is_limb and name in taken)]
+            if names:
+                parts[part] = names[0]
+                taken |= {names[0]} if is_limb else set()
         elif all(there(name) for name in entry):
             parts[part] = {str(there(name)): weight for name, weight in entry.items()}
     return parts
@@ -448,8 +448,8 @@ class _Fit:
             neck = [-1, *(joint for joint in neck if joint in arm)]
         shared = set(legs[0]) & set(legs[1])
         pelvis = parts["pelvis"]
-        own = self.skeleton.index(pelvis) if isinstance(pelvis, str) else -1
-        return [joint for joint in reversed(neck[1:]) if joint not in shared and joint != own]
+        pelvis_joint = self.skeleton.index(pelvis) if isinstance(pelvis, str) else -1
+        return [joint for joint in reversed(neck[1:]) if joint not in shared and joint != pelvis_joint]
 
     def _ancestors(self, entry: Entry) -> list[int]:
         """Return the joint with the greatest weight and all joints above it, itself first."""
@@ -490,7 +490,7 @@ class _Fit:
     def _carried(self, name: str, joint: int, vector: Array, points: dict[str, AddedPoint]) -> str:
         """Add a point that a joint carries, as far from it as this vector at rest; gives its name."""
         chain = self._ancestors(self.skeleton.joint_names[joint])
-        unit = next((one for one in chain if self._lengths[one] > self._short), int(np.argmax(self._lengths)))
+        unit = next((above for above in chain if self._lengths[above] > self._short), int(np.argmax(self._lengths)))
         while name in self.skeleton.joint_names:
             name += "_point"
         offset = tuple((vector / self._lengths[unit]).tolist())

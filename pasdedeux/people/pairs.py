@@ -22,6 +22,8 @@ _SIZE = 0.4
 _MIN_SCORE, _MIN_NEAR = 0.3, 0.3
 """A pair has at least this score: a passer-by is nobody's partner.  Two people who are alone in a film are a pair where
 they are near each other in this share of the frames that show both."""
+_COMMON_POWER = 0.25
+"""Among several a person is near, who is there for longer comes first: scores times this power of the common share."""
 _MIN_COMMON = (0.5, 0.1)
 """Share of the frames of the one who is seen shorter, and of the other, in which both of a pair are seen."""
 
@@ -45,9 +47,9 @@ def choose_pairs(
     """Return the pairs of a sequence, those of the highest score first; a person is in one at most.
 
     The score is the mean closeness over the frames that show both, times exp(-(log size ratio / 0.4)^2), so people who
-    come late can have a partner, too.  Closeness is 1 / (1 + (j / 0.2)^2) / (1 + (m / 0.5)^2), j the distance of the
-    nearest joints of both, m that of their middles (median over the joints seen), in mean sizes.  Nobody whose size is
-    unknown is in a pair.
+    come late can have a partner, too; of two pairs the one that is seen for longer is favoured.  Closeness is
+    1 / (1 + (j / 0.2)^2) / (1 + (m / 0.5)^2), j the distance of the nearest joints of both, m that of their middles
+    (median over the joints seen), in mean sizes.  Nobody whose size is unknown is in a pair.
 
     Args:
         frame: Frame of each row (row,).
@@ -78,7 +80,7 @@ def choose_pairs(
         is_alone = len(rows_of) == 2 and num_near >= _MIN_NEAR * len(common)
         if is_stated or is_alone or score >= _MIN_SCORE:
             pair = Paired(first, second, num_near)
-            ranked.append((np.inf if is_stated else score, pair))
+            ranked.append((np.inf if is_stated else score * (len(common) / more) ** _COMMON_POWER, pair))
     pairs: list[Paired] = []
     for _, pair in sorted(ranked, key=lambda scored: (-scored[0], scored[1].first, scored[1].second)):
         if not any({pair.first, pair.second} & {taken.first, taken.second} for taken in pairs):

@@ -92,7 +92,7 @@ def _check_prefect() -> str:
     address = get_current_settings().api.url
     if address is None:
         return "none set (PREFECT_API_URL): a run starts its own and ends it"
-    check_server(address)
+    check_server(address, lambda text: echo(text, err=True))
     return f"{address} answers"
 
 

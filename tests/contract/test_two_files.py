@@ -23,7 +23,8 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate
 from pasdedeux.skeletons.layouts import LAYOUTS
 from storage_schema import Store
-from tasks.ingest import files as ingest_files
+from tasks.ingest.takes.parameters import TakeParameters
+from tasks.user_files import read_file
 from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.rigs import RIGS
 
@@ -156,12 +157,12 @@ def _laid() -> np.ndarray:
 
 def test_people_of_two_rigs_are_one_take(tmp_path: Path) -> None:
     rigs = {rig.name: rig for rig in RIGS}
-    files = []
+    files: list[Path] = []
     for name in ("mixamo with a namespace", "lafan1", "xsens"):
         files.append(tmp_path / f"{len(files)}.bvh")
         files[-1].write_text(rigs[name].bvh())
     (shard,) = planned(takes=[{"id": "three", "files": files}], virtual_video={"num_videos": 0, "num_random_views": 0})
-    assert [person.layout for person in shard.parameters.persons] == ["mixamo", "lafan", "xsens"]
+    assert [person.layout for person in shard.options(TakeParameters).persons] == ["mixamo", "lafan", "xsens"]
 
 
 def test_a_shard_reads_each_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,8 +170,12 @@ def test_a_shard_reads_each_file_once(tmp_path: Path, monkeypatch: pytest.Monkey
     options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
     shards = planned(takes=[{"id": "waltz", "files": files}], **options)
     opened: list[Path] = []
-    read = ingest_files.read_file
-    monkeypatch.setattr(ingest_files, "read_file", lambda path: opened.append(path) or read(path))
+
+    def read(path: Path) -> bytes:
+        opened.append(path)
+        return read_file(path)
+
+    monkeypatch.setattr("tasks.ingest.files.read_file", read)
     run(Store(tmp_path / "store"), shards)
     assert sorted(opened) == files
 

@@ -20,6 +20,7 @@ from pasdedeux.formats.guess import guess_motion
 from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
 from tasks.ingest.takes.known_sources import note_fetched
+from tasks.ingest.takes.parameters import TakeParameters
 from tasks.projections import ProjectionsParameters
 from tasks.seeds import SeedsParameters
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
@@ -216,7 +217,7 @@ def test_what_a_new_study_calls_sure_is_what_a_plan_accepts(tmp_path: Path, rig:
             planned(**section)
         return
     shards = planned(**section)
-    assert shards[0].parameters.persons[0].layout == rig.layout
+    assert shards[0].options(TakeParameters).persons[0].layout == rig.layout
     assert f'layout = "{rig.layout}"' in study.read_text(encoding="utf-8")
 
 

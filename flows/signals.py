@@ -12,11 +12,16 @@ ENDING = (signal.SIGTERM, signal.SIGHUP)
 """With which schedulers of jobs, containers, services and closed terminals end a process."""
 
 
+_is_ending = threading.Event()
+"""Whether one of these came; Prefect puts handlers back that were there before its flow, so they alone do not tell."""
+
+
 @contextmanager
 def ended_as_by_ctrl_c() -> Iterator[None]:
     """Let SIGTERM and SIGHUP do in this block what Ctrl-C does; what ignores one of them, as `nohup` does, still does.
 
-    They often come together, so further ones are ignored: a second must not break off what the first one ends.
+    They often come together, so further ones are ignored, after this block, too: a second must not break off what the
+    first one ends.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -27,22 +32,25 @@ def ended_as_by_ctrl_c() -> Iterator[None]:
     def end(_number: int, _frame: FrameType | None) -> None:
         for number in taken:
             signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        if not _is_ending.is_set():
+            _is_ending.set()
+            raise KeyboardInterrupt
 
+    _is_ending.clear()
     for number in taken:
         signal.signal(number, end)
     try:
         yield
     finally:
         for number in taken:
-            signal.signal(number, before[number])
+            signal.signal(number, signal.SIG_IGN if _is_ending.is_set() else before[number])
 
 
 @contextmanager
 def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
     """Give a function that tells whether this process was asked to end in this block, by Ctrl-C, SIGTERM or SIGHUP.
 
-    A second Ctrl-C is as if there were no block; a second one of the others is ignored in it.
+    A second Ctrl-C is as if there were no block; after one of the others they are ignored, after this block, too.
 
     Args:
         is_passed_on: Whether the first one raises KeyboardInterrupt, too.  That is lost where it arrives in a
@@ -61,6 +69,8 @@ def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
 
     def remember(number: int, _frame: FrameType | None) -> None:
         is_asked.set()
+        if number != signal.SIGINT:
+            _is_ending.set()
         for other in taken:
             signal.signal(other, before[other] if number == signal.SIGINT else signal.SIG_IGN)
         if number != signal.SIGINT and signal.SIGINT in taken:
@@ -74,4 +84,5 @@ def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
         yield is_asked.is_set
     finally:
         for number in taken:
-            signal.signal(number, before[number])
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, before[number])

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.console.live import STOP_NAME, FollowedFile, follow_folder, follow_lines, list_frames
-from flows.signals import remembered_ctrl_c
+from flows.signals import ENDING, ended_as_by_ctrl_c, remembered_ctrl_c
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
@@ -166,6 +167,25 @@ def test_the_video_ends_by_the_signal_of_ctrl_c_in_the_background_too() -> None:
             assert not is_stopped()
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("number", ENDING)
+@pytest.mark.parametrize("is_remembered", [True, False])
+def test_no_second_signal_breaks_off_what_the_first_one_ends(number: signal.Signals, is_remembered: bool) -> None:
+    before = {ending: signal.signal(ending, signal.SIG_DFL) for ending in ENDING}
+    try:
+        with ended_as_by_ctrl_c():
+            outer = signal.getsignal(number)
+            inner = remembered_ctrl_c(is_passed_on=True) if is_remembered else nullcontext()
+            with pytest.raises(KeyboardInterrupt), inner:
+                signal.raise_signal(number)
+            assert {signal.getsignal(ending) for ending in ENDING} == {signal.SIG_IGN}
+            signal.signal(number, outer)  # as Prefect does where a flow ends
+            signal.raise_signal(number)
+        assert {signal.getsignal(ending) for ending in ENDING} == {signal.SIG_IGN}, "until the process has ended"
+    finally:
+        for ending, handler in before.items():
+            signal.signal(ending, handler)
 
 
 def test_delays_count_from_when_a_file_came_and_at_the_earliest_from_when_following_began(

@@ -57,14 +57,15 @@ def from_cell(cell: str) -> str:
 
 
 def csv_line(*cells: object) -> str:
-    r"""Return a line of CSV, without its end.
+    r"""Return a line of CSV, without its end; a cell that has ends of lines is quoted.
 
-    >>> csv_line("-walk", -1, "a, b")
-    '\'-walk,-1,"a, b"'
+    >>> csv_line("-walk", -1, "a, b"), csv_line("a\nb", 2)
+    ('\'-walk,-1,"a, b"', '"a\nb",2')
     """
     line = io.StringIO()
-    csv.writer(line, lineterminator="").writerow([cell_text(str(cell)) for cell in cells])
-    return line.getvalue()
+    # Python 3.11 quotes an end of a line only where it is the writer's own.
+    csv.writer(line, lineterminator="\n").writerow([cell_text(str(cell)) for cell in cells])
+    return line.getvalue()[:-1]
 
 
 def markdown_text(text: str) -> str:

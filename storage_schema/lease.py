@@ -131,7 +131,8 @@ def _parsed(lease: bytes) -> dict[str, Any]:
     found = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
     with suppress(ValueError, TypeError):
         found |= json.loads(lease)
-    return found
+    # Whoever may write in the bucket wrote them, and they are printed.
+    return found | {name: json.dumps(str(found[name]))[1:-1] for name in ("host", "pid")}
 
 
 def _is_dead_here(found: dict[str, Any]) -> bool:

@@ -258,12 +258,12 @@ def test_workers_with_an_empty_mirror_fetch_what_they_read_and_push_what_they_ma
 
 
 @contextmanager
-def somebody_builds(place: str, *, renewed: bool = False) -> Iterator[None]:
+def somebody_builds(place: str, *, renewed: bool = False, host: str = "elsewhere") -> Iterator[None]:
     """Leave the lease of a run on another machine, which may be alive."""
     remote, number, ended = RemoteStore(place), itertools.count(), threading.Event()
 
     def say() -> None:
-        values = {"holder": "somebody", "host": "elsewhere", "pid": 1, "renewed": next(number)}
+        values = {"holder": "somebody", "host": host, "pid": 1, "renewed": next(number)}
         remote.write("lease", json.dumps(values).encode())
 
     def renew() -> None:
@@ -300,11 +300,11 @@ def test_a_lease_that_is_waited_for_is_said_with_whose_it_is_and_until_when(
 ) -> None:
     monkeypatch.setattr("storage_schema.lease.LEASE_S", 1.2)
     monkeypatch.setattr("storage_schema.lease._SAY_AFTER_S", 0.1)
-    with somebody_builds(server.place), in_use(Store(server.place)):
+    with somebody_builds(server.place, host="else\x1b]0;where"), in_use(Store(server.place)):
         pass
     (said,) = caplog.messages
     assert re.fullmatch(
-        rf"{server.place}: process 1 on elsewhere has the lease and does not renew it; waiting until "
+        rf"{server.place}: process 1 on else\\u001b\]0;where has the lease and does not renew it; waiting until "
         r"\d\d:\d\d:\d\d, then this run takes it over",
         said,
     )

@@ -121,6 +121,10 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
             told, slash, _ = request.path[1:].partition("?")[0].partition("/")
             if not hmac.compare_digest(told.encode(), token.encode()):
                 return connection.respond(403, "refused: the address that `pasdedeux view` has printed has a token\n")
+            if not slash and not is_socket:  # the page names its parts relative to its folder
+                moved_on = connection.respond(308, "")
+                moved_on.headers["Location"] = f"/{token}/{request.path[len(told) + 1 :]}"
+                return moved_on
             request.path = f"/{request.path[len(told) + len(slash) + 1 :]}"
             # A page of another origin cannot set this header: it would have to ask first, and gets no answer.
             if "X-Pointer" in request.headers and (moved := _POINTER.fullmatch(request.path)):

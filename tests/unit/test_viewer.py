@@ -314,6 +314,10 @@ def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) 
         return answer.status
 
     assert status() == 200
+    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)) as asked:
+        asked.request("GET", f"{path_of(viewer)[:-1]}?at=poses:study")
+        answer = asked.getresponse()
+        assert (answer.status, answer.getheader("Location")) == (308, f"{path_of(viewer)}?at=poses:study")
     assert status(Host=f"localhost:{port}") == 200
     assert status(Host="elsewhere.example") == 403
     assert status(Origin="http://elsewhere.example") == 403

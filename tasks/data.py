@@ -369,7 +369,8 @@ class PairDataset:
         sides = _sides([one.take for one in clips], seed, is_by_take=by == "take")
         self.window = window
         self._read: dict[int, npt.NDArray[np.float64]] = {}
-        self._clips = [one for one in clips if sides.get(one.take.ref) == split and one.identity not in left_out]
+        kept = [clip for clip in clips if clip.identity not in left_out]
+        self._clips = [clip for clip in kept if sides.get(clip.take.ref) == split]
         self._items = [
             (number, start)
             for number, clip in enumerate(self._clips)
@@ -377,7 +378,7 @@ class PairDataset:
             for start in range(0, _num_frames(clip) - window + 1, step)
         ]
         if not self._items:
-            raise InputError(f"'{reference}': {_why_no_window(clips, self._clips, window, split, by)}")
+            raise InputError(f"'{reference}': {_why_no_window(kept, self._clips, window, split, by)}")
 
     def __len__(self) -> int:
         return len(self._items)
@@ -411,7 +412,7 @@ def _num_frames(clip: Clip) -> int:
 def _why_no_window(clips: Sequence[Clip], on_side: Sequence[Clip], window: int, split: str, by: str) -> str:
     """Return why the variants of a side have no window of so many frames."""
     if not clips:
-        return "every variant failed"
+        return "every variant failed, or is left out by the choices"
     if not on_side:
         return f"none of the {len(clips)} variants is on the side {split}, split by {by}"
     lengths = [_num_frames(clip) for clip in on_side if _is_of_pair(clip)]

@@ -141,6 +141,8 @@ def test_an_export_of_which_everything_is_rejected_is_refused_and_writes_nothing
     assert run_command_line([*words, "--store", str(store)]) == 2
     assert "'variants:short': all of it is rejected" in capsys.readouterr().err
     assert not out.exists()
+    with pytest.raises(InputError, match="'variants:short': every variant failed, or is left out by the choices"):
+        PairDataset("variants:short", 5, store=store, curation=file)
 
 
 def test_an_export_by_a_file_of_choices_that_is_not_there_is_refused(

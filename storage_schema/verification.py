@@ -86,11 +86,13 @@ def verify(store: Store) -> Verification:
             problems.extend(_check(store, folder, manifest))
     notes = []
     if older:
-        notes.append(f"{len(older)} artifacts were not looked through, such as this: {next(iter(older.values()))}")
+        notes.append(
+            f"artifacts that were not looked through: {len(older)}, such as this: {next(iter(older.values()))}"
+        )
     if num_undigested:
         notes.append(
-            f"{num_undigested} manifests are of a release whose manifests have no digest of themselves: whether their "
-            "licences, seeds and versions were changed since cannot be told; their data files were compared"
+            f"manifests without a digest of themselves, as earlier releases wrote them: {num_undigested}; changes of "
+            "their licences, seeds and versions cannot be noticed, their data files were compared"
         )
     for label in dataset_labels(store):
         try:
@@ -182,7 +184,7 @@ def _check_reports(store: Store) -> Iterator[Problem]:
                 is_same = path.stat().st_size in {one.bytes for one in entries} and (
                     file_sha256(path) in {one.sha256 for one in entries}
                 )
-                kind, detail = ProblemKind.CHANGED, "it is not what the artifact that it was copied from has"
+                kind, detail = ProblemKind.CHANGED, "it differs from the artifact that it was copied from"
             except OSError as error:
                 is_same, kind, detail = False, ProblemKind.MISSING, f"it cannot be read: {error.strerror}"
             if not is_same:

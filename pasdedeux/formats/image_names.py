@@ -201,7 +201,10 @@ def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
 
     if len(counters) == 1:
         return with_cameras(counters[0])
-    if all(a + 1 == b and texts[b] == "." and not texts[a][-1:].isalpha() for a, b in pairwise(counters)):
+    if all(
+        a + 1 == b and texts[b] == "." and (not texts[a][-1:].isalpha() or _are_decimals(alike, b))
+        for a, b in pairwise(counters)
+    ):
         raise FormatError(f"{_shown(alike)} have times in their names, not the numbers of frames: number them")
     even = [slot for slot in counters if len(alike) > 2 and _has_steps_of_1(values[slot])]
     if len(even) == 1 and all(follows(slot, even[0]) for slot in counters):
@@ -213,6 +216,13 @@ def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
     if are_plain and (len(spelled[most]) >= 2 * len(spelled[by_count[-2]]) or padded == [most]):
         return with_cameras(most)
     raise FormatError(f"{_shown(alike)} have several numbers that may be the frame's: name them CAMERA_FRAME")
+
+
+def _are_decimals(alike: Sequence[_Name], slot: int) -> bool:
+    """Tell whether numbers are digits after a point: of one length, nearly exhausted, in steps larger than 1."""
+    values, digits = sorted({one.value(slot) for one in alike}), {len(one.numbers[slot]) for one in alike}
+    steps = [later - earlier for earlier, later in pairwise(values)]
+    return len(digits) == 1 and min(steps, default=0) > 1 and values[-1] + 2 * max(steps) >= 10 ** max(digits)
 
 
 def _has_steps_of_1(values: Sequence[int]) -> bool:

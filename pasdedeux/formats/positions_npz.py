@@ -40,7 +40,10 @@ def read_positions_npz(data: bytes, companion: bytes = b"", person: int = 0) -> 
     check_range(num_joints, "the number of joints of array 'positions_m'", 1, _MAX_JOINTS)
     names = tuple(str(name) for name in get_array(arrays, "joint_names", "U", (num_joints,)))
     skeleton = BODY22
-    if "parents" in arrays or names != BODY22.joint_names:
+    if "parents" not in arrays and sorted(names) == sorted(BODY22.joint_names):
+        positions = positions[:, [names.index(joint) for joint in BODY22.joint_names]]
+        names = BODY22.joint_names
+    else:
         skeleton = Skeleton("positions", names, tuple(get_array(arrays, "parents", "iu", (num_joints,)).tolist()))
     for frame, joint in np.argwhere(~(np.abs(positions) <= MAX_MAGNITUDE).all(axis=-1)):
         raise FormatError(f"frame {frame}: the position of '{names[joint]}' is not finite or absurdly large")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -182,3 +184,20 @@ def test_two_people_in_one_tree_are_not_mixed(rig: Rig, prefixes: tuple[str, str
     if prefixes == ("A:", "B:"):
         with pytest.raises(InputError, match="its joints are those of several people; give each person a file"):
             resolve_layout("auto", both.skeleton, both.rest_offsets)
+
+
+def test_the_end_of_a_hand_is_no_wrist_whatever_the_other_joints_are_called() -> None:
+    names = {"Shoulder": "Schluessel", "ForeArm": "Unterarm", "Arm": "Oberarm", "UpLeg": "Oberschenkel"}
+    names |= {"Leg": "Unterschenkel", "Foot": "Fuss", "ToeBase": "Zeh", "Hand": "Hand"}
+    text = (
+        SMALL_BVH.replace("Hips", "Becken").replace("Neck", "Hals").replace("Head", "Kopf").replace("Spine", "Wirbel")
+    )
+    for side, theirs in product(("Left", "Right"), names):
+        text = text.replace(f"JOINT {side}{theirs} ", f"JOINT {names[theirs]}{side[0]} ")
+    for side in ("L", "R"):
+        hand = re.search(rf"JOINT Hand{side} \{{[^{{}}]*", text)
+        assert hand
+        text = text.replace(hand[0], f"{hand[0]} End Site {{ OFFSET {17 if side == 'L' else -17} 0 0 }} ")
+    draft = draft_motion(read_bvh(text.encode()))
+    told = {part.part: part.joint for part in draft.parts}
+    assert (told["left_wrist"], told["right_wrist"]) == ("HandL", "HandR")

@@ -136,6 +136,8 @@ def test_key_frames_far_apart_are_those_of_a_video(template: str, frames: list[i
         (["1_10.jpg", "2_15.jpg", "3_12.jpg"], "several numbers that may be the frame's"),
         ([f"{a}_{b}.jpg" for a in range(3) for b in range(4)], "several numbers that may be the frame's"),
         ([f"t_{at / 30:.3f}.jpg" for at in range(60)], "have times in their names"),
+        ([f"cam7_t{at / 30:.3f}s.jpg" for at in range(90)], "have times in their names"),
+        ([f"dance at{at / 25:.2f}.png" for at in range(60)], "have times in their names"),
         (["a_1.jpg", "a_01.jpg", "a_2.jpg"], "'a_1.jpg' and 'a_01.jpg' are both frame 1"),
         (["cover.jpg", *(f"frame_{at}.jpg" for at in range(9))], "'cover.jpg' has no number"),
     ],

@@ -31,6 +31,14 @@ def npz(positions_m: np.ndarray) -> bytes:
     return out.getvalue()
 
 
+def test_joints_of_body22_need_no_parents_in_any_order() -> None:
+    order = np.random.default_rng(0).permutation(len(BODY22.joint_names))
+    out = io.BytesIO()
+    np.savez(out, positions_m=POSITIONS_M[:, order], joint_names=np.array(BODY22.joint_names)[order])
+    positions, _ = POSITIONS_NPZ.read(out.getvalue(), b"").to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
+    np.testing.assert_allclose(positions, POSITIONS_M, atol=1e-7)
+
+
 @pytest.mark.parametrize("axes", [(0, 1, 2, 3), (1, 0, 2, 3)], ids=["frames first", "people first"])
 def test_the_people_of_an_npz_are_read_whichever_axis_is_theirs(axes: tuple[int, ...]) -> None:
     data = npz(PEOPLE_M.transpose(axes))

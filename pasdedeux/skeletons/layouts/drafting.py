@@ -321,9 +321,10 @@ class _Drafting:
         return min((triple(*places) for places in combinations(range(1, len(at)), 3)), key=lambda limb: limb.cost)
 
     def _limb(self, kind: str, branch: _Branch, places: tuple[int, int, int]) -> dict[str, int]:
-        """Return the joints of a limb by their parts, by names where they tell it."""
+        """Return the joints of a limb by their parts, by names where they tell it; ends of bones by the tree."""
         path, parts = branch.path, ARM if kind == "arm" else LEG
-        named = [[at for at in range(1, len(path)) if self._means(path[at]) == {part}] for part in parts]
+        inner = [at for at in range(1, len(path)) if not self._normal[path[at]][1].endswith(_END_WORDS)]
+        named = [[at for at in inner if self._means(path[at]) == {part}] for part in parts]
         told = [found[0] if len(found) == 1 else place for found, place in zip(named, places, strict=True)]
         start, _, end = told = told if told[0] < told[1] < told[2] else list(places)
         limb = {part: path[place] for part, place in zip(parts, told, strict=True)}

@@ -68,8 +68,9 @@ def describe_dataset(
     Artifacts that are held out, or that were computed from some that are, stand in the split `test`, all others in
     `train`.
     """
-    place_of = {one.ref: f"../../{one.ref.stage}/{one.ref.key[:2]}/{one.ref.key}" for one in manifests}
-    test = {place_of[one.ref] for one in manifests if one.ref.identity in held_out}
+    refs = [manifest.ref for manifest in manifests]
+    place_of = {ref: f"../../{ref.stage}/{ref.key[:2]}/{ref.key}" for ref in refs}
+    test = {place_of[ref] for ref in refs if ref.identity in held_out}
     files = {
         table: {f"{place_of[one.ref]}/{table}.parquet": one.tables[table] for one in own}
         for table in sorted({name for one in manifests for name in one.tables})

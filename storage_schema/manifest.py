@@ -145,16 +145,16 @@ class Manifest:
 
     @property
     def faults(self) -> list[str]:
-        """Say where it contradicts itself: it was changed after it was written; what is not known is passed over."""
-        found = []
+        """Contradictions in it, in words: it was changed after it was written.  Facts that it lacks are not checked."""
+        faults = []
         if self.computed_digest != self.ref.content_digest:
             words = f"content digest {self.ref.content_digest[:12]} is not that of what it describes"
-            found.append(f"{words}, {self.computed_digest[:12]}")
+            faults.append(f"{words}, {self.computed_digest[:12]}")
         if self.reads is not None and (key := self._computed_key(self.reads)) != self.ref.key:
-            found.append(f"its key is not that of the parameters, inputs, version and seed that it states, {key[:12]}")
+            faults.append(f"its key is not that of the parameters, inputs, version and seed that it states, {key[:12]}")
         if self.digest and (digest := _own_digest(asdict(self))) != self.digest:
-            found.append(f"its digest of itself, {self.digest[:12]}, is not that of what it says, {digest[:12]}")
-        return found
+            faults.append(f"its digest of itself, {self.digest[:12]}, is not that of what it says, {digest[:12]}")
+        return faults
 
     def _computed_key(self, reads: dict[str, list[int]]) -> str:
         places = range(len(self.inputs))

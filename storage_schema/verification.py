@@ -181,8 +181,8 @@ def _check_reports(store: Store) -> Iterator[Problem]:
     for folder in list_runs(store):
         for path, entries in _copied(store, folder.path).items():
             try:
-                is_same = path.stat().st_size in {one.bytes for one in entries} and (
-                    file_sha256(path) in {one.sha256 for one in entries}
+                is_same = path.stat().st_size in {entry.bytes for entry in entries} and (
+                    file_sha256(path) in {entry.sha256 for entry in entries}
                 )
                 kind, detail = ProblemKind.CHANGED, "it differs from the artifact that it was copied from"
             except OSError as error:

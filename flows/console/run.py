@@ -136,7 +136,7 @@ def with_page(study: Study, graph: Graph, store: Store, selection: Selection) ->
     if selection.until is None or selection.until not in graph.names:
         return graph
     if not selection.force:
-        # A later stage that cannot be planned, such as training of too few sizes, is no matter of what is wanted.
+        # A later stage that cannot be planned, such as training of too few sizes, must not stop the wanted one.
         with suppress(InputError):
             if make_plan(study, graph, store).is_fresh:
                 return graph

@@ -199,15 +199,15 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
         [_layout(person), _axis(axis), _rate(person), *_mirror(person), _unit(person)]
         for person, axis in zip(people, axes, strict=True)
     ]
-    # What is said of everybody alike is said of the take.
+    # Lines that are the same for everybody stand once, with the take.
     shared = [line for line in told[0][:-1] if all(_key(line) in map(_key, lines) for lines in told[1:])]
     keys = set(map(_key, shared))
-    own = [[line for line in lines if _key(line) not in keys] for lines in told]
+    different = [[line for line in lines if _key(line) not in keys] for lines in told]
     return [
         *_length(people),
         *_jump(people),
         *shared,
-        *(line for lines in own for line in ("[[ingest.takes.persons]]", *lines)),
+        *(line for lines in different for line in ("[[ingest.takes.persons]]", *lines)),
     ]
 
 

@@ -22,6 +22,7 @@ from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resol
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.people.video import why_no_video
+from pasdedeux.plain_text import visible
 from pasdedeux.skeletons.layouts import Draft, find_layout
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.poses2d.parameters import AnnotationOptions
@@ -98,7 +99,8 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     sources = [source for file in files for source in _inspect(file, path.parent)]
     people = [source for source in sources if isinstance(source, _Person)]
     videos = [source for source in sources if isinstance(source, _Video)]
-    lines = _take_lines(people) if people else []
+    # Names of files and joints stand in them, and must not become lines of the study.
+    lines = [visible(line, is_line=True) for line in _take_lines(people)] if people else []
     shown = [_quoted(_shown(person.path, path.parent)) for person in people]
     take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
     mappings = _mappings(people)
@@ -120,13 +122,14 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
     doubted = (line.removeprefix("# ").partition("#") for line in lines if any(mark in line for mark in _DOUBTS))
-    return [
+    told = [
         *(f"found {_said(person)}" for person in people),
         *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.motion.notes),
         *_drafted(people),
         *(f"found 2D poses {one.path}: {one.note}" for one in videos),
         *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
+    return [visible(line, is_line=True) for line in told]
 
 
 def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
@@ -178,7 +181,7 @@ def _read_video(path: Path, base: Path) -> _Video:
         id=_identifier(path.stem),
         path=_quoted(_shown(path, base)),
         format=formats.pop() if len(formats) == 1 else "auto",
-        note="; ".join(source.in_words() for source in found),
+        note=visible("; ".join(source.in_words() for source in found), is_line=True),
         num_persons=max(people.values(), default=0),
         is_moving=any(not why_no_video(np.array(own)) for own in numbers.values()),
     )

@@ -76,6 +76,15 @@ def test_a_unit_that_cannot_be_told_is_left_to_the_user(tmp_path: Path) -> None:
     assert made.ingest.takes[0].persons[0].metres_per_unit is None
 
 
+def test_names_of_files_stay_in_notes(tmp_path: Path) -> None:
+    path = tmp_path / "odd\nseed = 7 #\x1b.bvh"
+    path.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
+    made = new_study(path)
+    assert "A GUESS - SET IT" in made.text
+    assert "\nseed = 7" not in made.text
+    assert made.ingest.takes[0].persons[0].metres_per_unit is None
+
+
 @pytest.mark.parametrize(("units_per_metre", "unit"), [(1.0, 1.0), (100.0, 0.01), (39.3701, 0.0254), (1000.0, 0.001)])
 def test_known_units_are_told_from_the_size_of_the_body(units_per_metre: float, unit: float) -> None:
     guess = guess_motion(read_bvh(write_bvh(figure_motion(), units_per_metre=units_per_metre)))

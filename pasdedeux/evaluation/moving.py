@@ -74,11 +74,11 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
                 colour = rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])
                 for parent, child in BODY22.bones:
                     shade = 0.7 if BODY22.joint_names[child].startswith("left_") else 1.0
-                    own = tuple(int(shade * value) for value in colour)
-                    strokes.append((joints[[parent, child]], own, 2.0 * scale * radii[number][person, child]))
-            for ends, colour, thick in sorted(strokes, key=lambda one: float(one[0][:, 2].sum())):
-                line(canvas, ends, tuple(int(0.6 * value) for value in colour), thick + 2 * _FINER)
-                line(canvas, ends, colour, thick)
+                    shaded = tuple(int(shade * value) for value in colour)
+                    strokes.append((joints[[parent, child]], shaded, 2.0 * scale * radii[number][person, child]))
+            for ends, shaded, thick in sorted(strokes, key=lambda stroke: float(stroke[0][:, 2].sum())):
+                line(canvas, ends, tuple(int(0.6 * value) for value in shaded), thick + 2 * _FINER)
+                line(canvas, ends, shaded, thick)
             for ends in project(group.links_m[frame], number):
                 if np.isfinite(ends).all():
                     line(canvas, ends, rgb(LINK_COLOUR), 2 * _FINER)

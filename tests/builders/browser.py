@@ -136,6 +136,8 @@ def open_page(url: str, folder: Path, *, width: int = 1280, height: int = 800) -
                 "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
             )
             tab.call("Page.navigate", url=url)
+            is_loaded = "location.href !== 'about:blank' && document.readyState === 'complete'"
+            wait_until(lambda: bool(tab.run(is_loaded)), f"{url} to load", limit_s=240.0)
             yield tab
         finally:
             tab.close()

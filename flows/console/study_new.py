@@ -195,6 +195,7 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
             raise InputError(f"{other} and {person.path} are the same, byte for byte; a person has a file of their own")
     axes = resolve_up_axes(
         [person.motion for person in people],
+        [person.taken.layout for person in people],
         ["auto"] * len(people),
         [sum(person.sha256 == other.sha256 for other in people) == 1 for person in people],
     )

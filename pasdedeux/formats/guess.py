@@ -183,7 +183,8 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
     up = body[:, BODY22.index("neck")] - body[:, _HIPS].mean(axis=1)
     left = sum(body[:, pair[0]] - body[:, pair[1]] for pair in (_HIPS, _SHOULDERS))
     front = _directions(np.cross(left, up))[:, None]
-    told = [at for at, joint in enumerate(_TOE_NAMES) if layout.parts[joint] in source.skeleton.joint_names]
+    entries = [layout.tables[BODY22.name][joint] for joint in _TOE_NAMES]
+    told = [at for at, entry in enumerate(entries) if entry in source.skeleton.joint_names]
     toes = (_directions(body[:, _TOES] - feet)[:, told] * front).sum(axis=-1)
     knees = body[:, _KNEES] - (body[:, _HIPS] + feet) / 2.0
     legs = np.linalg.norm(body[:, _HIPS] - feet, axis=-1)

@@ -135,7 +135,10 @@ def one_rate(rates_hz: Sequence[float | None]) -> list[float | None]:
 
 
 def resolve_up_axes(
-    sources: Sequence[SourceMotion], stated: Sequence[str], stands_alone: Sequence[bool]
+    sources: Sequence[SourceMotion],
+    layouts: Sequence[Layout | None],
+    stated: Sequence[str],
+    stands_alone: Sequence[bool],
 ) -> list[AxisGuess]:
     """Return the up axis of each person's file: what is stated, else how the bodies stand.
 
@@ -145,12 +148,13 @@ def resolve_up_axes(
 
     Args:
         sources: The motion of each person.
+        layouts: What the joints of each are; None where that is not known.
         stated: What is said of each: an axis, or "auto".
         stands_alone: Whether each has a file of his own, with a rest pose.
     """
     guesses = [
-        guess_up_axis(source) if axis == "auto" else AxisGuess(axis, 1.0)
-        for source, axis in zip(sources, stated, strict=True)
+        guess_up_axis(source, layout) if axis == "auto" else AxisGuess(axis, 1.0)
+        for source, layout, axis in zip(sources, layouts, stated, strict=True)
     ]
     free = [at for at, axis in enumerate(stated) if axis == "auto"]
     if not free:
@@ -159,12 +163,12 @@ def resolve_up_axes(
     for at in free:
         guess = guesses[at]
         is_clear = stands_alone[at] and guess.confidence >= SURE
-        if guess.axis == common.axis or not (is_clear and _rest_axis(sources[at]) == guess.axis):
+        if guess.axis == common.axis or not (is_clear and _rest_axis(sources[at], layouts[at]) == guess.axis):
             guesses[at] = common
     return guesses
 
 
-def _rest_axis(source: SourceMotion) -> str:
+def _rest_axis(source: SourceMotion, layout: Layout | None) -> str:
     """Return the axis along which the rest pose stands."""
     rest = SourceMotion.at_rest(source.skeleton, source.rest_offsets)
-    return guess_up_axis(rest).axis
+    return guess_up_axis(rest, layout).axis

@@ -61,10 +61,9 @@ class SourceMotion:
     def mirrored(self, up_axis: str = "y") -> SourceMotion:
         """Return the motion as a mirror shows it, joints under their names: mends a file that swaps left and right.
 
-        The mirror stands upright: across x, or across z where x points up.  Twice mirrored is the same motion.
+        Twice mirrored is the same motion.
         """
-        upright_from_file(up_axis)
-        sign = np.array([1.0, 1.0, -1.0] if up_axis.endswith("x") else [-1.0, 1.0, 1.0])
+        sign = mirror_signs(up_axis)
         return replace(
             self,
             rest_offsets=self.rest_offsets * sign,
@@ -121,6 +120,15 @@ class SourceMotion:
             local_unitquat=local,
             rate_hz=rate_hz,
         )
+
+
+def mirror_signs(up_axis: str) -> Array:
+    """Return the factors (3,) of the coordinates of a file by which an upright mirror shows it.
+
+    The mirror stands across x, or across z where x points up.
+    """
+    upright_from_file(up_axis)
+    return np.array([1.0, 1.0, -1.0] if up_axis.endswith("x") else [-1.0, 1.0, 1.0])
 
 
 def upright_from_file(up_axis: str) -> Array:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,12 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
+from pasdedeux.skeletons.layouts.fitting import NEEDED
 from storage_schema import Store
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
+from tests.builders.ingest_runs import judged, planned, run
+from tests.builders.rigs import RIGS
 from tests.builders.source_samples import bvh_text
 
 TAKE = """
@@ -46,6 +51,8 @@ WRITTEN = "\n\n".join(
         table("body22", BODY22.joint_names),
     ]
 )
+
+_LIMBS = ("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot")
 
 
 def poses_of(folder: Path, bvh: str, mappings: str, layout: str = "") -> Any:
@@ -94,3 +101,38 @@ def test_a_mapping_that_is_wrong_is_refused_with_the_name(tmp_path: Path, old: s
     assert old in WRITTEN
     with pytest.raises(InputError, match=rf"take dance: a.bvh: .*{sentence}"):
         poses_of(tmp_path, rig_text(), WRITTEN.replace(old, new, 1), 'layout = "rig"')
+
+
+def test_what_a_mapping_says_of_left_and_right_decides_whether_a_file_is_mirrored(tmp_path: Path) -> None:
+    """A file exchanges the names of left and right; a mapping puts that right, so that nothing is left to doubt."""
+    rig = RIGS[0]
+    parts = {part: rig.names[part] for part in (*NEEDED, "left_toe", "right_toe", "neck")}
+    other = {"Left": "Right", "Right": "Left"}
+
+    def exchanged(text: str) -> str:
+        return re.sub("Left|Right", lambda found: other[found[0]], text)
+
+    path = tmp_path / "a.bvh"
+    path.write_text(exchanged(rig.bvh()))
+    mapped = {"layout": "mine"}, {"mine": {"parts": {part: exchanged(name) for part, name in parts.items()}}}
+    for (options, mappings), is_doubted in ((mapped, False), (({}, {}), True)):
+        take = {"id": "dance", "files": [path], "metres_per_unit": 0.01, **options}
+        (shard,) = planned(takes=[take], mappings=mappings, virtual_video={"num_videos": 0, "num_random_views": 0})
+        (made,) = run(Store(tmp_path / f"store{is_doubted}"), [shard]).values()
+        assert ("left and right of a.bvh seem exchanged" in judged(made).reason) == is_doubted
+
+
+def test_what_a_mapping_says_of_head_and_feet_decides_which_axis_is_up(tmp_path: Path) -> None:
+    """By the names of a file its body hangs head down; its mapping says which joints are head and feet."""
+    rig = replace(RIGS[0], axes="+x +z -y")
+    pairs = [("Neck", "LeftToeBase")]
+    pairs += [(side + arm, side + leg) for side in ("Left", "Right") for arm, leg in zip(*_LIMBS, strict=True)]
+    other = dict(pairs) | {second: first for first, second in pairs}
+    path = tmp_path / "a.bvh"
+    path.write_text(re.sub(rf"\b({'|'.join(other)})\b", lambda found: other[found[0]], rig.bvh()))
+    parts = {part: other[rig.names[part]] for part in (*NEEDED, "neck")}
+    take = {"id": "dance", "files": [path], "metres_per_unit": 0.01, "layout": "mine", "floor": "keep"}
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}, "mappings": {"mine": {"parts": parts}}}
+    store = Store(tmp_path / "store")
+    (made,) = run(store, planned(takes=[take], **options)).values()
+    assert list(store.read(made.ref, "takes")["up_axis"]) == ["z"]

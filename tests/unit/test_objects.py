@@ -257,12 +257,13 @@ def test_a_contact_over_all_frames_of_a_file_lasts_as_long_as_the_take(tmp_path:
     Augmenter(source, user_contacts=[contact])
 
 
+@pytest.mark.parametrize("is_mirrored", [False, True])
 @pytest.mark.parametrize("up_axis", ["x", "y", "z"])
-def test_what_is_in_a_hand_is_in_it_wherever_the_take_is_put(tmp_path: Path, up_axis: str) -> None:
+def test_what_is_in_a_hand_is_in_it_wherever_the_take_is_put(tmp_path: Path, up_axis: str, is_mirrored: bool) -> None:
     take, store = trio_files(tmp_path), Store(tmp_path / "store")
     wrists = make_duet("trio", duration_s=1.0).positions_m()[:, 0, WRISTS]
     (tmp_path / "hoop.csv").write_text(table_of(MovingObjects(("hoop",), wrists[:, None], np.array([0.05]))))
-    moved = {"up_axis": up_axis, "translation_m": [1.0, 2.0, -3.0], "yaw_deg": 40.0}
+    moved = {"up_axis": up_axis, "translation_m": [1.0, 2.0, -3.0], "yaw_deg": 40.0, "mirrored": is_mirrored}
     options = {**take, "contacts": None, "persons": [moved] * 3, "floor": "auto"}
     ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=0), section(options))[0], store)
     source = read_take(store, ref).source

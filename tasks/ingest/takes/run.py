@@ -18,7 +18,7 @@ from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion, place_points
 from pasdedeux.formats.registry import MOTION_FORMATS
 from pasdedeux.formats.resolution import SURE, resolve_up_axes
-from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
+from pasdedeux.formats.source_motion import SourceMotion, mirror_signs, upright_from_file
 from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
 from pasdedeux.interaction.known_contacts import read_contacts
 from pasdedeux.interaction.objects import MovingObjects, read_objects
@@ -81,17 +81,22 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
     data = {file.sha256: read_again(file) for file in {file.sha256: file for file in shard.files}.values()}
     digests = [person.motion_sha256 for person in parameters.persons]
     motions = [_read(parameters, person, data) for person in parameters.persons]
+    layouts = [
+        resolve_layout(person.layout, motion.skeleton, motion.rest_offsets, parameters.mappings)
+        for person, motion in zip(parameters.persons, motions, strict=True)
+    ]
     axes = resolve_up_axes(
         motions,
+        layouts,
         [person.up_axis for person in parameters.persons],
         [digests.count(one.motion_sha256) == 1 and one.format not in _HAS_POSITIONS_ONLY for one in parameters.persons],
     )
     people, is_mirrored = [], []
-    for person, motion, axis in zip(parameters.persons, motions, axes, strict=True):
+    for person, motion, layout, axis in zip(parameters.persons, motions, layouts, axes, strict=True):
         source = person.model_copy(update={"up_axis": axis.axis})
         if source.mirrored:
             motion = motion.mirrored(axis.axis)
-        is_mirrored.append(guess_mirrored(motion))
+        is_mirrored.append(guess_mirrored(motion, layout))
         captured = place_motion(
             motion.to_motion(metres_per_unit=source.metres_per_unit, rate_hz=source.rate_hz, up_axis=source.up_axis),
             translation_m=source.translation_m,
@@ -130,6 +135,7 @@ def _objects(take: TakeParameters, data: bytes, up_axis: str, num_frames: int) -
     """Return the objects in the world and at the rate of the study, before the take is put on the floor."""
     first, objects = take.persons[0], read_objects(data)
     ends = objects.ends_m[first.first_frame : first.first_frame + first.num_frames]
+    ends = ends * mirror_signs(up_axis) if first.mirrored else ends
     upright = rotate(np.broadcast_to(upright_from_file(up_axis), (*ends.shape[:-1], 4)), ends)
     placed = place_points(upright, translation_m=first.translation_m, yaw_rad=float(np.deg2rad(first.yaw_deg)))
     moved = resample_positions(placed, from_hz=first.rate_hz, to_hz=take.rate_hz, start_s=first.start_s)

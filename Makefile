@@ -51,7 +51,7 @@ mutants: $(VENV)/.tested
 blender:
 	test -x $(VENV)-blender/bin/python || $(PYTHON) -m venv $(VENV)-blender
 	$(VENV)-blender/bin/python -m pip install --quiet bpy numpy usd-core
-	$(VENV)-blender/bin/python tests/blender_check.py $(FILES)
+	$(VENV)-blender/bin/python benchmarks/blender_check.py $(FILES)
 
 # What a real network sees of real film, and what becomes of it; needs the store of `make demo`.  The network comes with
 # mediapipe, the film with a package under the GPL: both stay in an environment of their own.
@@ -62,7 +62,7 @@ film: $(VENV)/.installed
 	$(FILM)/bin/python -m pip install --quiet mediapipe==0.10.21
 	$(FILM)/bin/python -m pip download --quiet --no-deps --dest $(FILM) musicalgestures==1.32.0
 	$(FILM)/bin/python -m zipfile -e $(FILM)/musicalgestures-1.32.0-py3-none-any.whl $(FILM)/unpacked
-	$(FILM)/bin/python tests/film_check.py $(DANCER) $(FILM)/dancer.csv
+	$(FILM)/bin/python benchmarks/film_check.py $(DANCER) $(FILM)/dancer.csv
 	$(BIN)/pasdedeux annotate $(DANCER) --detections $(FILM)/dancer.csv --out $(FILM)/annotations.csv \
 		--sheet $(FILM)/next.png --overlay $(FILM)/seen.mp4
 	$(BIN)/pasdedeux reconstruct $(DANCER) --detections $(FILM)/dancer.csv --database projections:duets \

@@ -29,7 +29,7 @@ _MIN_BACK = 0.7
 
 _MAX_UPRIGHT = 0.3
 """Whose back is upright in a larger part of the frames is not looked for on the floor: 0.10 at most of 13 who do
-push-ups, 0.40 at least of 271 who stand, climb, bow, or wash (clips of `tests.families`)."""
+push-ups, 0.40 at least of 271 who stand, climb, bow, or wash (clips of `benchmarks.families`)."""
 _MAX_PROJECTIONS = 600_000
 """Projections of poses laid down that are looked through, at most: an even choice."""
 ON_BELLY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -39,7 +39,7 @@ from pasdedeux.skeletons import OP14
 
 _MAX_CONTRADICTION, _MAX_CONTRADICTION_OF_TWO = 1.2, 1.3
 """Statures stated and by the height of the camera that differ by more contradict each other, and heights of the camera
-by two statures: of 49 couples of `tests.families`, 4 are more than 1.2 apart and none 1.3."""
+by two statures: of 49 couples of `benchmarks.families`, 4 are more than 1.2 apart and none 1.3."""
 _OTHER_PITCH_RAD, _PITCHES_RAD = float(np.deg2rad(5.0)), (float(np.deg2rad(-35.0)), float(np.deg2rad(50.0)))
 """Poses are searched again before a camera whose pitch is further from the first, in this range."""
 _STATURES_M = (1.2, 2.2)

@@ -36,7 +36,7 @@ _WEIGHTS = np.array([-2.809, 5.449, -0.28, 3.27, -0.193, 0.188])
 """Of the logarithm of the mean error of a joint: constant, per metre that the fit moved it, per logarithm of the
 acceleration of the joints about the mid-hip, per radian of the pitch's deviation, per logarithm of how far the hips are
 turned out of the image, and of who lies.  Least squares on 420 people of 238 clips of 4 s, nine families of takes, each
-reconstructed without itself: `python -m tests.families DATA --clips 14` prints it of half of them."""
+reconstructed without itself: `python -m benchmarks.families DATA --clips 14` prints it of half of them."""
 _PLACE_WEIGHTS = np.array([0.526, 0.885])
 """The same of where one is to the other, of 98 couples: constant, and per logarithm of the product of the deviation of
 the place and of the root of the error expected of the poses of the two."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.skeletons import BODY22, PAIR17

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.kinematics.rotations import normalise
 from storage_schema import Manifest, Store

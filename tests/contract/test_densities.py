@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.chains import default_target
-from pasdedeux.benchmarks.synthetic import random_annotations
+from benchmarks.chains import default_target
+from benchmarks.synthetic import random_annotations
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import GatheredPairs
@@ -83,7 +83,7 @@ def test_a_density_of_annotations_says_which_are_nearest_and_another_none(name: 
 
 def test_the_benchmark_times_what_a_study_samples_that_sets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     given = annotations()
-    monkeypatch.setattr("pasdedeux.benchmarks.chains._problem", lambda: (KNOWN, given.pairs, None))
+    monkeypatch.setattr("benchmarks.chains._problem", lambda: (KNOWN, given.pairs, None))
     timed, _, likelihood = default_target(gauge_fix(KNOWN[0]), max_invalid_angles=PriorSettings().max_invalid_angles)
     section = ChainsParameters()
     sampled = target_of(likelihood, section.part(TargetSettings))

@@ -23,11 +23,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from benchmarks.synthetic import random_pairs
 from flows.exports import EXPORT_FORMATS, Export, export_format, export_reference
 from flows.exports.casts import casts
 from flows.exports.credits import add_notice
 from flows.exports.overlay_video import Footage, _laid_on
-from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
+from benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.chain import ChainState, Context, Correction, Propose, Proposed, run_segment
 from pasdedeux.sampling.densities.density import Evaluation, PairDensity

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import standing_pair
+from benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
 from pasdedeux.sampling.chain import proposal_from_json

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.synthetic import random_pairs
 from flows.execution import begin, execute
 from flows.exports import export_reference
 from flows.outcomes import Run
 from flows.planning import make_plan
-from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
 from pasdedeux.kinematics.rotations import yaw_rotmat

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.chains import plain_coverage
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.chains import plain_coverage
+from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.coverage import coverage_curve, draw_parts
 from pasdedeux.interaction.dissimilarity import (

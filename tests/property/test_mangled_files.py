@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
 from pasdedeux.formats.bvh import read_bvh, read_bvh_head

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.projections import search_brute_force
+from benchmarks.projections import search_brute_force
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.families import INTERVAL, fitted, outside, parts
+from benchmarks.families import INTERVAL, fitted, outside, parts
 
 NUM_FAMILIES, NUM_ROWS = 9, 20
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import standing_pair
+from benchmarks.synthetic import standing_pair
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.chain import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_annotations
+from benchmarks.synthetic import random_annotations
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.interaction.shape_context import plane_shape_dissimilarity

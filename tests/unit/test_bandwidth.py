@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
+from benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs
 from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L, SAME_MOMENT, LeaveOneOut, leave_one_out

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
+from benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility.joint_limits import JointLimits

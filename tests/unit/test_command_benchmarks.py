@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 
-from flows.console import command_benchmarks, this_machine
+from benchmarks import commands, registry
+from benchmarks.benchmark import BenchmarkResult
+from benchmarks.registry import BENCHMARKS
+from benchmarks.scale import grown
+from flows.console import bench
 from flows.console.app import run_command_line
-from flows.console.this_machine import find_benchmarks
 from flows.study import load_study
-from pasdedeux.benchmarks.benchmark import BenchmarkResult
-from pasdedeux.benchmarks.scale import grown
 from tasks.graph import load_graph
 
 
 def test_commands_and_scale_have_benchmarks_beside_the_stages() -> None:
-    found = find_benchmarks()
-    assert list(found["commands"]) == ["status", "demo"]
-    assert set(found["full-scale"]) == {*found["scale"], "takes"}
-    assert {"chains", "projections", "scale"} <= set(found)
+    assert list(BENCHMARKS["commands"]) == ["status", "demo"]
+    assert set(BENCHMARKS["full-scale"]) == {*BENCHMARKS["scale"], "takes"}
+    files = Path(registry.__file__).parent.glob("*.py")
+    named = {path.stem for path in files if re.search("^BENCHMARKS\\b", path.read_text("utf-8"), re.MULTILINE)}
+    assert named - {"registry"} == set(BENCHMARKS) - {"full-scale"}
 
 
 def test_status_is_measured_on_a_store_of_that_many_artifacts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command_benchmarks, "_NUM_ARTIFACTS", 50)
-    monkeypatch.setattr(command_benchmarks, "measure", lambda name, work, count: (name, count / len(list(work()))))
-    found = command_benchmarks.BENCHMARKS["status"]()
+    monkeypatch.setattr(commands, "_NUM_ARTIFACTS", 50)
+    monkeypatch.setattr(commands, "measure", lambda name, work, count: (name, count / len(list(work()))))
+    found = commands.BENCHMARKS["status"]()
     assert found.plain_per_s == 1.0, "the plain form reads one manifest for each artifact"
 
 
@@ -41,7 +45,7 @@ def test_whole_commands_are_measured_only_where_they_are_named(
         return BenchmarkResult(name, "runs", "fast", 2.0, "plain", 1.0)
 
     names = ("chains", "full-scale", "commands")
-    monkeypatch.setattr(this_machine, "find_benchmarks", lambda: {n: {n: partial(counted, n)} for n in names})
+    monkeypatch.setattr(registry, "BENCHMARKS", {n: {n: partial(counted, n)} for n in names})
     assert run_command_line(["bench"]) == run_command_line(["bench", "commands"]) == 0
     assert measured == ["chains", "commands"]
     capsys.readouterr()
@@ -50,23 +54,32 @@ def test_whole_commands_are_measured_only_where_they_are_named(
 def test_a_demo_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     failing = [sys.executable, "-c", "import sys; sys.exit('error: no space is left')"]
     plain = subprocess.run
-    monkeypatch.setattr(command_benchmarks.subprocess, "run", lambda _, **how: plain(failing, **how))
-    demo = {"commands": {"demo": command_benchmarks.BENCHMARKS["demo"]}}
-    monkeypatch.setattr(this_machine, "find_benchmarks", lambda: demo)
+    monkeypatch.setattr(commands.subprocess, "run", lambda _, **how: plain(failing, **how))
+    monkeypatch.setitem(BENCHMARKS, "commands", {"demo": commands.BENCHMARKS["demo"]})
     assert run_command_line(["bench", "commands"]) == 1
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("error: `pasdedeux run duets --workers ")
     assert last.endswith(" failed: no space is left")
 
 
+def test_an_installation_without_a_checkout_says_where_benchmarks_are(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(bench, "_ROOT", tmp_path)
+    assert run_command_line(["bench"]) == 2
+    assert capsys.readouterr().err == (
+        "error: benchmarks are not installed: run this command in a checkout (`pip install --editable .`)\n"
+    )
+
+
 def test_stages_are_measured_on_ever_more_takes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def spend(_: int, study: str, *only: str) -> command_benchmarks._Spent:
+    def spend(_: int, study: str, *only: str) -> commands._Spent:
         (family,) = load_study(study, load_graph())[0].parameters["ingest"].duets
         assert only == ("--only", "ingest", "--only", "augmentation", "--only", "projections")
-        return command_benchmarks._Spent(1.0, family.count**2.0, 400.0 * family.count, 2.0 * family.count - 1.0)
+        return commands._Spent(1.0, family.count**2.0, 400.0 * family.count, 2.0 * family.count - 1.0)
 
-    monkeypatch.setattr(command_benchmarks, "_run", spend)
-    assert command_benchmarks.FULL_BENCHMARKS["takes"]().note == (
+    monkeypatch.setattr(commands, "_run", spend)
+    assert commands.FULL_BENCHMARKS["takes"]().note == (
         "1: 1 s, 400.0 MB memory, 1.0 MB written; 10: 1e+02 s, 4000.0 MB memory, 19.0 MB written; "
         "100: 1e+04 s, 40000.0 MB memory, 199.0 MB written; exponents: time 2.00, memory 1.00, written 1.00"
     )

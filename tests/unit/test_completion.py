@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.lifting import plain_nearest
-from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
+from benchmarks.lifting import plain_nearest
+from benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.baselines import lift_by_ik, resolve_penetration, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex

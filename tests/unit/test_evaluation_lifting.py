@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.synthetic import random_pairs
 from pasdedeux.augmentation import AugmentationSettings, Source
-from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion

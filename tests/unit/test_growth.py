@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
+from benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, plane_residual

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import is_left_out

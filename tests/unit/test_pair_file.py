@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.pair_file import (
     PairFile,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
+from benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
 from pasdedeux.cameras.view_density import draw_views
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths

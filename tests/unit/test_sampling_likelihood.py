@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs
+from benchmarks.synthetic import random_annotations, random_bank, random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics.rotations import yaw_rotmat

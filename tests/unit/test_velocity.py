@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.benchmarks.synthetic import standing_pair
+from benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.chain import ChainState, proposal_from_json, proposal_to_json
 from pasdedeux.sampling.densities.density import Evaluation

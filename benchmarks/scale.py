@@ -12,13 +12,13 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.benchmark import BenchmarkResult, Rate
+from benchmarks.projections import made_up_database
+from benchmarks.synthetic import random_annotations, random_bank, random_pairs
 from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, Rate
-from pasdedeux.benchmarks.projections import made_up_database
-from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.interaction.coverage import coverage_curve
 from pasdedeux.projections.search import build_index

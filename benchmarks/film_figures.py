@@ -1,6 +1,6 @@
 """Measures what is said of film: tracking against interpolation, its speed, people who cross, pairs lifted; not a test.
 
-`python -m tests.film_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
+`python -m benchmarks.film_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
 """
 
 from __future__ import annotations

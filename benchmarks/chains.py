@@ -7,15 +7,15 @@ from functools import cache, partial
 
 import numpy as np
 
-from pasdedeux.arrays import Array
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, in_turn, measure
-from pasdedeux.benchmarks.synthetic import (
+from benchmarks.benchmark import BenchmarkResult, in_turn, measure
+from benchmarks.synthetic import (
     random_annotations,
     random_bank,
     random_pairs,
     random_parameters,
     standing_pair,
 )
+from pasdedeux.arrays import Array
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.nearest import Coverage, pair_table

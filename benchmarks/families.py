@@ -1,10 +1,10 @@
 """Motion of which the database has nothing: clips of nine families, each reconstructed from the takes of the others.
 
-    python -m tests.families DATA                          the tables of docs/findings.md: seven clips of each family
-    python -m tests.families DATA --families hug,judo --clips 3
-    python -m tests.families DATA --lens --stature         what stating the focal length and the statures brings
-    python -m tests.families DATA --no-level               without the level camera, for half the time
-    python -m tests.families DATA --clips 4 --seed 2 --pitches=-18,-24,-30,-36    others, before cameras that look up
+    python -m benchmarks.families DATA                      the tables of docs/findings.md: seven clips of each family
+    python -m benchmarks.families DATA --families hug,judo --clips 3
+    python -m benchmarks.families DATA --lens --stature     what stating the focal length and the statures brings
+    python -m benchmarks.families DATA --no-level           without the level camera, for half the time
+    python -m benchmarks.families DATA --clips 4 --seed 2 --pitches=-18,-24,-30,-36  others, before cameras look up
 
 DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from CMU) and `contact_pairs`, as
 PASDEDEUX_DATA names it.  The database is built first, in --store, and once.  Clips last 4 s at 30 Hz: people of 1.5 to

@@ -13,11 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks import scale
+from benchmarks.benchmark import BenchmarkResult, Rate, measure
+from benchmarks.scale import growth
 from flows.console.stores import describe_store
 from flows.machine import usable_cores
-from pasdedeux.benchmarks import scale
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, Rate, measure
-from pasdedeux.benchmarks.scale import growth
+from pasdedeux.errors import PasdedeuxError
 from storage_schema import ArtifactRef, ShardRecord, Store, record_latest
 from storage_schema.manifest import MANIFEST_NAME
 from storage_schema.store import ArtifactFields
@@ -41,7 +42,7 @@ include_draws = false
 """
 
 
-class CommandFailedError(Exception):
+class CommandFailedError(PasdedeuxError):
     """A command that is measured failed; the message is one sentence, with what the command said last."""
 
 

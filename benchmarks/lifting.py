@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, in_turn, measure
-from pasdedeux.benchmarks.synthetic import random_pairs
+from benchmarks.benchmark import BenchmarkResult, in_turn, measure
+from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.benchmark import BenchmarkResult, measure
 from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.augmentation.variations import uniform_variations
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.learning.sampling import sample_motion
 from pasdedeux.learning.settings import PaperCvaeConfig, has_torch

@@ -1,6 +1,6 @@
 """What a real network sees of a film, as `pasdedeux annotate` reads it; for `make film`, in an environment of its own.
 
-`python tests/film_check.py FILM OUT.csv` with mediapipe 0.10.21, which brings its detector and landmark networks.
+`python benchmarks/film_check.py FILM OUT.csv` with mediapipe 0.10.21, which brings its detector and landmark networks.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.benchmark import BenchmarkResult, measure
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
@@ -13,7 +14,6 @@ from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
 from pasdedeux.augmentation.window_solver import POLISH
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.fitting.levenberg import FitSettings
 from pasdedeux.skeletons import BODY22

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from pasdedeux.benchmarks.benchmark import BenchmarkResult, Rate, measure
+from benchmarks.benchmark import BenchmarkResult, Rate, measure
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower

@@ -1,0 +1,44 @@
+"""`bench`: how fast this machine is; the benchmarks are in `benchmarks/` of a checkout."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument
+
+from flows.console.context import JsonOption, answer, app, echo
+from flows.planning import PlanError
+from tasks.shards import worker_environment
+
+_ROOT = Path(__file__).parents[2]
+"""The folder of the checkout, or site-packages."""
+
+
+@app.command()
+def bench(
+    stage: Annotated[
+        str | None,
+        Argument(metavar="[STAGE]", help="One stage, scale, full-scale or commands; default: all stages, scale."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure kernels or whole commands, each relative to a plain form; needs a checkout.
+
+    \b
+      pasdedeux bench              kernels of all stages
+      pasdedeux bench chains       kernels of one stage
+      pasdedeux bench scale        how cost grows with size
+      pasdedeux bench full-scale   the same to 10,000,000 projections, 1,000,000 annotations, 100 takes; minutes
+      pasdedeux bench commands     `status`, and the demo, which is built three times; minutes
+    """
+    if not (_ROOT / "benchmarks" / "registry.py").is_file():
+        raise PlanError("benchmarks are not installed: run this command in a checkout (`pip install --editable .`)")
+    os.environ.update(worker_environment())
+    registry = importlib.import_module("benchmarks.registry")  # late and by name: nothing installed depends on it
+    results = registry.run(stage, lambda text: echo(text, err=True))
+    described = [{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results]
+    answer(described, registry.table([result for _, result in results]), as_json=as_json)

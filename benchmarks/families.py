@@ -37,7 +37,7 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
+from pasdedeux.reconstruction.people import Reconstruction, reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import judge_tracks, left_out_misfit_m
@@ -224,7 +224,7 @@ def lasting_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     return 0.7 * (white + lasting)
 
 
-def reconstruct(seen: Seen, family: Family, **stated: Any) -> ReconstructedTracks:
+def reconstruct(seen: Seen, family: Family, **stated: Any) -> Reconstruction:
     """Reconstruct a clip as `pasdedeux reconstruct` does."""
     pitch: PitchEstimate = stated.pop("pitch", None) or choose_pitch(family.searchers, seen.tracks)
     pairs_m = family.pairs_m if len(seen.tracks) > 1 else None
@@ -246,7 +246,7 @@ class Row:
     verdict: str
 
 
-def rows_of(seen: Seen, found: ReconstructedTracks, family: Family, level: ReconstructedTracks | None) -> Iterator[Row]:
+def rows_of(seen: Seen, found: Reconstruction, family: Family, level: Reconstruction | None) -> Iterator[Row]:
     """Yield everybody and the couple of a clip."""
     judged = judge_tracks(
         found, family.left_out_m, pitches_rad=[one.database.camera.pitch_rad for one in family.searchers]
@@ -303,7 +303,7 @@ def say_all(takes: Takes, asked: argparse.Namespace) -> None:
             seen = takes.seen(clip, has_lens=asked.lens)
             stated = {"statures_m": {one.person_id: clip.stature_m for one in seen.tracks[:1]}} if asked.stature else {}
             found = reconstruct(seen, from_others, **stated)
-            level = None if asked.no_level else reconstruct(seen, from_others, pitch=PitchEstimate(0, 0.0), **stated)
+            level = None if asked.no_level else reconstruct(seen, from_others, pitch=PitchEstimate(0.0), **stated)
             rows += rows_of(seen, found, from_others, level)
             say(
                 f"{family} {clip.take}: "

@@ -21,7 +21,7 @@ from pasdedeux.reconstruction.pitch import choose_camera, searchers_tried
 from pasdedeux.reconstruction.reconstruct import (
     HOW_TO_CLUSTER,
     Method,
-    Reconstruction,
+    ReconstructedTrack,
     ReconstructionOptions,
     Searcher,
 )
@@ -299,7 +299,7 @@ def _reconstruct(
 def _rows_of(
     sequence_id: str,
     method: str,
-    found: Reconstruction,
+    found: ReconstructedTrack,
     origin: np.ndarray,
     body: EmbodiedMotion,
     take_ids: np.ndarray,

@@ -31,7 +31,7 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
+from pasdedeux.reconstruction.people import Reconstruction, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_misfit_m
@@ -208,7 +208,7 @@ def reconstruct_video(
 
 
 def _write_sequence(
-    found: ReconstructedTracks,
+    found: Reconstruction,
     sequence: SequencePeople,
     out: Path,
     units: str,
@@ -252,7 +252,7 @@ def _write_sequence(
     echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
-def _shown(tracks_found: ReconstructedTracks, sequence_id: str) -> Picture:
+def _shown(tracks_found: Reconstruction, sequence_id: str) -> Picture:
     """Show the people of a sequence upright, beside the 2D poses that they were found in."""
     made, scene = tracks_found.methods[-1], tracks_found.scene
     upright = np.asarray(DatabaseCamera(tracks_found.pitch.pitch_rad).camera_from_upright_rotmat)

@@ -21,7 +21,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, REFERENCE_STATURE_M
 from pasdedeux.reconstruction.body_kernels import held_hips, pose_bodies
 from pasdedeux.reconstruction.bones import bone_rotations
-from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import t_pose
@@ -133,7 +133,7 @@ def rotations_from_t_pose(
     return local_rotations(BODY22, REFERENCE_REST_M, body22_m, twisted)
 
 
-def hold_hips(found: Reconstruction) -> Reconstruction:
+def hold_hips(found: ReconstructedTrack) -> ReconstructedTrack:
     """Return a reconstruction whose hips keep their distance, its median; see `held_hips`."""
     positions = np.array(found.positions_m, dtype=np.float64, order="C")
     positions = held_hips(positions, np.median(bone_lengths(OP14, positions), axis=0), _hip_width(positions))
@@ -176,7 +176,7 @@ def bends_of(database: Database, rows: npt.ArrayLike) -> Bends:
     return Bends(unitquat, bones[:, _NOSE])
 
 
-def _bends_of_track(database: Database, found: Reconstruction, window: int) -> Bends:
+def _bends_of_track(database: Database, found: ReconstructedTrack, window: int) -> Bends:
     """Return what the matches of a track say, bridged as its poses are, and smooth over a window of frames."""
     bends = bends_of(database, np.maximum(found.row, 0))
     both = np.concatenate([bends.unitquat, bends.nose_unitquat[:, None]], axis=1)
@@ -231,7 +231,7 @@ def body_through(positions_m: Array) -> Body:
     return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
 
 
-def embody(database: Database, found: Reconstruction, positions_m: Array, *, window: int) -> EmbodiedMotion:
+def embody(database: Database, found: ReconstructedTrack, positions_m: Array, *, window: int) -> EmbodiedMotion:
     """Return the whole body of a reconstruction.
 
     Args:

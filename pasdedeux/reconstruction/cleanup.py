@@ -24,7 +24,7 @@ from pasdedeux.kinematics.rotation_kernels import Vector, divide, dot, length, m
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import retarget_proportions
-from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.skeletons import OP14
 
 _LEGS = OP14.legs
@@ -270,8 +270,8 @@ def _runs(values: Flags) -> list[tuple[int, int]]:
 
 
 def clean_reconstructions(
-    people: Sequence[Reconstruction], origin_m: Array, camera: DatabaseCamera
-) -> list[Reconstruction]:
+    people: Sequence[ReconstructedTrack], origin_m: Array, camera: DatabaseCamera
+) -> list[ReconstructedTrack]:
     """Return the reconstructions of a sequence's people after clean-up, standing ankles at the height of the floor.
 
     Args:

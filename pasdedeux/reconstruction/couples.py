@@ -20,7 +20,7 @@ from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.reconstruction.proportions import retarget_image
-from pasdedeux.reconstruction.reconstruct import Matches, Reconstruction
+from pasdedeux.reconstruction.reconstruct import Matches, ReconstructedTrack
 from pasdedeux.skeletons import OP14
 
 _NUM_CANDIDATES = 20
@@ -53,7 +53,7 @@ class PairDepth:
 
 
 def pair_depths(
-    pairs_m: npt.NDArray[np.floating], database: Database, people: Sequence[tuple[Matches, Reconstruction]]
+    pairs_m: npt.NDArray[np.floating], database: Database, people: Sequence[tuple[Matches, ReconstructedTrack]]
 ) -> list[PairDepth]:
     """Return what pairs that look like both say of the partners among people, where a frame shows both near each other.
 
@@ -76,7 +76,7 @@ def pair_depths(
 def _depth(
     pairs: Database,
     index: ProjectionIndex,
-    couple: Sequence[tuple[Matches, Reconstruction]],
+    couple: Sequence[tuple[Matches, ReconstructedTrack]],
     numbers: tuple[int, int],
 ) -> PairDepth | None:
     tracks = [found.track for _, found in couple]

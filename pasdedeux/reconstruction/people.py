@@ -26,7 +26,7 @@ from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset, size_by_
 from pasdedeux.reconstruction.reconstruct import (
     SMOOTHING_S,
     Method,
-    Reconstruction,
+    ReconstructedTrack,
     ReconstructionOptions,
     Searcher,
     match_track,
@@ -58,13 +58,13 @@ class MethodMotions:
     """
 
     name: str
-    people: tuple[Reconstruction, ...]
+    people: tuple[ReconstructedTrack, ...]
     origin_m: Array
     bodies: tuple[EmbodiedMotion, ...]
 
 
 @dataclass(frozen=True)
-class ReconstructedTracks:
+class Reconstruction:
     """What all methods made of a sequence's people.
 
     Args:
@@ -100,7 +100,7 @@ def reconstruct_people(
     statures_m: Mapping[int, float] | None = None,
     pitch: PitchEstimate | None = None,
     on_step: Callable[[], None] = lambda: None,
-) -> ReconstructedTracks:
+) -> Reconstruction:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
     Camera, sizes and places of all are one estimate, see `scene`, from what the last method but the baseline made of
@@ -122,7 +122,7 @@ def reconstruct_people(
         pitch: Estimate of the camera's pitch; that of the searcher counts as stated.
         on_step: Called when a track is matched, and when a method has made its motion.
     """
-    pitch = pitch or PitchEstimate(0, searcher.database.camera.pitch_rad)
+    pitch = pitch or PitchEstimate(searcher.database.camera.pitch_rad)
     once = partial(
         _reconstruct_people,
         tracks=tracks,
@@ -143,7 +143,7 @@ def reconstruct_people(
     return min(found, again, key=_distance_m)
 
 
-def _distance_m(found: ReconstructedTracks) -> float:
+def _distance_m(found: Reconstruction) -> float:
     """Return how far everybody's matches are from the image, summed over people."""
     return sum(float(np.nanmedian(one.score_m)) for one in found.methods[-1].people)
 
@@ -160,7 +160,7 @@ def _reconstruct_people(
     statures_m: Mapping[int, float],
     pitch: PitchEstimate,
     on_step: Callable[[], None],
-) -> ReconstructedTracks:
+) -> Reconstruction:
     """Reconstruct tracks before one camera; see `reconstruct_people`."""
     camera = searcher.database.camera
     skipped: dict[int, str] = {}
@@ -173,7 +173,7 @@ def _reconstruct_people(
             skipped[track.person_id] = str(error)
         on_step()
     otherwise = seen_otherwise(searcher, matched)
-    tried: dict[Method, tuple[Reconstruction, ...]] = {}
+    tried: dict[Method, tuple[ReconstructedTrack, ...]] = {}
     for method in methods if matched else ():
         for track, matches in matched:
             own = ready[track.person_id]
@@ -219,7 +219,7 @@ def _reconstruct_people(
         if has_clean_up and method is list(tried)[-1]:
             cleaned = tuple(clean_reconstructions(found, origin, camera))
             made.append(_embodied(f"{method.value}_clean", cleaned, origin, searcher.database, camera))
-    return ReconstructedTracks(
+    return Reconstruction(
         tuple(made),
         _motions(made[-1]) if made else {},
         skipped,
@@ -232,7 +232,10 @@ def _reconstruct_people(
 
 
 def _sizes_stated(
-    people: Sequence[Reconstruction], camera: DatabaseCamera, statures_m: Mapping[int, float], height_m: float | None
+    people: Sequence[ReconstructedTrack],
+    camera: DatabaseCamera,
+    statures_m: Mapping[int, float],
+    height_m: float | None,
 ) -> tuple[dict[int, float], list[str]]:
     """Return the statures that are stated or follow from the height of the camera, and what of it contradicts itself.
 
@@ -279,7 +282,7 @@ def _ratio(one: float, other: float) -> float:
 
 
 def _embodied(
-    name: str, people: tuple[Reconstruction, ...], origin_m: Array, database: Database, camera: DatabaseCamera
+    name: str, people: tuple[ReconstructedTrack, ...], origin_m: Array, database: Database, camera: DatabaseCamera
 ) -> MethodMotions:
     """Give the people of a method their whole bodies."""
     upright = np.asarray(camera.camera_from_upright_rotmat)
@@ -318,8 +321,8 @@ def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rat
 
 
 def sized_by_stature(
-    people: Sequence[Reconstruction], statures_m: Mapping[int, float], *, has_one_size: bool = False
-) -> tuple[Reconstruction, ...]:
+    people: Sequence[ReconstructedTrack], statures_m: Mapping[int, float], *, has_one_size: bool = False
+) -> tuple[ReconstructedTrack, ...]:
     """Return reconstructions at the size that gives people their stature, as their legs tell it.
 
     Body and path grow together about the camera, which sees no difference.
@@ -337,5 +340,5 @@ def sized_by_stature(
     return tuple(one.scaled(mean if has_one_size else growth.get(one.track.person_id, mean)) for one in people)
 
 
-def _stature_m(found: Reconstruction) -> float:
+def _stature_m(found: ReconstructedTrack) -> float:
     return float(np.median(body_height_m(OP14, bone_lengths(OP14, found.positions_m))))

@@ -15,7 +15,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.lying import is_on_floor, searchers_for, stands
 from pasdedeux.reconstruction.reconstruct import (
     Method,
-    Reconstruction,
+    ReconstructedTrack,
     ReconstructionOptions,
     Searcher,
     match_track,
@@ -75,13 +75,11 @@ class PitchEstimate:
     """The pitch of a sequence's camera.
 
     Args:
-        index: Which of the cameras that were tried suits best.
-        pitch_rad: The pitch, between those of the cameras.
+        pitch_rad: The pitch, between those of the cameras that were tried.
         deviation_rad: Standard deviation of it; 0 where it was given.
         is_guess: Nobody was seen standing, so that it is little more than what cameras mostly have.
     """
 
-    index: int
     pitch_rad: float
     deviation_rad: float = 0.0
     is_guess: bool = False
@@ -113,7 +111,7 @@ def choose_camera(
         ready: What `searchers_tried` gives for these databases, where it is at hand.
     """
     if len(databases) == 1:
-        return PitchEstimate(0, databases[0].camera.pitch_rad)
+        return PitchEstimate(databases[0].camera.pitch_rad)
     return choose_pitch(ready or searchers_tried(databases), tracks, options)
 
 
@@ -162,7 +160,7 @@ def choose_pitch(
         judged.append([one for ready, track in own if (one := _judge(ready, track, options)) is not None])
     tried = np.array(pitches)
     if len(tried) < 2:
-        return PitchEstimate(0, pitches[0])
+        return PitchEstimate(pitches[0])
     grid = np.arange(tried.min() - _BEYOND_RAD, tried.max() + _BEYOND_RAD + 1e-9, _GRID_RAD)
     everybody = [own for own in zip(*judged, strict=False) if own[0].num_counted >= _MIN_STANDING]
     halves = [[tuple(one.half(part) for one in own) for own in everybody] for part in (0, 1)]
@@ -170,9 +168,8 @@ def choose_pitch(
     pitch, deviation = _posterior(tried, grid, everybody)
     left = [_posterior(tried, grid, own)[0] for own in (*halves, *(others if len(others) > 1 else ()))]
     spread = np.std(left) if everybody else 0.0
-    index = int(np.argmin(np.abs(tried - pitch)))
     is_guess = all(stands(track).sum() < _MIN_STANDING for track in thinned)
-    return PitchEstimate(index, pitch, float(np.hypot(deviation, spread)), is_guess)
+    return PitchEstimate(pitch, float(np.hypot(deviation, spread)), is_guess)
 
 
 def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -> tuple[float, float]:
@@ -197,7 +194,7 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -
     return mean, float(np.sqrt(share @ (grid - mean) ** 2))
 
 
-def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera) -> Array:
+def floor_offset(reconstructions: Sequence[ReconstructedTrack], camera: DatabaseCamera) -> Array:
     """Return what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
 
     The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
@@ -210,7 +207,7 @@ def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCame
     return np.asarray(upright @ np.array([start[0], floor, start[2]]))
 
 
-def size_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> float:
+def size_by_height(found: ReconstructedTrack, camera: DatabaseCamera, camera_height_m: float) -> float:
     """Return how many times larger a person is if the floor is as far below the camera as it is known to be.
 
     One camera does not see how large people are: body and path may grow together about the camera.  So does the floor
@@ -225,7 +222,7 @@ def size_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_
     return camera_height_m / below if below > 0 else float("nan")
 
 
-def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> Reconstruction:
+def sized_by_height(found: ReconstructedTrack, camera: DatabaseCamera, camera_height_m: float) -> ReconstructedTrack:
     """Return a reconstruction at its size by the camera's height; who would be twice or half as large keeps the own."""
     size = size_by_height(found, camera, camera_height_m)
     return found.scaled(size) if _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1] else found

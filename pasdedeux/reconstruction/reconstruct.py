@@ -145,7 +145,7 @@ class Matches:
 
 
 @dataclass(frozen=True)
-class Reconstruction:
+class ReconstructedTrack:
     """A reconstructed track, camera axes (x right, y up, z towards the camera), camera at the origin, metres.
 
     Args:
@@ -183,11 +183,11 @@ class Reconstruction:
         """Joints seen in each frame (frame,)."""
         return np.asarray((self.track.confidence > 0).sum(axis=1))
 
-    def posed(self, positions_m: Array) -> Reconstruction:
+    def posed(self, positions_m: Array) -> ReconstructedTrack:
         """Return it with other positions (frame, 14, 3)."""
         return replace(self, positions_m=positions_m, root_m=mid_hip(positions_m))
 
-    def scaled(self, size: float) -> Reconstruction:
+    def scaled(self, size: float) -> ReconstructedTrack:
         """Return body and path grown about the camera, which sees no difference."""
         return replace(
             self,
@@ -246,7 +246,7 @@ def reconstruct_track(
     options: ReconstructionOptions | None = None,
     *,
     matches: Matches | None = None,
-) -> Reconstruction:
+) -> ReconstructedTrack:
     """Return a track's motion before the camera.
 
     Args:
@@ -291,7 +291,7 @@ def reconstruct_track(
     if method is not Method.NEAREST:
         root = _smooth_path(root, odd_window(SMOOTHING_S, track.rate_hz))
     positions = rotate(camera_turns(towards)[:, None], relative) + root[:, None]
-    return Reconstruction(
+    return ReconstructedTrack(
         track=track,
         positions_m=positions,
         root_m=mid_hip(positions),

@@ -24,9 +24,9 @@ from pasdedeux.arrays import Array
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import ProjectionIndex
 from pasdedeux.reconstruction.lying import is_on_floor
-from pasdedeux.reconstruction.people import ReconstructedTracks
+from pasdedeux.reconstruction.people import Reconstruction
 from pasdedeux.reconstruction.pitch import PitchEstimate
-from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, Reconstruction
+from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, ReconstructedTrack
 from pasdedeux.reconstruction.tracks import broken_doubts
 from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread
@@ -200,7 +200,7 @@ class Judged:
 
 
 def judge_tracks(
-    found: ReconstructedTracks,
+    found: Reconstruction,
     left_out_m: float = float("nan"),
     *,
     sequence_id: str = "",
@@ -257,7 +257,7 @@ def judge_tracks(
 
 
 def judge_person(
-    found: Reconstruction,
+    found: ReconstructedTrack,
     left_out_m: float = float("nan"),
     *,
     pitch_deviation_rad: float = 0.0,
@@ -267,7 +267,7 @@ def judge_person(
     """Judge a person's reconstruction by method `fit`; of another nobody knows what error to expect.
 
     Args:
-        found: Reconstruction.
+        found: ReconstructedTrack.
         left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
         pitch_deviation_rad: Standard deviation of the camera's pitch.
         doubts: Further reasons for a warning.
@@ -351,7 +351,7 @@ def _is_at_edge(pitches_rad: Sequence[float], pitch: PitchEstimate) -> bool:
     return pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD)
 
 
-def _acceleration_m_s2(found: Reconstruction) -> float:
+def _acceleration_m_s2(found: ReconstructedTrack) -> float:
     """Return the mean acceleration of the joints about the mid-hip; 0 of fewer than three frames."""
     step = max(1, round(found.track.rate_hz / _ACCELERATION_HZ))
     poses = (found.positions_m - found.root_m[:, None])[::step]
@@ -361,13 +361,13 @@ def _acceleration_m_s2(found: Reconstruction) -> float:
     return float(bend.mean()) * (found.track.rate_hz / step) ** 2
 
 
-def _turned(found: Reconstruction) -> float:
+def _turned(found: ReconstructedTrack) -> float:
     """Return how far the line between the hips is turned out of the image, 0 to 1, on average."""
     across = np.diff(found.positions_m[:, _HIPS], axis=1)[:, 0]
     return _mean(np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=-1), 1e-9))
 
 
-def _depth_between_m(one: Reconstruction, other: Reconstruction) -> float:
+def _depth_between_m(one: ReconstructedTrack, other: ReconstructedTrack) -> float:
     """Return how much farther away one is than the other, mean over the frames that show both."""
     _, at, there = np.intersect1d(one.track.frames, other.track.frames, return_indices=True)
     return _mean(np.abs(one.root_m[at, 2] - other.root_m[there, 2]))

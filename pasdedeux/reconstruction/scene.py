@@ -42,7 +42,7 @@ from pasdedeux.plausibility.capsules import body_height_m, capsule_model
 from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.rays import camera_turns
-from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.robust import Term, solve
 from pasdedeux.skeletons import OP14
 
@@ -140,7 +140,7 @@ class SceneEstimate:
         """Say how high the camera is."""
         return f"{abs(self.camera_height_m):.2f} m {'above' if self.camera_height_m > 0 else 'below'} the floor"
 
-    def placed(self, number: int, found: Reconstruction) -> Reconstruction:
+    def placed(self, number: int, found: ReconstructedTrack) -> ReconstructedTrack:
         """Return the reconstruction of a person at its place and size, on the rays of this lens, pose kept."""
         length = np.linalg.norm(found.root_m, axis=-1)
         ray = _rays(found.root_m[:, :2] / -found.root_m[:, 2:], self.lens_factor)
@@ -170,7 +170,7 @@ def _rays(plane: Array, lens_factor: float) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _relative(found: Reconstruction) -> Array:
+def _relative(found: ReconstructedTrack) -> Array:
     """Return poses (frame, 14, 3) about the mid-hip as a camera turned to it sees them."""
     towards = -found.root_m / np.linalg.norm(found.root_m, axis=-1, keepdims=True)
     return rotate(conjugate(camera_turns(towards))[:, None], found.positions_m - found.root_m[:, None])
@@ -187,7 +187,7 @@ class _Problem:
 
     def __init__(
         self,
-        people: Sequence[Reconstruction],
+        people: Sequence[ReconstructedTrack],
         pitch: PitchEstimate,
         pairs: Sequence[PairDepth],
         statures_m: Mapping[int, float],
@@ -246,7 +246,7 @@ class _Problem:
         self.touching = {both: np.zeros_like(hands) for both, hands in self.touching.items()}
         return is_said
 
-    def _still(self, one: Reconstruction) -> Array:
+    def _still(self, one: ReconstructedTrack) -> Array:
         """Return how much each foot stands by the image alone (frame, foot)."""
         ankles = one.positions_m[:, _ANKLES, :2]
         if len(ankles) < 2:
@@ -486,7 +486,7 @@ def _table(*columns: npt.ArrayLike) -> Any:
 
 
 def estimate_scene(
-    people: Sequence[Reconstruction],
+    people: Sequence[ReconstructedTrack],
     pitch: PitchEstimate,
     *,
     pairs: Sequence[PairDepth] = (),

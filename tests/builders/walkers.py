@@ -8,7 +8,7 @@ import numpy.typing as npt
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.reconstruction.bones import place_bone_rotations
-from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
@@ -53,13 +53,13 @@ def random_poses(rng: np.random.Generator, count: int, *, spread: float = 0.5) -
 
 def reconstruction(
     positions: np.ndarray, *, num_bridged: int = 0, rate_hz: float = 30.0, person_id: int = 0, first_frame: int = 0
-) -> Reconstruction:
+) -> ReconstructedTrack:
     """A reconstruction of these poses (frame, 14, 3), matched to the rows of the same number."""
     frames = len(positions)
     lens = Lens(1.0, (0.0, 0.0))
     seen = np.ones((frames, 14))
     is_bridged = np.arange(frames) < num_bridged
-    return Reconstruction(
+    return ReconstructedTrack(
         track=Track(np.zeros((frames, 14, 2)), seen, rate_hz, lens, person_id, first_frame),
         positions_m=positions,
         root_m=mid_hip(positions),

@@ -26,7 +26,7 @@ from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.people import sized_by_stature
-from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
@@ -410,7 +410,7 @@ def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video
 def test_people_of_known_stature_come_out_that_tall() -> None:
     people = [reconstruction(walk(30, seed=1), person_id=name) for name in (0, 1)]
 
-    def heights(found: Sequence[Reconstruction]) -> list[float]:
+    def heights(found: Sequence[ReconstructedTrack]) -> list[float]:
         lengths = [bone_lengths(OP14, one.positions_m) for one in found]
         return [float(np.median(body_height_m(OP14, one))) for one in lengths]
 

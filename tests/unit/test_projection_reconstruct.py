@@ -100,10 +100,9 @@ def test_a_mirrored_image_gives_a_mirrored_person(searcher: Searcher) -> None:
 
 def test_the_pitch_of_the_camera_is_found() -> None:
     searchers = [make_searcher(pitch) for pitch in (0.0, 0.35, 0.7)]
-    for true_pitch, expected in ((0.0, 0), (0.35, 1), (0.7, 2)):
+    for true_pitch in (0.0, 0.35, 0.7):
         track, truth = film(walk(60, seed=3), pitch=true_pitch)
         chosen = choose_pitch(searchers, [track])
-        assert chosen.index == expected
         assert abs(chosen.pitch_rad - true_pitch) < np.deg2rad(3.0)
         assert 0.0 < chosen.deviation_rad < np.deg2rad(5.0)
         found = reconstruct_track(searchers[0].pitched(chosen.pitch_rad), track)
@@ -130,9 +129,14 @@ def test_a_flat_floor_tells_the_pitch_where_the_database_leans(
     ]
     track, _ = film(walk(120, seed=9, turn_rad=0.0), yaw=0.0, pitch=true_pitch)
     known = replace(track, lens=replace(track.lens, is_known=True))
-    assert pitches[choose_pitch(searchers, [known]).index] == true_pitch
+
+    def nearest_pitch() -> float:
+        chosen = choose_pitch(searchers, [known])
+        return min(pitches, key=lambda tried: abs(tried - chosen.pitch_rad))
+
+    assert nearest_pitch() == true_pitch
     monkeypatch.setattr(pitch, "_FLOOR_WEIGHT", 0.0)
-    assert pitches[choose_pitch(searchers, [known]).index] != true_pitch
+    assert nearest_pitch() != true_pitch
 
 
 def test_level_hips_tell_the_pitch_where_somebody_bows_who_does_not_in_the_database() -> None:

@@ -18,7 +18,7 @@ from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
 from pasdedeux.reconstruction.otherwise import doubt_of_camera, may_lie, seen_otherwise
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
-from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.reconstruct import Method, ReconstructedTrack, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.reliability import (
     Place,
     Reliability,
@@ -59,7 +59,7 @@ def walkers() -> tuple[Searcher, np.ndarray]:
     return searcher_over(*(walk(96, seed=seed) for seed in range(4)))
 
 
-def made(searcher: Searcher, track: Track) -> Reconstruction:
+def made(searcher: Searcher, track: Track) -> ReconstructedTrack:
     return reconstruct_track(searcher, track, Method.FIT)
 
 
@@ -110,22 +110,22 @@ def test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion(walkers:
 def test_a_pitch_at_the_edge_of_what_was_tried_or_badly_known_is_a_doubt() -> None:
     pitches = np.deg2rad([0.0, 20.0, 45.0])
     well, badly = np.deg2rad([2.0, 7.0])
-    (doubt,) = camera_doubt(pitches, PitchEstimate(2, pitches[2], well))
+    (doubt,) = camera_doubt(pitches, PitchEstimate(pitches[2], well))
     assert "45 +- 2.0 degrees, at the edge of what was tried" in doubt
-    assert camera_doubt(pitches, PitchEstimate(1, pitches[1], badly)) == ("camera pitch 20 +- 7.0 degrees",)
+    assert camera_doubt(pitches, PitchEstimate(pitches[1], badly)) == ("camera pitch 20 +- 7.0 degrees",)
     for index in (0, 1):
-        assert camera_doubt(pitches, PitchEstimate(index, pitches[index], well)) == ()
-    assert camera_doubt([0.8], PitchEstimate(0, 0.8)) == ()
+        assert camera_doubt(pitches, PitchEstimate(pitches[index], well)) == ()
+    assert camera_doubt([0.8], PitchEstimate(0.8)) == ()
     below = np.deg2rad([-10.0, 0.0, 20.0])
-    assert "-10 +- 2.0 degrees, at the edge" in camera_doubt(below, PitchEstimate(0, below[0], well))[0]
-    assert camera_doubt(below, PitchEstimate(0, 0.5 * below[0], well)) == ()
+    assert "-10 +- 2.0 degrees, at the edge" in camera_doubt(below, PitchEstimate(below[0], well))[0]
+    assert camera_doubt(below, PitchEstimate(0.5 * below[0], well)) == ()
     good = Reliability(0.05, 0.01, 0.05, 1.0, 0.0)
     assert good.verdict.level is Level.PASS
     assert replace(good, doubts=(doubt,)).verdict.level is Level.WARN
 
 
 def test_a_guessed_pitch_is_a_doubt_that_says_how_to_state_it() -> None:
-    (doubt,) = camera_doubt([0.0, 0.5], PitchEstimate(0, 0.3, 0.2, is_guess=True))
+    (doubt,) = camera_doubt([0.0, 0.5], PitchEstimate(0.3, 0.2, is_guess=True))
     assert doubt.startswith("nobody is seen standing")
     assert "--pitch" in doubt
 
@@ -282,7 +282,7 @@ def test_what_may_be_seen_otherwise_fails_and_says_how(
     )
     track = Track(camera.project(world).px, np.ones((48, 14)), 24.0, LENS)
     assert not is_on_floor(track)
-    pitch = PitchEstimate(0, np.deg2rad(40.0), 0.03)
+    pitch = PitchEstimate(np.deg2rad(40.0), 0.03)
     found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], [Method.FIT], pitch=pitch)
     (judged,) = judge_tracks(found).verdicts.values()
     assert bool(says) == (judged.level is Level.FAIL)
@@ -353,7 +353,7 @@ def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_n
     walkers: tuple[Searcher, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world = walk(96, seed=7)
-    right, wrong = (PitchEstimate(0, np.deg2rad(pitch_deg), np.deg2rad(15.0)) for pitch_deg in (20.0, 0.0))
+    right, wrong = (PitchEstimate(np.deg2rad(pitch_deg), np.deg2rad(15.0)) for pitch_deg in (20.0, 0.0))
     camera = look_at_camera(
         mid_hip(world).mean(axis=0), distance_m=4.0, yaw_rad=0.3, pitch_rad=right.pitch_rad, focal_px=1400.0
     )
@@ -386,7 +386,7 @@ def test_a_camera_as_hardly_any_is_is_a_doubt_where_it_was_not_stated() -> None:
 
 
 def test_a_pitch_at_the_edge_lets_expect_a_larger_error(walkers: tuple[Searcher, np.ndarray]) -> None:
-    found = reconstruct_people(walkers[0], [seen(walk(48, seed=2))], [Method.FIT], pitch=PitchEstimate(0, 0.1, 0.02))
+    found = reconstruct_people(walkers[0], [seen(walk(48, seed=2))], [Method.FIT], pitch=PitchEstimate(0.1, 0.02))
     expected = [
         judge_tracks(found, pitches_rad=tried).people[0].expected_error_m for tried in ([-1.0, 1.0], [-1.0, -0.9])
     ]
@@ -404,7 +404,7 @@ def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_o
         track = seen(walk(48, seed=2))
         px = track.keypoints_px + np.array([0.0, 1400.0 * np.tan(below_rad)])
         track = replace(track, keypoints_px=px, lens=replace(LENS, is_known=True))
-        pitch = PitchEstimate(0, below_rad, 0.03)
+        pitch = PitchEstimate(below_rad, 0.03)
         made = reconstruct_people(walkers[0].pitched(below_rad), [track], [Method.FIT], pitch=pitch)
         assert made.pitch.pitch_rad == pytest.approx(0.0, abs=0.06)
         found.append(made.pitch.deviation_rad)

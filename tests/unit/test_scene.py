@@ -14,7 +14,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction import scene as estimate
 from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
-from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple
@@ -32,7 +32,7 @@ PITCH_RAD, DISTANCE_M, HEAD_M = 0.26, 4.0, 0.11
 @cache
 def seen_and_true(
     name: str, *, is_upside_down: bool = False, pitch_rad: float = PITCH_RAD
-) -> tuple[list[Reconstruction], np.ndarray, float]:
+) -> tuple[list[ReconstructedTrack], np.ndarray, float]:
     """Return a duet with its own poses as a camera sees it, how far away as a search errs, truth, camera's height."""
     world = duet_couple(name, duration_s=8.0, rate_hz=STRIDE * RATE_HZ)
     if is_upside_down:
@@ -57,8 +57,8 @@ def seen_and_true(
     return people, truth[::STRIDE], float(camera.position_m[1])
 
 
-def solved(people: list[Reconstruction], guess_deg: float = 18.0, **known: Any) -> tuple[SceneEstimate, np.ndarray]:
-    guess = PitchEstimate(0, np.deg2rad(guess_deg), np.deg2rad(5.0))
+def solved(people: list[ReconstructedTrack], guess_deg: float = 18.0, **known: Any) -> tuple[SceneEstimate, np.ndarray]:
+    guess = PitchEstimate(np.deg2rad(guess_deg), np.deg2rad(5.0))
     scene = estimate_scene(people, guess, **known)
     return scene, np.stack([scene.placed(n, one).positions_m for n, one in enumerate(people)], axis=1)
 
@@ -81,7 +81,7 @@ def test_slopes_are_those_of_the_residuals(carried: tuple[int, int] | None, devi
     people, _, _ = seen_and_true("lift", pitch_rad=pitch_rad)
     frames, rng = np.arange(len(people[0].root_m)), np.random.default_rng(1)
     said = PairDepth((0, 1), frames, rng.normal(0.0, 0.2, len(frames)), np.where(frames % 5, 0.1, np.inf))
-    problem = estimate._Problem(people, PitchEstimate(0, pitch_rad, np.deg2rad(deviation_deg)), [said], {}, None)
+    problem = estimate._Problem(people, PitchEstimate(pitch_rad, np.deg2rad(deviation_deg)), [said], {}, None)
     (problem.side,) = problem.sides()[:1]
     assert problem.side == np.sign(pitch_rad)
     problem.carried = carried

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, UserContact, uniform_variations
@@ -12,7 +13,9 @@ from pasdedeux.figure import limits_of
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
-from tests.builders.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import standing_person, swaying_pair
+
+Array = npt.NDArray[np.float64]
 
 FRAMES = 20
 
@@ -78,6 +81,80 @@ def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
     assert variant.verdict.level is Level.WARN
     assert "nothing is in contact" in variant.verdict.reason
     assert np.isnan([variant.verdict.value, variant.verdict.baseline]).all()
+
+
+def held(*, rows: slice = slice(0), joint: str = "head", person: int = 0, by: npt.ArrayLike = 0.0) -> Array:
+    """Return two who stand still 2 m apart for 20 frames, a joint of one of them moved in some; arms do not meet."""
+    pair = np.repeat((standing_person() + np.array([[[0.0, 0.0, 0.0]], [[2.0, 0.0, 0.0]]]))[None], FRAMES, axis=0)
+    pair[rows, person, BODY22.index(joint)] += by
+    return pair
+
+
+def bent(angles_rad: npt.ArrayLike) -> Array:
+    """Return the same with the head of A so far (frame,) from the line of the neck, to the side."""
+    pair, angles = held(), np.broadcast_to(angles_rad, FRAMES)
+    way = np.stack([np.sin(angles), np.cos(angles), np.zeros(FRAMES)], axis=-1)
+    pair[:, 0, BODY22.index("head")] = pair[:, 0, BODY22.index("neck")] + 0.14 * way
+    return pair
+
+
+def reaching(gaps_m: npt.ArrayLike) -> Array:
+    """Return the same with A's left forearm before B's right one on one line, wrists so far apart (frame,)."""
+    pair = held()
+    for person, side, sign in ((0, "left", 1.0), (1, "right", -1.0)):
+        elbow, wrist = BODY22.indices([f"{side}_elbow", f"{side}_wrist"])
+        pair[:, person, elbow] = [1.0 - 0.3 * sign, 1.3, 0.5]
+        pair[:, person, wrist] = [1.0, 1.3, 0.5]
+    pair[:, 0, BODY22.index("left_wrist"), 0] -= gaps_m
+    return pair
+
+
+def toes(gaps_m: npt.ArrayLike) -> Array:
+    """Return the same with A's toes so far from each other (frame,)."""
+    pair = held()
+    pair[:, 0, BODY22.indices(["left_toe", "right_toe"]), 0] = 0.5 * np.multiply.outer([1.0, -1.0], gaps_m).T
+    return pair
+
+
+TWO, LAST_TWO = slice(9, 11), np.arange(FRAMES) >= FRAMES - 2
+CUBED = np.arange(FRAMES)[:, None, None, None] ** 3 * [1e-5, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("column", "source", "variant", "plain", "value"),
+    [
+        ("stance_excursion_m", held(), held(rows=TWO, joint="left_ankle", by=(0.03, 9e-3, 0.04)), held(), 0.05),
+        ("floor_penetration_m", held(), held(rows=TWO, joint="left_toe", by=(0.0, -0.06, 0.0)), held(), 0.06),
+        (
+            "floor_penetration_m",
+            held(rows=TWO, joint="left_wrist", by=(0.0, -1.23, 0.0)),
+            held(rows=TWO, joint="left_wrist", by=(0.0, -1.25, 0.0)),
+            held(),
+            0.02,
+        ),
+        ("penetration_m", reaching(0.02), reaching(np.where(LAST_TWO, 0.005, 0.03)), reaching(0.0), 0.015),
+        ("self_penetration_m", toes(0.05), toes(np.where(LAST_TWO, 0.01, 0.06)), toes(0.3), 0.04),
+        ("self_penetration_m", toes(0.3), toes(np.where(LAST_TWO, 0.01, 0.06)), toes(0.05), 0.04),
+        ("spine_bend_rad", bent(0.2), bent(np.where(LAST_TWO, -0.5, 0.1)), held(), 0.3),
+        ("jerk_ratio", held() + CUBED, held() - 2.5 * CUBED, held(), 2.5),
+        ("jerk_ratio", held(), held() + CUBED, held(), 1.0 + 6e-5),
+    ],
+)
+def test_each_figure_is_known_of_a_variant_made_for_it_and_stands_at_its_frames(
+    column: str, source: Array, variant: Array, plain: Array, value: float
+) -> None:
+    taken = Source(source, 30.0, ground_m=0.02)
+    quality, frames = QualityMeter(taken).measure(
+        points_of(variant),
+        reference=points_of(plain),
+        bone_scale=np.ones((2, 22)),
+        lengths_m=taken.lengths_m.reshape(-1),
+        squared_residual=np.zeros(FRAMES),
+    )
+    assert getattr(quality, column) == pytest.approx(value, rel=1e-9)
+    by_frame = getattr(frames, column)
+    np.testing.assert_allclose(by_frame[by_frame > 0.5 * value], value, rtol=1e-9)
+    assert (by_frame > 0.5 * value).sum() == (FRAMES if column == "jerk_ratio" else 2)
 
 
 def test_people_who_never_stand_are_a_warning_where_all_else_passes() -> None:

@@ -17,6 +17,7 @@ from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.capture import JUDGED, check_capture, judge_capture
 from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.verdict import Level, Verdict
 
 Array = npt.NDArray[np.float64]
@@ -176,6 +177,36 @@ def lying(frames: int) -> Array:
     return body
 
 
+def grown(stature_m: float) -> Array:
+    """Return somebody who stands upright, arms to the sides, with the legs of that stature, in 120 frames."""
+    body = stature_m * np.array([t_pose(joint) for joint in BODY22.joint_names])
+    thigh, shank = (0.245 * stature_m, 0.246 * stature_m)  # Drillis and Contini (1966)
+    for side in ("left", "right"):
+        hip, knee, ankle, toe = BODY22.indices([f"{side}_hip", f"{side}_knee", f"{side}_ankle", f"{side}_toe"])
+        body[[knee, ankle, toe]] = body[hip] - np.multiply.outer([thigh, thigh + shank, thigh + shank], [0.0, 1.0, 0.0])
+        body[toe] += [0.0, -0.05, 0.12]
+    return np.repeat(body[None], 120, axis=0)
+
+
+def beside(gap_m: npt.ArrayLike) -> list[Array]:
+    """Return two, the left hand of one so far (frame,) from the right hand of the other, arms on one line."""
+    left, right = grown(1.8), grown(1.8)
+    apart_m = np.ptp(left[0, BODY22.indices(["left_wrist", "right_wrist"]), 0]) + np.asarray(gap_m)
+    right[..., 0] += apart_m * np.ones((120, 1))
+    return [left, right]
+
+
+def imitated(by_m: npt.ArrayLike) -> list[Array]:
+    """Return one of a usual stature and one of two thirds of it who does the same, turned, a hand higher by so much."""
+    taller, smaller = grown(1.7), grown(1.7)
+    smaller[:, BODY22.index("left_wrist"), 1] += by_m
+    return [taller, smaller @ TURNED / 1.5 + [3.0, 1.0, -2.0]]
+
+
+RARELY = (np.arange(120) % 12 == 0)[:, None]
+"""Every fourth of the frames that are looked at, at 30 and at 60 Hz."""
+
+
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0])
 @pytest.mark.parametrize(
     ("column", "take", "value"),
@@ -197,6 +228,13 @@ def lying(frames: int) -> Array:
             lambda _: [still(), still(frames=range(120), joint="head", by=LONGER_M)],
             0.05,
         ),
+        ("stature_m", lambda _: [grown(1.83)], 1.83),
+        ("trunk_m", lambda _: [grown(1.8), grown(1.8) + np.where(RARELY, 0.3, 0.5)[..., None] * [1.0, 0.0, 0.0]], 0.3),
+        ("distance_m", lambda _: beside(np.where(RARELY, 0.04, 0.3)), 0.04),
+        # A forearm is a fiftieth of the stature thick on each side.
+        ("penetration_m", lambda _: beside(np.where(RARELY, 0.01, 0.3)), 2 * 0.02 * 1.8 - 0.01),
+        ("penetration_m", lambda _: beside(0.3), 0.0),
+        ("twin_m", lambda _: imitated(np.where(RARELY[:, 0], 0.2, 0.1)), 0.2 / np.sqrt(22)),
     ],
 )
 def test_each_figure_of_a_capture_is_known_of_a_motion_made_for_it(

@@ -15,6 +15,7 @@ from pasdedeux.sampling.densities.density import PairDensity, PriorOnly
 from pasdedeux.sampling.diagnostics import MAX_AT_CEILING, diagnose, effective_sample_size, invariants, rhat
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior
+from pasdedeux.skeletons import PAIR17
 from pasdedeux.verdict import Level
 
 SEED = standing_pair()
@@ -76,16 +77,19 @@ def test_a_chain_that_is_often_in_the_flat_top_left_the_range_of_its_seed() -> N
     assert few.value > 100.0
 
 
-def test_a_chain_that_walks_away_does_not_mix() -> None:
-    """Every draw is a little farther from the seed than the one before: hardly one independent draw."""
-    away = SEED + np.linspace(0.0, 0.3, 500)[:, None, None, None] * np.array([[[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]]])
-    pairs = away + np.random.default_rng(3).normal(scale=1e-3, size=away.shape)
-    (found,) = diagnose(pairs[None], np.zeros((1, 500)), np.ones((1, 500)), thin=1, log_ceiling=5.0)
-    assert found.verdict.level is Level.WARN
+def test_a_chain_of_which_one_hand_walks_away_does_not_mix_and_its_neighbour_has_a_size_of_its_own() -> None:
+    """Every draw the hand is a little farther off than the one before: hardly one independent draw."""
+    pairs = random_pairs(np.random.default_rng(3), 1000).reshape(2, 500, 2, 17, 3)
+    wrist = PAIR17.index("left_wrist")
+    pairs[1, :, 0, wrist] = pairs[1, :, 1, PAIR17.index("neck")] + np.linspace(0.1, 3.0, 500)[:, None] * [0.0, 0.0, 1.0]
+    good, bad = diagnose(pairs, np.zeros((2, 500)), np.ones((2, 500)), thin=1, log_ceiling=5.0)
+    assert good.ess_min > 100.0
+    assert bad.ess_min == bad.verdict.value < 10.0
+    assert good.rhat_max == bad.rhat_max > 1.1
+    assert bad.verdict.level is Level.WARN
     assert re.match(
-        r"not mixed: effective sample size \d of 500, R-hat \d\.\d+, \d+\.\d cm travelled", found.verdict.reason
+        r"not mixed: effective sample size \d of 500, R-hat \d\.\d+, \d+\.\d cm travelled", bad.verdict.reason
     )
-    assert found.verdict.value < 10.0
 
 
 def test_chains_that_each_stay_in_a_place_of_their_own_do_not_mix() -> None:

@@ -81,9 +81,9 @@ def test_what_was_built_once_tells_what_it_takes_from_nothing(tmp_path: Path) ->
     assert work.num_shards == work.num_measured == 14
     assert not work.unknown
     assert work.num_bytes == sum(one.num_bytes for one in Store(built).artifacts())
-    assert sum(job.seconds for job in work.jobs) == pytest.approx(
-        sum(one.timings["shard_s"] for one in Store(built).artifacts()), rel=1e-6
-    )
+    took = [one.timings for one in Store(built).artifacts()]
+    assert sum(job.seconds for job in work.jobs) == pytest.approx(sum(each["shard_s"] for each in took), rel=1e-6)
+    assert work.processor_s == pytest.approx(sum(each["processor_s"] for each in took), rel=1e-6)
     long = Work([job._replace(seconds=float(job.is_shard)) for job in work.jobs])
     assert estimate_cost(long, 1).wall_s == pytest.approx(14, abs=0.2)
     # Three segments one after the other, what is made of the last, and the sum of all.

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from benchmarks import scale
 from benchmarks.benchmark import BenchmarkResult, Rate, measure
 from benchmarks.scale import growth
-from flows.console.stores import describe_store
+from flows.console.status import describe_store
 from flows.machine import usable_cores
 from pasdedeux.errors import PasdedeuxError
 from storage_schema import ArtifactRef, ShardRecord, Store, record_latest

@@ -2,19 +2,43 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import cv2
+import numpy as np
+from pydantic import ValidationError
 from typer import Argument, Option
 
-from flows.console.context import app
+from flows.console.context import app, echo, key_option, say
+from flows.console.display import format_table
+from flows.exports.export_format import write_film, write_text
+from flows.study_files import toml_value
+from pasdedeux.errors import InputError
+from pasdedeux.film.annotating import AnnotatedShot, frames_to_correct
+from pasdedeux.film.drawing import contact_sheet, draw_people
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
+from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.coco import write_coco
+from pasdedeux.formats.cvat import write_cvat
+from pasdedeux.settings import first_problem
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.readers import Image
+from tasks.ingest.film.resolution import FoundShot, find_shots, shot_images
+from tasks.ingest.film.resolution import annotate as annotate_shot
 
-KeysOption = Annotated[Path | None, Option(metavar="FILE", help="Annotated key frames of the film.")]
-DetectionsOption = Annotated[Path | None, Option(metavar="FILE_OR_DIR", help="A detector's keypoints of the film.")]
-DetectOption = Annotated[
-    list[str] | None,
-    Option(metavar="ONNX", help="Run a detector: RTMO, or RTMPose with YOLOX; a path, or ADDRESS#sha256=DIGEST."),
-]
+KeysOption = Annotated[Path | None, key_option(FilmOptions, "keys", metavar="FILE")]
+DetectionsOption = Annotated[Path | None, key_option(FilmOptions, "detections", metavar="FILE_OR_DIR")]
+DetectOption = Annotated[list[str] | None, key_option(FilmOptions, "detect", metavar="ONNX")]
+
+_WRITERS: Mapping[str, tuple[str, Callable[[AnnotatedFrames], str]]] = {
+    ".csv": ("ours", write_annotation_csv),
+    ".json": ("COCO", write_coco),
+    ".xml": ("CVAT", write_cvat),
+}
+_HEADER = ("shot", "frames", "people", "annotated", "detected", "tracked", "interpolated", "missing", "correct next")
 
 
 @app.command()
@@ -50,17 +74,96 @@ def annotate(
     Correct them in your tool or in the CSV (status annotated), and give the file as --keys: what was tracked before is
     tracked anew.  `reconstruct` and studies ([[ingest.videos]]) take the same options.
     """
-    from flows.console.annotating import annotate_film  # here: tracking takes a second to load
+    target = out or Path(f"{film.resolve().stem}_annotations.csv")
+    if target.suffix not in _WRITERS:
+        raise InputError(
+            f"--out {target}: annotations are {', '.join(f'{end} ({what})' for end, (what, _) in _WRITERS.items())}"
+        )
+    for path in (target, sheet, overlay):
+        if path is not None and path.resolve() == film.resolve():
+            raise InputError(f"{path} is the film itself, which is not written over")
+    _, write = _WRITERS[target.suffix]
+    shots = find_shots(film_source(film, keys, detections, detect or (), settings or ()))
+    if len({one.film.files for one in shots}) > 1 and (target.suffix != ".csv" or overlay is not None):
+        raise InputError(f"{film} is a folder of films: .json, .xml and --overlay are of one film, give each by itself")
+    made: list[tuple[FoundShot, AnnotatedShot]] = []
+    failed: list[InputError] = []
+    for one in shots:
+        try:
+            made.append((one, annotate_shot(one.parameters, one.files)))
+        except InputError as error:
+            failed.append(type(error)(f"{one.parameters.id}: {error}"))
+    for reason in failed if made else failed[:-1]:
+        echo(f"skipped: {reason}", err=True)
+    if not made:
+        raise failed[-1]
+    write_text(target, write(join_frames([shot.frames for _, shot in made])))
+    wanted = [frames_to_correct(shot, num_corrections) for _, shot in made]
+    rows = [_row(one, shot, frames) for (one, shot), frames in zip(made, wanted, strict=True)]
+    say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
+    for lost in {one.film.num_lost for one, _ in made if one.film.num_lost}:
+        echo(f"{film.name} states {lost} frames more than can be read", err=True)
+    cells: list[Image] = []
+    for (one, shot), frames in zip(made, wanted, strict=True):
+        cells += _cells(one, shot, frames, show_faces) if sheet is not None else ()
+    if sheet is not None and cells:
+        _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
+    if overlay is not None:
+        overlay.parent.mkdir(parents=True, exist_ok=True)
+        drawn = (image for one, shot in made for image in _drawn(one, shot, show_faces))
+        write_film(overlay, drawn, made[0][1].frames.rate_hz or 30.0)
+    written = (target, sheet if cells else None, overlay)
+    echo(f"written: {', '.join(str(path) for path in written if path is not None)}", err=True)
 
-    annotate_film(
-        film,
-        keys,
-        detections,
-        detect or (),
-        settings or (),
-        out,
-        num_corrections=num_corrections,
-        sheet=sheet,
-        overlay=overlay,
-        has_faces=show_faces,
-    )
+
+def film_source(
+    path: Path, keys: Path | None, detections: Path | None, detect: Sequence[str], settings: Sequence[str]
+) -> FilmOptions:
+    """Return the film that a path and options of a command are, as a study would name it.
+
+    Raises:
+        InputError: There is no such key, its value is not allowed, or not one of the three is given.
+    """
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
+    pairs = [setting.partition("=") for setting in settings]
+    stated = {key: toml_value(text) for key, _, text in pairs}
+    given = {"keys": keys, "detections": detections, "detect": tuple(detect)}
+    try:
+        return FilmOptions.model_validate({"id": name or "film", "path": path, **given, **stated})
+    except ValidationError as error:
+        problem = first_problem(error)
+        raise InputError(problem if problem.startswith("one of keys") else f"--set {problem}") from None
+
+
+def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:
+    first = one.parameters.first_number + one.parameters.first_frame
+    assert shot.frames.status is not None
+    people = len(np.unique(shot.frames.person_id))
+    total = people * one.parameters.num_frames * shot.frames.status.shape[1]
+    counts = np.bincount(shot.frames.status.reshape(-1), minlength=len(KeypointStatus))
+    counts[KeypointStatus.MISSING] = total - counts[1:].sum()
+    order = (KeypointStatus.ANNOTATED, KeypointStatus.DETECTED, KeypointStatus.TRACKED, KeypointStatus.INTERPOLATED)
+    shares = [f"{counts[kind] / total:.0%}" for kind in (*order, KeypointStatus.MISSING)]
+    span = f"{first}-{first + one.parameters.num_frames - 1}"
+    return one.parameters.id, span, str(people), *shares, " ".join(map(str, wanted))
+
+
+def _cells(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[Image]:
+    """Yield the cells of the sheet, each made small at once: whole images of all shots may be many."""
+    first = one.parameters.first_number + one.parameters.first_frame
+    for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
+        if number in wanted:
+            drawn = draw_people(frame.image, shot.frames, number, has_faces=has_faces)
+            yield contact_sheet([drawn], [f"frame {number}"])
+
+
+def _drawn(one: FoundShot, shot: AnnotatedShot, has_faces: bool) -> Iterator[Image]:
+    first = one.parameters.first_number + one.parameters.first_frame
+    for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
+        yield draw_people(frame.image, shot.frames, number, has_faces=has_faces)
+
+
+def _write_image(path: Path, image: Image) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.suffix or not cv2.imwrite(str(path), image):
+        raise InputError(f"{path} cannot be written; images are .jpg or .png")

@@ -9,7 +9,7 @@ import importlib
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import typer
 import typer.core
@@ -28,69 +28,45 @@ _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 _UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(Exception) - 1]
 
 
-class Command(NamedTuple):
-    """A command that is not imported yet: the module of this package that adds it, and what its help begins with."""
-
-    module: str
-    summary: str
-
-
 COMMANDS = {
-    "annotate": Command("annotate", "Annotate every frame of a film."),
-    "run": Command("run", "Build a study: compute what is missing or stale in the store."),
-    "plan": Command("run", "List what a run would compute and why, by stage and partition; nothing is started."),
-    "diff": Command(
-        "compare", "Compare two finished runs or two versions of datasets; only differences are shown, scores last."
-    ),
-    "rerun": Command(
-        "compare", "Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact."
-    ),
-    "curate": Command(
-        "curate", "Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion."
-    ),
-    "deploy": Command(
-        "deploy", "Deploy a study to a Prefect server, as a build that runs on a schedule or on request."
-    ),
-    "restart": Command("draws", "Start new chains from a draw."),
-    "complete": Command("draws", "Fill in the unknown joints of a 3D pair, such as one from a depth camera."),
-    "generate": Command("generate", "Sample new bodies of person B, and the motion of both, from a trained model."),
-    "reconstruct": Command(
-        "reconstruct", "Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study."
-    ),
-    "retarget": Command(
-        "retarget", "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons."
-    ),
-    "show": Command("show", "Print the columns, first rows and lineage of what a reference names."),
-    "export": Command("show", "Export what a reference names to files, with units, licence and credits."),
-    "status": Command(
-        "stores", "Show what is in a store: the studies built in it, their verdicts, its runs and its size."
-    ),
-    "verify": Command(
-        "stores",
-        "Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong.",
-    ),
-    "gc": Command("stores", "Delete what nothing needs from a store; without --yes only list it."),
-    "doctor": Command("doctor", "Check the installation; exit code 1 if something is missing."),
-    "bench": Command("bench", "Measure kernels or whole commands, each relative to a plain form; needs a checkout."),
-    "view": Command("view", "Look at takes, draws, pairs, reconstructions and variants in a browser."),
-    "dataset": Command("datasets", "Named, immutable versions of what was built."),
-    "fetch": Command("fetch", "Download freely available motion capture, and networks of detectors."),
-    "study": Command("studies", "List, show and write studies; explain their keys."),
+    "annotate": "Annotate every frame of a film.",
+    "run": "Build a study: compute what is missing or stale in the store.",
+    "plan": "List what a run would compute and why, by stage and partition; nothing is started.",
+    "diff": "Compare two finished runs or two versions of datasets; only differences are shown, scores last.",
+    "rerun": "Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.",
+    "curate": "Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion.",
+    "deploy": "Deploy a study to a Prefect server, as a build that runs on a schedule or on request.",
+    "restart": "Start new chains from a draw.",
+    "complete": "Fill in the unknown joints of a 3D pair, such as one from a depth camera.",
+    "generate": "Sample new bodies of person B, and the motion of both, from a trained model.",
+    "reconstruct": "Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study.",
+    "retarget": "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.",
+    "show": "Print the columns, first rows and lineage of what a reference names.",
+    "export": "Export what a reference names to files, with units, licence and credits.",
+    "status": "Show what is in a store: the studies built in it, their verdicts, its runs and its size.",
+    "verify": "Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong.",
+    "gc": "Delete what nothing needs from a store; without --yes only list it.",
+    "doctor": "Check the installation; exit code 1 if something is missing.",
+    "bench": "Measure kernels or whole commands, each relative to a plain form; needs a checkout.",
+    "view": "Look at takes, draws, pairs, reconstructions and variants in a browser.",
+    "dataset": "Named, immutable versions of what was built.",
+    "fetch": "Download freely available motion capture, and networks of detectors.",
+    "study": "List, show and write studies; explain their keys.",
 }
-"""All commands by name, in the order in which `--help` lists them."""
+"""What the help of each command begins with; `--help` lists them in this order, without importing their modules."""
 
 
 class Program(typer.core.TyperGroup):
     """The program, in which the name and the summary of a command stand for it until it is called."""
 
     def __init__(self, *, commands: dict[str, Any], **attributes: Any) -> None:
-        known = {name: typer.core.TyperCommand(name, help=command.summary) for name, command in COMMANDS.items()}
+        known = {name: typer.core.TyperCommand(name, help=summary) for name, summary in COMMANDS.items()}
         super().__init__(commands={**known, **commands}, **attributes)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is called, by its name, in its module."""
         if args[0] in COMMANDS:
-            importlib.import_module(f"flows.console.{COMMANDS[args[0]].module}")
+            importlib.import_module(f"flows.console.{args[0]}")
             self.commands = typer.main.get_group(app).commands
         return super().resolve_command(ctx, args)
 

@@ -20,6 +20,8 @@ from typer import Argument, Option
 from pasdedeux.plain_text import visible
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from storage_schema import Store
     from tasks.graph import Graph
 
@@ -29,6 +31,9 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions
 StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]
 SettingOption = Annotated[
     list[str] | None, Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
+]
+ReferenceArgument = Annotated[
+    str, Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
 ]
 StoreOption = Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store, or s3://BUCKET/PREFIX.")]
 WorkersOption = Annotated[
@@ -47,6 +52,14 @@ ClusterOption = Annotated[
 ]
 OversubscribeOption = Annotated[bool, Option("--oversubscribe", help="Allow more workers than there are cores to use.")]
 JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard output.")]
+
+
+def key_option(model: type[BaseModel], key: str, *names: str, metavar: str) -> Any:
+    """Return an option for a key that a study has too, with the meaning and the limits that its model states."""
+    field = model.model_fields[key]
+    found = {name: getattr(one, name) for one in field.metadata for name in ("ge", "gt", "le") if hasattr(one, name)}
+    least = found.get("ge", 1e-6 if found.get("gt") == 0 else None)
+    return Option(*names, metavar=metavar, min=least, max=found.get("le"), help=f"{field.description}.")
 
 
 @dataclass
@@ -83,6 +96,20 @@ def open_store(folder: Path) -> Store:
     store = Store(folder)
     store.refresh()
     store.check_version()
+    return store
+
+
+def existing_store(folder: Path) -> Store:
+    """Return the store in a folder, as `open_store` does.
+
+    Raises:
+        UnknownReference: There is none.
+    """
+    from storage_schema import UnknownReference
+
+    store = open_store(folder)
+    if not store.root.is_dir():
+        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
     return store
 
 

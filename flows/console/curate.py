@@ -9,6 +9,12 @@ from typing import Annotated, Literal
 from typer import Argument, Option
 
 from flows.console.context import StoreOption, app, echo, open_store
+from flows.viewing.curating import thing_of
+from flows.viewing.shelf import open_shelf
+from pasdedeux.errors import InputError
+from storage_schema import parse_reference
+from storage_schema.references import find_rows
+from tasks.curation import Choosing
 
 CURATION = Path("curation.txt")
 CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File of choices; made when missing.")]
@@ -37,13 +43,6 @@ def curate(
     and the reason.  Name it in a study (`[curation] file`): exports, training and published datasets then leave out
     what is rejected, as long as its content is the same.  `export --curation FILE` heeds it without a study.
     """
-    from flows.viewing.curating import thing_of
-    from flows.viewing.shelf import open_shelf
-    from pasdedeux.errors import InputError
-    from storage_schema import parse_reference
-    from storage_schema.references import find_rows
-    from tasks.curation import Choosing
-
     clip = re.fullmatch(r"(\d+)-(\d+)", frames) if frames is not None else None
     if frames is not None and clip is None:
         raise InputError(f"--frames {frames}: a clip is FIRST-LAST in frames of the video, such as 30-45")

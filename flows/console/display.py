@@ -248,13 +248,18 @@ def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
     lines = format_table(("workers", "wall time", "core hours", "at work", "memory"), rows, text_columns=())
     lines.append(
         f"{counted(work.num_shards, 'shard')}, {duration_text(work.processor_s)} of one core, "
-        f"{work.num_bytes / 1e6:.1f} MB" + (f", at most {gigabytes} GB per process" if gigabytes else "")
+        f"{size_text(work.num_bytes)}" + (f", at most {gigabytes} GB per process" if gigabytes else "")
     )
     if work.num_measured < work.num_shards:
         lines.append(f"{work.num_measured} of them were measured themselves; others take what these did")
     if work.unknown:
         lines.append(f"not counted, as it was not measured: {', '.join(work.unknown)}")
     return lines
+
+
+def size_text(num_bytes: float) -> str:
+    """Format a size: 12.3 MB."""
+    return f"{num_bytes / 1e6:.1f} MB"
 
 
 def duration_text(seconds: float) -> str:

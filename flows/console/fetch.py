@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -23,12 +23,12 @@ from flows.outcomes import Run
 from flows.study import load_study
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
+from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.plain_text import counted
 from tasks.downloads import FetchError, download
+from tasks.ingest.film.detector_files import NetworkAddress, check_network, network_address
+from tasks.ingest.takes.known_sources import CMU_CREDIT, has_changed, note_fetched
 from tasks.user_files import read_file
-
-if TYPE_CHECKING:
-    from tasks.ingest.film.detector_files import NetworkAddress
 
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
 _MAX_FILE_BYTES = 200_000_000
@@ -72,7 +72,7 @@ def cmu(
         else dict.fromkeys(_numbers(subjects, "subjects"), _numbers(takes, "takes") if takes else None)
     )
     items = list(_told(fetch_cmu(wanted, out, base_url=base_url)))
-    echo(f"{counted(len(items), 'file')} in {out}\n{_credit().strip()}")
+    echo(f"{counted(len(items), 'file')} in {out}\n{_CREDIT.strip()}")
 
 
 @_group.command("database")
@@ -98,7 +98,7 @@ def database(
         f"study {chosen.name}: {counted(len(names), 'take')} of CMU; about {to_come_mb:.0f} MB come into {out}, in "
         f"{to_come_mb / _MB_PER_S / 60:.0f} minutes at {_MB_PER_S:g} MB a second; the database is built of them in "
         f"some {all_mb * _BUILD_S_PER_MB / 60:.0f} minutes of one core and has {all_mb * _BUILT_MB_PER_MB:.0f} MB in "
-        f"{store}\n{_credit().strip()}"
+        f"{store}\n{_CREDIT.strip()}"
     )
     if not is_agreed:
         echo("nothing was done yet; the same command with --yes begins")
@@ -115,8 +115,6 @@ def detector(
     address: Annotated[str, typer.Argument(metavar="ADDRESS", help="https://HOST/FILE.onnx#sha256=DIGEST.")],
 ) -> None:
     """Download the network of a detector, once, for the studies and commands that state its address."""
-    from tasks.ingest.film.detector_files import check_network, network_address  # as for the credit
-
     network = network_address(address)
     if not network.kept.exists():
         echo(f"{network.url} is fetched, {_MAX_NETWORK_BYTES / 1e6:.0f} MB at most")
@@ -172,7 +170,7 @@ def fetch_cmu(
     base = base_url.rstrip("/")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        add_notice(out / CREDITS_NAME, _credit())
+        add_notice(out / CREDITS_NAME, _CREDIT)
     except OSError as error:
         raise FetchError(f"folder {out} cannot be written: {error.strerror}") from None
     for subject, takes in wanted.items():
@@ -220,12 +218,7 @@ def small_database_words(num_poses: int, num_takes: int) -> str:
     )
 
 
-def _credit() -> str:
-    from tasks.ingest.takes.known_sources import (
-        CMU_CREDIT,  # all of ingest comes with it, which `--help` must not wait for
-    )
-
-    return f"{CMU_CREDIT.credit}\n{CMU_CREDIT.licence}.\n"
+_CREDIT = f"{CMU_CREDIT.credit}\n{CMU_CREDIT.licence}.\n"
 
 
 def _numbers(text: str, what: str) -> list[str]:
@@ -249,8 +242,6 @@ def _listed_takes(base: str, subject: str) -> list[str]:
 
 
 def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
-    from tasks.ingest.takes.known_sources import has_changed, note_fetched  # as for the credit
-
     if path.exists() and not has_changed(path, there := read_file(path)) and _fault(there, skeleton) is None:
         return Fetched(path=path, num_bytes=len(there), was_there=True)
     data = download(url, max_bytes=_MAX_FILE_BYTES)
@@ -272,8 +263,6 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
     """Say what is wrong with a file, nothing if it can be read."""
-    from pasdedeux.formats.asf_amc import read_amc, read_asf  # scipy comes with it, which `--help` must not wait for
-
     try:
         if skeleton is None:
             read_asf(data)

@@ -2,63 +2,128 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+import typer
 from typer import Argument, Option
 
-from flows.console.context import app
-
-_HELP = """Sample new bodies of person B, and the motion of both, from a trained model.
-
-MODEL is NAME, NAME@STUDY/SPLIT where the store has several of that name, or a .safetensors file that `export` wrote.
-TAKE is STUDY/TAKE of a store, a reference to poses, or two motion files (BVH, AMC with its ASF, positions), A first.
-B's bones are drawn from what the model learned of bodies, or all scaled by --scales, in turn.  Two steps of the
-interaction mesh then make bones exact and bring contacts back.
-
-\b
-  pasdedeux generate paper_cvae models/waltz --num 5 --out new
-  pasdedeux generate weights.safetensors a.bvh b.bvh --scales 0.9,1.1 --num 2 --out new
-
-With --key-frames B goes through given poses: a JSON file with `frames`, such as [10, 40], and `body22_m`, for each of
-them the 22 joints of B in metres, where the take is.  Without --scales, B gets their bones.
-
-The same --seed gives the same files, and a larger --num the same first ones.  The verdict of each motion is printed;
-one that fails is not written, and if none is left the exit code is 1.
-"""
+from flows.console.context import app, echo, say
+from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
+from flows.exports import write_credits
+from flows.exports.own_skeletons import RigFiles, people_of_take
+from pasdedeux.augmentation import Variant
+from pasdedeux.errors import InputError
+from pasdedeux.learning.key_frames import KeyFrames, read_key_frames
+from pasdedeux.learning.registry import Weights
+from pasdedeux.learning.sampling import VariantSampler
+from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
+from storage_schema import ArtifactRef, Store, source_credits
+from tasks.facts import TakeFacts
+from tasks.generation import draws_bodies, sampling_stream, variant_name
+from tasks.ingest.files import load_file
+from tasks.takes import read_take
 
 
-@app.command(help=_HELP)
+@app.command()
 def generate(
     model: Annotated[str, Argument(metavar="MODEL", help="Trained model: NAME, NAME@STUDY/SPLIT, or file.")],
-    take: Annotated[list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or a motion file a person.")],
+    take: TakeArgument,
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
     num: Annotated[int, Option("--num", min=1, max=10_000, help="How many motions.")] = 1,
     scales: Annotated[str, Option(metavar="S,S", help="Scales of all of B's bones; drawn when not given.")] = "",
     key_frames: Annotated[Path | None, Option(metavar="FILE", help="Poses that B goes through (JSON).")] = None,
     seed: Annotated[int, Option(min=0, help="What is drawn follows from it.")] = 0,
     store: Annotated[Path, Option(metavar="DIR", help="Store of MODEL and TAKE.")] = Path("store"),
-    unit: Annotated[
-        list[float] | None, Option("--unit", min=1e-6, metavar="M", help="Metres per unit of the files.")
-    ] = None,
-    rate: Annotated[float | None, Option(min=1, max=1000, metavar="HZ", help="True rate of the files.")] = None,
+    unit: UnitOption = None,
+    rate: RateOption = None,
     file_format: Annotated[
         Literal["bvh"], Option("--format", help="bvh: a BVH and an npz file a person, as `export` writes them.")
     ] = "bvh",
 ) -> None:
-    """Run the command."""
-    # Here, because the solver's kernels take a second that the other commands need not wait for.
-    from flows.console.generating import generate_motions
+    """Sample new bodies of person B, and the motion of both, from a trained model.
 
-    generate_motions(
-        model,
-        take,
-        store,
-        out,
-        num=num,
-        scales=scales,
-        key_frames=key_frames,
-        seed=seed,
-        units_m=unit or (),
-        rate_hz=rate,
-    )
+    MODEL is NAME, NAME@STUDY/SPLIT where the store has several of that name, or a .safetensors file written by
+    `export`.  TAKE is STUDY/TAKE of a store, a reference to poses, a study file, or two motion files (BVH, AMC with its
+    ASF, positions), person A first.  B's bones are drawn from the bodies that the model learned, or scaled by --scales,
+    one scale a motion in turn.  Two steps of the interaction mesh then make bone lengths exact and restore contacts.
+
+    \b
+      pasdedeux generate paper_cvae models/waltz --num 5 --out new
+      pasdedeux generate weights.safetensors a.bvh b.bvh --scales 0.9,1.1 --num 2 --out new
+
+    With --key-frames B passes through given poses: a JSON file with `frames`, such as [10, 40], and `body22_m`, the 22
+    joints of B in metres for each of them, in the coordinates of the take.  Without --scales, B gets their bones.
+
+    The same --seed gives the same files; a larger --num only adds files.  The verdict of each motion is printed; one
+    that fails is not written, and if none is left the exit code is 1.
+    """
+    given = _read_scales(scales)
+    keys = None if key_frames is None else read_key_frames(load_file(key_frames).data, key_frames.name)
+    weights = find_model(model, store)
+    if not given and keys is None and not draws_bodies(type(weights.model)):
+        raise InputError(f"{weights.model.name} draws no bodies: say --scales, such as 0.9,1.1")
+    with find_take(take, store, unit or (), rate) as (opened, ref):
+        _generate(opened, ref, weights, given, keys, out, num, seed)
+
+
+def _read_scales(text: str) -> list[float]:
+    try:
+        return [float(scale) for scale in text.split(",")] if text else []
+    except ValueError:
+        raise InputError(f"--scales {text}: numbers separated by commas are allowed, such as 0.9,1.1") from None
+
+
+def _generate(
+    store: Store,
+    ref: ArtifactRef,
+    weights: Weights,
+    scales: Sequence[float],
+    keys: KeyFrames | None,
+    out: Path,
+    num: int,
+    seed: int,
+) -> None:
+    take = TakeFacts.of(store.manifest(ref))
+    name, whether_known = known_take(weights, ref, take.take_id)
+    source = read_take(store, ref).source
+    sampler = VariantSampler(weights.model, source, take_id=name, contacts=take.contacts, key_frames=keys)
+    people = people_of_take(store, ref)
+    files, num_usable = None, 0
+    try:
+        for index in range(num):
+            scale = np.full(BODY22.num_joints, scales[index % len(scales)]) if scales else None
+            variant_id = variant_name(weights.model.name, index)
+            variant = sampler.sample(variant_id, sampling_stream(seed, take.take_id, index), scale)
+            echo(f"{index + 1} of {num}: {_said(variant, keys)}")
+            if variant.verdict.level is Level.FAIL:
+                continue
+            if files is None:
+                out.mkdir(parents=True, exist_ok=True)
+                credits_path = write_credits(source_credits(store, ref), [ref], f"take {take.take_id}", out)
+                files = RigFiles(out, rest_pose="source", units="cm")
+            files.write_variant(variant_id, people, variant.positions_m, variant.bone_scale)
+            num_usable += 1
+    finally:  # also where it is interrupted: what lies there has its units beside it
+        written = () if files is None else files.close()
+    if files is None:
+        echo(f"error: none of {num} motions is usable, nothing was written", err=True)
+        raise typer.Exit(1)
+    say(map(str, (*written, credits_path)))
+    echo(f"{num_usable} of {num} motions are usable; {whether_known}")
+
+
+def _said(variant: Variant, keys: KeyFrames | None) -> str:
+    bones = np.delete(variant.bone_scale[1], BODY22.root)
+    words = [
+        f"{variant.variation.variant_id} {variant.verdict.level.value}, bones of B {bones.min():.2f}-{bones.max():.2f}"
+    ]
+    drift_m = variant.quality.contact_drift_m
+    words += [f"contact drift {1e3 * drift_m:.1f} mm"] if np.isfinite(drift_m) else []
+    if keys is not None:
+        away_m = np.linalg.norm(variant.positions_m[keys.frames, 1] - keys.positions_m, axis=-1).max()
+        words.append(f"key frames missed by {1e3 * away_m:.1f} mm at most")
+    return ", ".join(words) + (f": {variant.verdict.reason}" if variant.verdict.reason else "")

@@ -56,7 +56,7 @@ def reconstruct(
     file; pending poses and a summary of the delays are then written.
     """
     # Here, because numba and the search take a second that the other commands need not wait for.
-    from flows.console.annotating import film_source
+    from flows.console.annotate import film_source
     from flows.console.reconstructing import annotation_source, follow_video, reconstruct_video
     from pasdedeux.reconstruction.live.person import LiveOptions
     from tasks.ingest.film.parameters import FilmOptions

@@ -2,28 +2,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+import numpy as np
+from typer import Option
 
-from flows.console.context import app
-from flows.exports import RestPose, Units
+from flows.console.context import app, echo, say
+from flows.console.display import format_table
+from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
+from flows.exports import RestPose, Units, write_credits
+from flows.exports.export_format import write_text
+from flows.exports.own_skeletons import Person, RigFiles, people_of_take
+from pasdedeux.augmentation import Augmenter
+from pasdedeux.augmentation.source import complete_scales
+from pasdedeux.augmentation.variations import Variation
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.pictures import PLAYER, Picture
+from pasdedeux.evaluation.verdicts import verdict_words
+from pasdedeux.formats.asf_amc import read_asf
+from pasdedeux.formats.file_format import FileStart
+from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
+from pasdedeux.formats.registry import MOTION_FORMATS
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
+from pasdedeux.learning.model import VariantRequest
+from pasdedeux.learning.registry import Weights
+from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
+from storage_schema import ArtifactRef, Store, source_credits
+from tasks.data import LOOK, player_page
+from tasks.evaluation.augmentation import variant_player
+from tasks.facts import TakeFacts
+from tasks.ingest.files import load_file
+from tasks.ingest.takes.parameters import PersonOptions
+from tasks.ingest.takes.resolution import resolve_file
+from tasks.stage import verdict_of
+from tasks.takes import read_take
+
+_MISFIT_M = 0.05
+"""A body that is missed by more than this, in any distance, is warned of."""
+KEPT = "source"
+"""Stands for a body that stays as captured."""
 
 
 @app.command()
 def retarget(
-    take: Annotated[list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a study file, or a motion file a person.")],
+    take: TakeArgument,
     to: Annotated[list[str], Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
     store: Annotated[Path, Option(metavar="DIR", help="Store of TAKE and NAME.")] = Path("store"),
-    unit: Annotated[
-        list[float] | None, Option("--unit", min=1e-6, metavar="M", help="Metres per unit of the files.")
-    ] = None,
+    unit: UnitOption = None,
     body_unit: Annotated[
         list[float] | None, Option("--body-unit", min=1e-6, metavar="M", help="Metres per unit of --to.")
     ] = None,
-    rate: Annotated[float | None, Option(min=1, max=1000, metavar="HZ", help="True rate of the files.")] = None,
+    rate: RateOption = None,
     model: Annotated[str | None, Option(metavar="NAME", help="Trained model: NAME, NAME@STUDY/SPLIT, file.")] = None,
     rest_pose: Annotated[RestPose, Option(help="The source's, or a standing T-pose.")] = "source",
     units: Annotated[Units, Option(help="Lengths of BVH files; `source`: as in each source's file.")] = "cm",
@@ -49,10 +83,119 @@ def retarget(
 
     A BVH and an npz file a person are written, as by `export`, with UNITS.txt and CREDITS.txt.
     """
-    # Here, because the solver's kernels take a second that the other commands need not wait for.
-    from flows.console.retargeting import find_model, find_take, read_targets, retarget_take
-
     weights = None if model is None else find_model(model, store)
-    targets = read_targets(to, body_unit or ())
+    units_m = iter(body_unit or ())
+    targets = [None if body == KEPT else _read_target(Path(body), units_m) for body in to]
     with find_take(take, store, unit or (), rate) as (opened, ref):
-        retarget_take(opened, ref, targets, out, rest_pose=rest_pose, units=units, weights=weights)
+        _retarget_take(opened, ref, targets, out, rest_pose=rest_pose, units=units, weights=weights)
+
+
+def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
+    """Read a body from whatever kind of file it is; `units_m` are metres per unit of BVH files, each used once."""
+    loaded = load_file(path)
+    data, start = loaded.data, FileStart(loaded.data)
+    try:
+        if MOTION_FORMATS["bvh"].recognises(start):
+            rest = MOTION_FORMATS["bvh"].read_head(data).rest
+        elif MOTION_FORMATS["asf_amc"].is_companion(start):
+            asf = read_asf(data)
+            rest = SourceMotion.at_rest(asf.skeleton, asf.rest_offsets, metres_per_unit=asf.metres_per_unit)
+        elif MOTION_FORMATS["asf_amc"].recognises(start):
+            raise InputError("an AMC file holds no body; give its ASF file")
+        else:
+            return read_body(path.name, data)
+        unit_m = None if rest.metres_per_unit else next(units_m, None)
+        taken = resolve_file(loaded.file, rest, PersonOptions(metres_per_unit=unit_m))
+        layout = taken.required_layout()
+        motion = rest.to_motion(metres_per_unit=taken.required_unit_m(), rate_hz=1.0)
+        body = body_map(layout, motion.skeleton, motion.rest_offsets_m)
+        return body_of_skeleton(path.name, OwnSkeleton(motion, body), layout.name)
+    except InputError as error:
+        said = str(error).replace("; name a layout, or write one under [ingest.mappings]", "")
+        said = said.replace("set metres_per_unit for this take", "say --body-unit")
+        raise type(error)(said if said.startswith(path.name) else f"{path.name}: {said}") from None
+
+
+def _retarget_take(
+    store: Store,
+    ref: ArtifactRef,
+    targets: Sequence[TargetBody | None],
+    out: Path,
+    *,
+    rest_pose: RestPose,
+    units: Units,
+    weights: Weights | None,
+) -> None:
+    """Solve a take for bodies, or ask a trained model, write its files, and say what came of it.
+
+    Raises:
+        InputError: There are more bodies than people, a body cannot be anybody's, or the model is of pairs and the take
+            is none.
+    """
+    take = TakeFacts.of(store.manifest(ref))
+    take_id, count = take.take_id, take.num_persons
+    if len(targets) > count:
+        who = "one person" if count == 1 else f"{count} people"
+        raise InputError(f"{len(targets)} bodies are given, but take {take_id} has {who}: --to once for each, A first")
+    source = read_take(store, ref).source
+    people = people_of_take(store, ref)
+    bone_scale = np.ones((count, BODY22.num_joints))
+    rows = []
+    contradictions: list[tuple[Person, float]] = []
+    for index, (person, target) in enumerate(zip(people, targets, strict=False)):
+        if target is None:
+            continue
+        who = f"person {person.letter} of take {take_id}"
+        fit = fit_body(target, person.own, source.lengths_m[index], layout=person.layout, who=who)
+        bone_scale[index] = fit.bone_scale
+        rows.append(_said(person, target, fit))
+        worst_m = max(map(abs, fit.misfit_m.values()))
+        if worst_m > _MISFIT_M:
+            contradictions.append((person, worst_m))
+    solver = Augmenter(source, user_contacts=take.contacts)
+    if weights is None:
+        variant = solver.solve([Variation("retarget", bone_scale)])[0]
+        positions_m, bone_scale, verdict = variant.positions_m, variant.bone_scale, variant.verdict
+    else:
+        bone_scale = complete_scales(source, bone_scale[None])[0]
+        name, whether_known = known_take(weights, ref, take_id)
+        positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=take.contacts))
+        verdict = solver.assess(Variation("retarget", bone_scale), positions_m).verdict
+        echo(whether_known, err=True)
+    out.mkdir(parents=True, exist_ok=True)
+    files = RigFiles(out, rest_pose=rest_pose, units=units)
+    files.write_variant("retarget", people, positions_m, bone_scale)
+    credits_path = write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)
+    player = variant_player(source, {"source": source.positions_m, "retarget": np.asarray(positions_m)})
+    shown = Picture(f"retarget{PLAYER}", f"take {take_id} and its retarget; its contacts are green", player)
+    page = write_text(out / LOOK, player_page(f"Take {take_id}", [shown]))
+    say(map(str, (*files.close(), credits_path, page)))
+    if rows:
+        header = ("person", "body", "size", "bones", "misfit mean", "greatest", "between")
+        say(format_table(header, rows, text_columns=(0, 1, 3, 6)))
+    for person, worst_m in contradictions:
+        echo(
+            f"warning: the body for person {person.letter} is missed by {1e3 * worst_m:.0f} mm: "
+            "its distances contradict each other, or are not those of one person",
+            err=True,
+        )
+    captured = verdict_of(store.manifest(ref))
+    if captured is not None and captured.level is not Level.PASS:
+        echo(f"take {take_id}: {verdict_words(captured)}", err=True)
+    echo(verdict_words(verdict))
+
+
+def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:
+    """Describe a fitted body: size, scales of bones, and misfit to the target."""
+    misfit_m = {ends: abs(value) for ends, value in fit.misfit_m.items()}
+    worst = max(misfit_m, key=misfit_m.__getitem__)
+    return (
+        person.letter,
+        target.name,
+        f"{np.median(fit.bone_scale[1:]):.3f}",
+        f"{fit.bone_scale[1:].min():.2f}-{fit.bone_scale[1:].max():.2f}"
+        + (f", {fit.num_guessed} guessed" if fit.num_guessed else ""),
+        f"{1e3 * np.mean(list(misfit_m.values())):.1f} mm",
+        f"{1e3 * misfit_m[worst]:.1f} mm",
+        " and ".join(BODY22.joint_names[joint] for joint in worst),
+    )

@@ -1,4 +1,4 @@
-"""`run` and `plan`: build a study, or say what a build would do."""
+"""`run`: build a study."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -35,15 +35,13 @@ from flows.console.context import (
     next_command,
     open_store,
 )
-from flows.console.display import cost_lines, make_listener, outcome_lines, plan_lines, summary_lines
-from flows.costs import estimate_cost, planned_work
+from flows.console.display import make_listener, outcome_lines, summary_lines
 from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, writable_home
 from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
-from flows.records import uncollected
 from flows.signals import ENDING
 from flows.study import Study, load_study
 from pasdedeux.errors import InputError
@@ -55,18 +53,28 @@ from tasks.ingest.parameters import IngestParameters
 from tasks.shards import ClusterSettings
 
 MIN_FREE_BYTES = 64 * 1024**2
+
+
 PREVIEW_S = 4.0
+
+
 PREVIEWED = "augmentation"
 """A preview of takes ends there unless the command says otherwise; one of 2D poses alone goes on."""
+
+
 _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.utilities.visualization", "fastapi")
 """What Prefect imports when the first flow begins, and all else waits for it."""
-NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
-"""Defaults of `plan --cost`."""
 
 
 OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="Only these stages.")]
+
+
 FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and all that depend on it.")]
+
+
 UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="This stage and all that it needs.")]
+
+
 ForceOption = Annotated[
     list[str] | None,
     Option("--force", metavar="STAGE", help="Compute this stage again, in place; what a dataset needs stays."),
@@ -187,57 +195,6 @@ def build(run: Run, cluster: ClusterSettings, *, is_quiet: bool) -> tuple[Outcom
         run.store.prepare()
         with in_use(run.store):  # a store that is new was not there to be locked before
             return _build(run, made, cluster, is_quiet=is_quiet), made
-
-
-@app.command()
-@uncollected()
-def plan(
-    context: typer.Context,
-    study: StudyArgument = "duets",
-    settings: SettingOption = None,
-    store: StoreOption = Path("store"),
-    only: OnlyOption = None,
-    start: FromOption = None,
-    until: UntilOption = None,
-    force: ForceOption = None,
-    cost: Annotated[bool, Option("--cost", help="Estimate the duration, by number of workers.")] = False,
-    workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: number of workers.")] = None,
-    measured: Annotated[
-        Path | None, Option("--measured", metavar="DIR", help="With --cost: store with measured times.")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """List what a run would compute and why, by stage and partition; nothing is started.
-
-    \b
-    fresh    it is there and nothing it depends on has changed
-    missing  it was never built, or its files are gone
-    stale    something it depends on has changed; says what
-    pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
-
-    --cost says what the run would take, from what each shard took when it was last computed.
-    """
-    if not cost and (workers or measured):
-        raise PlanError("--workers and --measured are for --cost; give that too")
-    selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    chosen, graph = load_study(study, graph_of(context), settings=settings or ())
-    graph = with_page(chosen, graph, open_store(store), selection)
-    made = make_plan(chosen, graph, open_store(store), selection)
-    if cost and not made.is_fresh:
-        work = planned_work(made, graph, open_store(store), open_store(measured or store))
-        costs = [estimate_cost(work, count) for count in workers or NUMBERS_OF_WORKERS]
-        described = {"work": work.to_json(), "costs": [asdict(one) for one in costs]}
-        answer(described, cost_lines(work, costs), as_json=as_json)
-        return
-    answer({**made.to_json(), "settings": chosen.resolved()}, plan_lines(made), as_json=as_json)
-    if as_json:
-        return
-    refuse_nothing(made.missing)
-    echo(
-        "everything is fresh"
-        if made.is_fresh
-        else f"run it with: {next_command('run', study, *selection.words, store=store, settings=settings)}"
-    )
 
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:

@@ -1,25 +1,23 @@
-"""`show` and `export`: look at rows of what was built, or write them into files."""
+"""`show`: columns, rows and lineage of what a reference names."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from typer import Argument, Option
+from typer import Option
 
-from flows.console.context import JsonOption, StoreOption, answer, app, echo, open_store, say
+from flows.console.context import JsonOption, ReferenceArgument, StoreOption, answer, app, open_store, say
 from flows.console.display import format_table
-from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, export_selection
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.people.names import person_names
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import WORKING_SKELETONS
-from pasdedeux.verdict import Level
 from storage_schema import (
     TABLES,
     Store,
@@ -33,12 +31,10 @@ from storage_schema import (
 )
 
 SCORES = "scores"
+
+
 _ROWS, _SCORE_ROWS, _ROWS_OF_MANY, _MAX_STEPS = 5, 12, 3, 12
 """Rows of a table, of scores of one topic, of one of several; artifacts that it comes from: so many are printed."""
-
-ReferenceArgument = Annotated[
-    str, Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
-]
 
 
 @app.command()
@@ -93,72 +89,6 @@ def _row_lines(described: Mapping[str, Any], store: Store, reference: str) -> It
         yield f"  ... and {counted(more, 'more artifact')}: --json"
     for file in described["files"][:_MAX_STEPS]:
         yield f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})"
-
-
-@app.command()
-def export(
-    reference: ReferenceArgument,
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
-    file_format: Annotated[str, Option("--format", metavar="NAME", help=f"{', '.join(EXPORT_FORMATS)}.")] = "npz",
-    rest_pose: Annotated[RestPose, Option(help="Of poses and variants: the source's, or a T-pose.")] = "source",
-    units: Annotated[Units, Option(help="Lengths of their BVH files; `source`: as in each source's file.")] = "cm",
-    select: Annotated[
-        int | None, Option(min=1, metavar="N", help="Of draws:study, with its grown pairs: the N that differ most.")
-    ] = None,
-    verdict: Annotated[
-        Literal["pass", "warn"] | None,
-        Option(help="Of files of poses: the worst verdict here; the rest lies in the folder `not_good` inside."),
-    ] = None,
-    footage: Annotated[
-        Path | None, Option(metavar="FILE", help="Of mp4: the video to draw on; blank frames without.")
-    ] = None,
-    body_model: Annotated[
-        Path | None, Option(metavar="FILE", help="Of smpl: the body model that parameters are for.")
-    ] = None,
-    curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
-    store: StoreOption = Path("store"),
-) -> None:
-    """Export what a reference names to files, with units, licence and credits.
-
-    \b
-      npz   numpy arrays, one file: every table
-      csv   one line per row, arrays as columns: every table
-      bvh   a file per person: poses and variants (the source's own skeleton, an npz beside), motions (a humanoid),
-            draws, seeds, lifted_pairs, in_betweens (a frame each)
-      glb   everybody in one scene, skinned and animated, for Blender and viewers: the same tables
-      c3d   joints as labelled points, everybody in one file: the same tables; trc: the same for OpenSim
-      smpl  parameters of SMPL, SMPL-H or SMPL-X for your own body model: poses, variants, motions
-      mp4   the result drawn on its footage: motions, lifted_pairs, in_betweens
-      coco  2D keypoints: annotations
-      json  both people with named joints, for editing: seeds, one draw
-      safetensors  trained models with a card
-    FBX and USD are not written: import the glb or bvh into Blender and export there (docs/formats-and-units.md).
-    \b
-      pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
-      pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
-      pasdedeux export contacts:duets --format csv --out contacts   # who touches whom where, frame by frame
-      pasdedeux export draws:duets --select 500 --out selected      # the most different of all draws and grown pairs
-    """
-    options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
-    options |= {} if footage is None else {"footage": footage}
-    options |= {} if body_model is None else {"body_model": body_model}
-    if select is not None:
-        paths, words = export_selection(open_store(store), reference, file_format, out, count=select, **options)
-        say([*map(str, paths), words])
-        return
-    opened = open_store(store)
-    written = export_reference(
-        opened, reference, file_format, out, rest_pose=rest_pose, units=units, curation=curation, **options
-    )
-    say(map(str, written))
-    from tasks.data import LOOK, Data, player_page  # here: half of the science, which `show` need not wait for
-
-    data = Data(opened, curation)
-    if left_out := data.left_out(reference):
-        echo(f"left out, as somebody rejected it: {len(left_out)} of {parse_reference(reference).table}")
-    if pictures := data.pictures(reference):
-        (out / LOOK).write_text(player_page(reference, pictures), encoding="utf-8")
-        echo(f"look at it: {out / LOOK}")
 
 
 def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:

@@ -10,6 +10,12 @@ from typer import Argument, Option
 
 from flows.console.context import StoreOption, WorkersOption, app, echo, open_store
 from flows.console.curate import CURATION, CurationOption
+from flows.console.inputs import UnitOption, find_take
+from flows.viewing.editing import Editor
+from flows.viewing.saving import offer_saving
+from flows.viewing.shelf import Shelf, open_shelf
+from flows.viewing.viewer import Viewer
+from tasks.curation import Choosing
 
 
 @app.command()
@@ -24,9 +30,7 @@ def view(
     port: Annotated[int, Option(min=0, max=65535, help="Port of this machine; 0 takes any that is free.")] = 8080,
     workers: WorkersOption = None,
     curation: CurationOption = CURATION,
-    unit: Annotated[
-        list[float] | None, Option(min=1e-6, max=1e3, metavar="M", help="Metres per unit of motion files.")
-    ] = None,
+    unit: UnitOption = None,
 ) -> None:
     """Look at takes, draws, pairs, reconstructions and variants in a browser.
 
@@ -42,13 +46,6 @@ def view(
 
     Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
     """
-    from flows.console.retargeting import find_take
-    from flows.viewing.editing import Editor
-    from flows.viewing.saving import offer_saving
-    from flows.viewing.shelf import Shelf, open_shelf
-    from flows.viewing.viewer import Viewer
-    from tasks.curation import Choosing
-
     words = what or []
     with contextlib.ExitStack() as held:
         if len(words) > 1 or (words and Path(words[0]).is_file()):

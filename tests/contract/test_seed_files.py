@@ -165,7 +165,7 @@ def test_a_draw_becomes_the_seed_of_new_chains(
         plan = make_plan(run.study, run.graph, run.store, run.selection)
         execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
 
-    monkeypatch.setattr("flows.console.draws.build_and_report", build)
+    monkeypatch.setattr("flows.console.restart.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")
     # What has the same content is of that study too, such as what an older version of the stage has made.
     refused = call_in_process(capsys, "restart", f"draws@{OLD_KEY}#{chosen.row}", *options, "--set", "chains.bad=1")
@@ -200,7 +200,7 @@ def test_a_draw_of_a_sweep_is_gone_on_from_with_the_keys_of_the_sweep_alone(
     build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1", wide)
     row = open_table("draws:edited", store)["density"].tolist().index("wide")
     runs: list[Run] = []
-    monkeypatch.setattr("flows.console.draws.build_and_report", lambda run, *_, **__: runs.append(run))
+    monkeypatch.setattr("flows.console.restart.build_and_report", lambda run, *_, **__: runs.append(run))
     options = ("--store", store.root, "--out", tmp_path / "out")
     answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options)
     assert answer.code == 0, answer.err

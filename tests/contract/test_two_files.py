@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
-from flows.console.retargeting import find_take
+from flows.console.inputs import find_take
 from flows.console.study_new import write_new_study
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import InputError

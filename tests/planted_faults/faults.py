@@ -383,7 +383,7 @@ FAULTS = (
     Fault("rerun finds nothing beyond rounding", "storage_schema/comparison.py",
           "return not self.largest <= self.allowed", "return False",
           "unit/test_flows_rerunning.py::test_results_beyond_their_tolerance_are_named_by_table_and_column_with_the_reason"),
-    Fault("rerun takes files that have changed", "flows/console/compare.py",
+    Fault("rerun takes files that have changed", "flows/console/rerun.py",
           "if before is not None and (Path", "if before is None and (Path",
           "unit/test_flows_rerunning.py::test_an_input_that_has_changed_is_refused_before_any_work"),
     Fault("runs of other people are marked as crashed", "flows/schedules.py",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.console import retargeting
+from flows.console import retarget
 from flows.console.app import run_command_line
 from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.formats.bvh import read_bvh
@@ -156,7 +156,7 @@ def test_what_is_known_of_a_take_is_kept_and_said(
             stated.extend(user_contacts)
             super().__init__(source, user_contacts=user_contacts)
 
-    monkeypatch.setattr(retargeting, "Augmenter", Watched)
+    monkeypatch.setattr(retarget, "Augmenter", Watched)
     rest = ["--to", str(files / "legs.csv"), "--store", str(store[0].root), "--out", str(tmp_path)]
     assert run_command_line(["retarget", store[1], *rest]) == 0
     assert stated

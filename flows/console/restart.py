@@ -1,10 +1,10 @@
-"""`restart` and `complete`: what is done with draws: chains that start at one, joints that a pair lacks."""
+"""`restart`: new chains that start at a draw."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -28,10 +28,12 @@ from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree
 from flows.study_files import HEAD, PUBLISH, StudyTree
+from pasdedeux.errors import named
+from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
 from storage_schema import Store, latest_studies
-
-if TYPE_CHECKING:
-    from tasks.seeds.files import DrawSeed
+from tasks.seeds.files import DrawSeed, pair_of_draw
+from tasks.sweep import merged
+from tasks.user_files import read_file
 
 _NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0}
 
@@ -62,12 +64,6 @@ def restart(
     study with the settings of the original.  The study runs up to its chains; everything else is in the store already.
     The new draws keep the lineage: their seed names the draw, with its takes and credits.
     """
-    from pasdedeux.errors import named
-    from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
-    from tasks.seeds.files import pair_of_draw
-    from tasks.sweep import merged
-    from tasks.user_files import read_file
-
     cluster = cluster_settings(workers, oversubscribe=oversubscribe)
     opened = open_store(store)
     chosen = pair_of_draw(opened, draw)
@@ -115,66 +111,3 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
         f"draws@{chosen.ref.key[:12]} belongs to no study that is on record in the store {store}: "
         f"its settings are not known.  Export it ({command}) and name the file in a study under seeds.files"
     )
-
-
-@app.command()
-def complete(
-    file: Annotated[Path, Argument(metavar="FILE", help="JSON file of a pair.")],
-    draws: Annotated[str, Option("--draws", metavar="REF", help="Draws or seeds: draws:study, seeds:study.")],
-    num_nearest: Annotated[int, Option("--nearest", min=1, help="Number of nearest draws used.")] = 100,
-    out: Annotated[Path | None, Option("--out", metavar="FILE", help="The completed pair.")] = None,
-    store: StoreOption = Path("store"),
-) -> None:
-    """Fill in the unknown joints of a 3D pair, such as one from a depth camera.
-
-    This is the pose completion of Yin et al. 2018, Fig. 12.
-
-    \b
-      pasdedeux complete pair.json --draws draws:duets
-      pasdedeux complete pair.json --draws seeds:mine --out whole.json
-
-    FILE is a pair as written by `pasdedeux export seeds:... --format json`.  Unknown joints are absent or null; one
-    person may lack all joints.  The missing joints come from the draws that are nearest over the known joints; unknown
-    bone lengths come from the draws, too.  The spread of these draws is printed for each person, and the completed pair
-    is written to --out (default: FILE_completed.json).
-    """
-    import numpy as np
-
-    from pasdedeux.completion.occlusion import complete_pair
-    from pasdedeux.errors import InputError, named
-    from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
-    from storage_schema import parse_reference, resolve, source_credits
-    from tasks.draw_sets import read_all_draws
-    from tasks.stage import merge_takes
-    from tasks.user_files import read_file
-
-    data, opened = read_file(file), open_store(store)
-    reference = parse_reference(draws)
-    if reference.table not in ("draws", "seeds"):
-        raise InputError(f"--draws: '{draws}' names no draws; draws:study, draws@key or seeds:study do")
-    refs = resolve(reference, opened)
-    with named(file.name):
-        pair = read_pair_json(data, is_partial=True)
-        is_known = np.asarray(np.isfinite(pair.pair_m).all(axis=-1))
-        if is_known.all():
-            raise InputError("no joint is missing; one that is not known is absent, or null")
-        known = read_all_draws(opened, refs)
-        found = complete_pair(pair.pair_m, known.pairs_m, num_nearest=num_nearest)
-    manifests = [opened.manifest(ref) for ref in refs]
-    inherited = [PairSource(one.name, one.licence, one.credit) for one in source_credits(opened, *refs)]
-    whole = PairFile(
-        pair_m=found.fitted_m,
-        made_from=f"{pair.made_from or file.name}, completed by {draws}",
-        takes=tuple(sorted({*pair.takes, *merge_takes(*manifests)})),
-        sources=tuple(dict.fromkeys((*pair.sources, *inherited))),
-    )
-    target = out or file.with_name(f"{file.stem}_completed.json")
-    target.write_text(write_pair_json(whole), encoding="utf-8")
-    spread = np.linalg.norm(found.neighbours.pairs_m - np.median(found.neighbours.pairs_m, axis=0), axis=-1)
-    for name, own, apart in zip("AB", is_known, np.moveaxis(spread, 1, 0), strict=True):
-        if not own.all():
-            far_cm = 100.0 * float(np.median(apart[:, ~own]))
-            echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
-    near_m = found.neighbours.distance_m
-    echo(f"{len(near_m)} of {len(known.pairs_m)} draws within {100 * near_m.max():.1f} cm (D_I)")
-    echo(f"written: {target}")

@@ -13,6 +13,7 @@ from typer import Argument, Option
 
 from flows.console.context import JsonOption, SettingOption, answer, app, echo, graph_of, say
 from flows.console.display import format_table
+from flows.console.study_new import write_new_study
 from flows.reasons import shorten
 from flows.study import load_study
 from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
@@ -102,8 +103,6 @@ def new(
       pasdedeux study new mine.toml --from a.bvh --from b.bvh      two people of one take
       pasdedeux study new mine.toml --from openpose_json_folder
     """
-    from flows.console.study_new import write_new_study
-
     say(write_new_study(file, sources or []))
     echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 

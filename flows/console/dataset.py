@@ -23,7 +23,9 @@ from storage_schema import (
     list_datasets,
     source_credits,
 )
+from storage_schema.bucket import RemoteStore
 from storage_schema.datasets import dataset_labels, open_dataset
+from storage_schema.remote import pull_dataset, push_dataset
 from storage_schema.runs import STUDY_FILE
 
 _group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
@@ -108,9 +110,6 @@ def push(
     Only what is not there yet is sent, the list last: a push that was cut off leaves nothing half-visible, and the same
     command goes on.
     """
-    from storage_schema.bucket import RemoteStore  # here: a client that the other commands need not load
-    from storage_schema.remote import push_dataset
-
     opened = open_store(store)
     with in_use(opened):
         dataset = open_dataset(opened, label)
@@ -126,9 +125,6 @@ def pull(
 
     Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
     """
-    from storage_schema.bucket import RemoteStore
-    from storage_schema.remote import pull_dataset
-
     opened = open_store(store)
     dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
     _say_moved(dataset, num_new, f"is in {store if opened.mirror is None else opened}", as_json=as_json)

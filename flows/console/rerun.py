@@ -1,8 +1,7 @@
-"""`diff` and `rerun`: two runs or datasets side by side, and one that is on record built once more."""
+"""`rerun`: a run or dataset on record, built again elsewhere and compared."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -13,16 +12,15 @@ from flows.console.context import (
     JsonOption,
     OversubscribeOption,
     SchedulerOption,
-    StoreOption,
     WorkersOption,
     answer,
     app,
     graph_of,
     open_store,
 )
-from flows.console.display import format_table, outcome_lines
+from flows.console.display import outcome_lines
 from flows.console.run import build
-from flows.differences import Changes, compare, differences
+from flows.differences import compare
 from flows.machine import cluster_settings
 from flows.outcomes import Run
 from flows.planning import Plan, PlanError, make_plan
@@ -31,56 +29,6 @@ from flows.recorded import Recorded, artifacts_by_place, environment_changes, re
 from flows.study import study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import in_use
-
-_NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run, or a version of a dataset.")]
-
-
-@app.command()
-def diff(
-    a: _NameArgument,
-    b: _NameArgument,
-    store: StoreOption = Path("store"),
-    rows: Annotated[int, Option(min=0, help="Scores to show.")] = 20,
-    as_json: JsonOption = False,
-) -> None:
-    """Compare two finished runs or two versions of datasets; only differences are shown, scores last.
-
-    \b
-      pasdedeux diff 20260301T020000-salsa-3fa9c0 20260302T020000-salsa-77b2d1
-      pasdedeux diff salsa@1 salsa@2 --store /data/store
-      pasdedeux diff salsa@1 salsa@2 --json
-
-    It compares the parameters of the resolved studies, the environments, input files by digest, artifacts by stage, and
-    scores, largest difference first.
-    """
-    opened = open_store(store)
-    one, other = read_recorded(opened, a), read_recorded(opened, b)
-    found = differences(opened, one, other)
-    changed = {name: {key: {"a": x, "b": y} for key, (x, y) in pairs.items()} for name, pairs in found.pairs.items()}
-    described = {
-        "a": one.label,
-        "b": other.label,
-        **changed,
-        "artifacts": found.artifacts,
-        "num_scores": found.num_scores,
-        "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in found.scores],
-    }
-    lines = [f"a: {one.label}", f"b: {other.label}", *_change_lines(found, rows)]
-    answer(described, lines, as_json=as_json)
-
-
-def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
-    for name, pairs in found.pairs.items():
-        yield f"{name}: {len(pairs) or 'nothing'} differ{'s' if len(pairs) < 2 else ''}"
-        cells = [(f"  {key}", shorten(x) or "-", shorten(y) or "-") for key, (x, y) in pairs.items()]
-        yield from format_table(("", "a", "b"), cells, text_columns=range(3)) if cells else ()
-    rows = [(f"  {stage}", *counts.values()) for stage, counts in found.artifacts.items()]
-    yield from format_table(("artifacts", "same", "other", "only a", "only b"), rows)
-    yield f"scores: {len(found.scores)} of {found.num_scores} differ"
-    scores = [(f"  {score.name}", *score.cells) for score in found.scores[:num_rows]]
-    yield from format_table(("", "a", "b", ""), scores, text_columns=(0, 3)) if scores else ()
-    if len(found.scores) > num_rows:
-        yield f"  and {len(found.scores) - num_rows} more; --rows shows them"
 
 
 @app.command()

@@ -1,0 +1,74 @@
+"""`gc`: what nothing in a store needs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from flows.collecting import Collection, collect, find_garbage
+from flows.console.context import JsonOption, StoreOption, answer, app, existing_store
+from flows.console.display import format_table, size_text
+from pasdedeux.plain_text import counted
+
+
+@app.command()
+def gc(
+    store: StoreOption = Path("store"),
+    days: Annotated[float, Option(min=0, max=36500, metavar="N", help="Also keep all of the last N days.")] = 7.0,
+    is_dry: Annotated[bool, Option("--dry-run/--yes", help="List what would be removed, or remove it.")] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Delete what nothing needs from a store; without --yes only list it.
+
+    \b
+      pasdedeux gc --store /data/store               dry run, by stage
+      pasdedeux gc --store /data/store --yes
+      pasdedeux gc --store /data/store --days 0 --yes
+
+    It keeps what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names,
+    what runs of the last days made or read, and everything that any of these were computed from.  Folders of older runs
+    are removed with their reports.  Nothing is removed while a run is in progress.  If it is killed, the store stays
+    whole, and the same command finishes the work.
+    """
+    opened = existing_store(store)
+    since = datetime.now(UTC) - timedelta(days=days)
+    found = find_garbage(opened, since) if is_dry else collect(opened, since)
+    by_stage = _by_stage(found)
+    names = ("num_kept", "bytes_kept", "num_going", "bytes_going")
+    described = {
+        "is_dry_run": is_dry,
+        "stages": {stage: dict(zip(names, row, strict=True)) for stage, row in by_stage.items()},
+        "artifacts": [{"stage": stored.place[0], "key": stored.place[1]} for stored in found.artifacts.going],
+        "runs": list(found.going_runs),
+    }
+    needed_by = f"{counted(found.num_datasets, 'dataset')} and {counted(len(found.kept_runs), 'run')}"
+    rows = [
+        (stage, num_kept, size_text(bytes_kept), num_going, size_text(bytes_going))
+        for stage, (num_kept, bytes_kept, num_going, bytes_going) in by_stage.items()
+    ]
+    going = size_text(found.num_bytes)
+    lines = [
+        f"kept: what {needed_by} need, and all that was made since {since:%Y-%m-%d %H:%M} UTC",
+        *format_table(("", "stay", "size", "go", "size"), rows),
+        f"nothing was removed; --yes removes {going}" if is_dry else f"freed {going}",
+    ]
+    answer(described, lines, as_json=as_json)
+
+
+def _by_stage(found: Collection) -> dict[str, tuple[int, int, int, int]]:
+    """Return number and bytes of what stays and of what goes: for each stage, for the folders of runs, for all."""
+    counts: Counter[tuple[str, int]] = Counter()
+    for at, stored, runs in ((0, found.artifacts.kept, found.kept_runs), (2, found.artifacts.going, found.going_runs)):
+        for name, num_bytes in [
+            *((one.place[0], one.num_bytes) for one in stored),
+            *(("runs", n) for n in runs.values()),
+        ]:
+            for row in (name, "all"):
+                counts[row, at] += 1
+                counts[row, at + 1] += num_bytes
+    names = sorted({name for name, _ in counts}, key=lambda name: (name == "all", name))
+    return {name: (counts[name, 0], counts[name, 1], counts[name, 2], counts[name, 3]) for name in names}

@@ -1,0 +1,83 @@
+"""`plan`: what a build of a study would do, why, and how long it would take."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from flows.console.context import (
+    JsonOption,
+    SettingOption,
+    StoreOption,
+    StudyArgument,
+    answer,
+    app,
+    echo,
+    graph_of,
+    next_command,
+    open_store,
+)
+from flows.console.display import cost_lines, plan_lines
+from flows.console.run import ForceOption, FromOption, OnlyOption, UntilOption, with_page
+from flows.costs import estimate_cost, planned_work
+from flows.planning import PlanError, Selection, make_plan, refuse_nothing
+from flows.records import uncollected
+from flows.study import load_study
+
+NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
+"""Defaults of `plan --cost`."""
+
+
+@app.command()
+@uncollected()
+def plan(
+    context: typer.Context,
+    study: StudyArgument = "duets",
+    settings: SettingOption = None,
+    store: StoreOption = Path("store"),
+    only: OnlyOption = None,
+    start: FromOption = None,
+    until: UntilOption = None,
+    force: ForceOption = None,
+    cost: Annotated[bool, Option("--cost", help="Estimate the duration, by number of workers.")] = False,
+    workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: number of workers.")] = None,
+    measured: Annotated[
+        Path | None, Option("--measured", metavar="DIR", help="With --cost: store with measured times.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List what a run would compute and why, by stage and partition; nothing is started.
+
+    \b
+    fresh    it is there and nothing it depends on has changed
+    missing  it was never built, or its files are gone
+    stale    something it depends on has changed; says what
+    pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+
+    --cost says what the run would take, from what each shard took when it was last computed.
+    """
+    if not cost and (workers or measured):
+        raise PlanError("--workers and --measured are for --cost; give that too")
+    selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
+    chosen, graph = load_study(study, graph_of(context), settings=settings or ())
+    graph = with_page(chosen, graph, open_store(store), selection)
+    made = make_plan(chosen, graph, open_store(store), selection)
+    if cost and not made.is_fresh:
+        work = planned_work(made, graph, open_store(store), open_store(measured or store))
+        costs = [estimate_cost(work, count) for count in workers or NUMBERS_OF_WORKERS]
+        described = {"work": work.to_json(), "costs": [asdict(one) for one in costs]}
+        answer(described, cost_lines(work, costs), as_json=as_json)
+        return
+    answer({**made.to_json(), "settings": chosen.resolved()}, plan_lines(made), as_json=as_json)
+    if as_json:
+        return
+    refuse_nothing(made.missing)
+    echo(
+        "everything is fresh"
+        if made.is_fresh
+        else f"run it with: {next_command('run', study, *selection.words, store=store, settings=settings)}"
+    )

@@ -1,0 +1,37 @@
+"""`verify`: whether every file of a store is as its manifest says."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import typer
+
+from flows.console.context import JsonOption, StoreOption, answer, app, existing_store
+from flows.console.display import size_text
+from pasdedeux.plain_text import counted
+from storage_schema import verify as verify_store
+from storage_schema.manifest import RESERVED_NAMES
+from storage_schema.verification import ProblemKind
+
+
+@app.command()
+def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong."""
+    opened = existing_store(store)
+    found = verify_store(opened)
+    size = (
+        f"{counted(found.num_artifacts, 'artifact')}, {counted(found.num_files, 'file')}, {size_text(found.num_bytes)}"
+    )
+    lines = [*map(str, found.problems), *(f"note: {note}" for note in found.notes)]
+    lines.append(
+        f"{size}: " + ("all as their manifests say" if found.is_ok else counted(len(found.problems), "problem"))
+    )
+    damaged = {problem.stage for problem in found.problems if problem.kind is not ProblemKind.EXTRA}
+    if stages := sorted(damaged - RESERVED_NAMES):
+        force = " ".join(f"--force {stage}" for stage in stages)
+        lines.append(f"what is damaged is computed again by `pasdedeux run STUDY {force}`")
+    described = {"is_ok": found.is_ok, **asdict(found), "problems": [str(problem) for problem in found.problems]}
+    answer(described, lines, as_json=as_json)
+    if not found.is_ok:
+        raise typer.Exit(1)

@@ -224,11 +224,18 @@ class Plan:
         )
         return (f"the program's sources have changed {since}, the stage versions have not; {advice}",)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what a user should know of the shards before they run, a sentence each."""
+        shards = (item.shard for stage in self.stages for item in stage.shards)
+        return tuple(dict.fromkeys(f"{shard.partition}: {note}" for shard in shards for note in shard.notes))
+
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON values, for programs and for the record."""
         return {
             "study": self.study,
             "is_fresh": self.is_fresh,
+            "notes": list(self.notes),
             "warnings": list(self.warnings),
             "stages": [stage.to_json() for stage in self.stages],
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -92,6 +92,7 @@ class Shard:
         after: Keys of other shards of the same plan that this one reads; they enter the key.
         seed: Seed of the study.
         replaces: Whether its artifact takes the place of the one that is there; no part of the key.
+        notes: What a user should know of it before it runs, a sentence each; no part of the key.
     """
 
     stage: str
@@ -104,6 +105,7 @@ class Shard:
     after: tuple[str, ...] = ()
     seed: int = 0
     replaces: bool = False
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
     @property
     def values(self) -> Mapping[str, Any]:
@@ -161,10 +163,11 @@ class StageName(NamedTuple):
         *,
         files: Sequence[SourceFile] = (),
         after: tuple[str, ...] = (),
+        notes: Iterable[str] = (),
     ) -> Shard:
         """Return a shard of the stage; `read` are the artifacts that it reads, by what they are to it."""
         refs = {use: tuple(manifest.ref for manifest in found) for use, found in (read or {}).items() if found}
-        return Shard(self.name, self.version, partition, name, parameters, refs, tuple(files), after, inputs.seed)
+        return Shard(*self, partition, name, parameters, refs, tuple(files), after, inputs.seed, notes=tuple(notes))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import time
 from io import BufferedReader
 from pathlib import Path
 
@@ -14,6 +15,11 @@ MAX_BYTES = 2_000_000_000
 """Largest file that is read into memory whole; films are streamed and may be larger."""
 MAX_TEXT_BYTES = 16_000_000
 """Largest study, list of choices or cluster profile."""
+_SETTLED_NS = 2_000_000_000
+"""A file written within this time may be written again without another time of change: clocks of disks have steps."""
+_MAX_DIGESTS = 100_000
+_DIGESTS: dict[tuple[int, ...], str] = {}
+"""Digests of files by place on disk, size and times of change: a study is planned several times in a process."""
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -75,14 +81,27 @@ def read_text_file(path: Path) -> str:
         raise InputError(f"file {path} is no text in UTF-8: {error.reason} at byte {error.start}") from None
 
 
-def digest_of(path: Path) -> str:
-    """Return the sha256 of a file of any size.
+def digest_of(path: Path, data: bytes | None = None) -> str:
+    """Return the sha256 of a file of any size; a process computes it once while the file stays as it is.
+
+    Args:
+        path: The file.
+        data: Its bytes, where they have been read.
 
     Raises:
         InputError: As `open_file`.
     """
     with open_file(path) as file:
+        status = os.fstat(file.fileno())
+        state = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+        if state in _DIGESTS:
+            return _DIGESTS[state]
         try:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            digest = (hashlib.file_digest(file, "sha256") if data is None else hashlib.sha256(data)).hexdigest()
         except OSError as error:
             raise InputError(f"file {path} cannot be read: {error.strerror}") from None
+    if time.time_ns() - max(state[-2:]) > _SETTLED_NS:
+        if len(_DIGESTS) >= _MAX_DIGESTS:
+            _DIGESTS.clear()
+        _DIGESTS[state] = digest
+    return digest

@@ -178,6 +178,7 @@ def plan_lines(plan: Plan) -> list[str]:
             groups.setdefault((states, reasons), []).append(name)
         for (states, reasons), names in groups.items():
             lines.append(f"    {_names(names):<28} {states}" + (f": {reasons}" if reasons else ""))
+    lines.extend(f"note: {visible(note, is_line=True)}" for note in plan.notes)
     lines.extend(f"warning: {warning}" for warning in plan.warnings)
     return lines
 

@@ -201,8 +201,8 @@ def reconstruct_video(
         listener.close()
     for reason in failed if num_made else failed[:-1]:
         echo(f"skipped: {reason}", err=True)
-    if of_nobody := stated_of_nobody(named_m, known):
-        echo(of_nobody, err=True)
+    for line in stated_of_nobody(named_m, known):
+        echo(line, err=True)
     if not num_made:
         raise failed[-1]
 

@@ -50,8 +50,11 @@ MAX_HIPS_AT_ORIGIN = 0.02
 """Distance of the hips from the origin of 3D landmarks, which is there."""
 MAX_OTHER_SHAPE = 0.02
 """Difference of the aspect ratios of two sizes of one video: sides are whole pixels."""
-MAX_MARGIN, MAX_OUTSIDE = 0.1, 0.2
-"""Shares of the image by which people leave it, and of the keypoints that lie further outside."""
+MARGIN, DOUBTED_OUTSIDE, MAX_OUTSIDE = 0.05, 0.05, 0.2
+"""Shares of the image by which people leave it, and of the sure keypoints further outside: doubted, and at most."""
+_SURE_SHARE, _ENDS, _HALF = 0.5, 99, 0.5
+"""Share of the 95th percentile of confidence from which a keypoint is sure; percentile that is the end of what is seen;
+share of the image beyond which something is seen in it."""
 SURE_STRETCH, MAX_STRETCH = 0.36, 0.6
 """Dancers come to 0.20 to 0.31 in their own layout, with any noise and junk, and to 0.39 to 0.8 in wrong ones (tested):
 below the first the layout is right, above the second it is wrong, and between them another one may be better."""
@@ -100,6 +103,7 @@ class AnnotatedFrames:
             numbers them anew in each.
         status: (row, K) of `KeypointStatus`, where keypoints come from; None where the source does not say.
         remarks: What a user should know of how it was read, in words.
+        doubts: What may be wrong with it, in words.
     """
 
     layout: str
@@ -115,6 +119,7 @@ class AnnotatedFrames:
     has_identities: bool = True
     status: Integers | None = None
     remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -271,7 +276,8 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
             "image (image_size_px), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
         )
     points = (points + 1) / 2 if is_centred else points
-    frames = frames.remark("coordinates from -1 to 1 across the image") if is_centred else frames
+    sides = " and ".join(f"{width} x {height}" for width, height in sorted(set(known)))
+    frames = frames.remark(f"coordinates from {-1 if is_centred else 0} to 1 across an image of {sides}")
     return replace(frames, keypoints_px=points * np.array(known, dtype=np.float64).reshape(-1, 1, 2))
 
 
@@ -311,24 +317,39 @@ def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> Annot
     )
 
 
-def check_inside(frames: AnnotatedFrames) -> None:
-    """Refuse keypoints of which many lie outside the image: they are of an image of another size.
+def check_inside(frames: AnnotatedFrames) -> AnnotatedFrames:
+    """Return annotations with a doubt where their image seems to be of another size.
+
+    Some of the keypoints of which their detector is sure lie outside the image, or nearly all in its first quarter.
 
     Raises:
-        InputError: With both sizes.
+        InputError: Many lie outside; with both sizes.
     """
+    doubts = []
     for name, (width, height) in frames.image_size_px.items():
-        points = frames.keypoints_px[[one == name for one in frames.sequence_id]]
-        points = points[np.isfinite(points).all(axis=-1)]
+        is_own = np.array([one == name for one in frames.sequence_id], dtype=bool)
+        confidence = frames.confidence[is_own]
+        seen = confidence[confidence > 0]
+        if not len(seen):
+            continue
+        points = frames.keypoints_px[is_own][confidence >= _SURE_SHARE * np.percentile(seen, 95)]
         sides = np.array([width, height])
-        is_outside = ((points < -MAX_MARGIN * sides) | (points > (1 + MAX_MARGIN) * sides)).any(axis=-1)
-        if len(points) and is_outside.mean() > MAX_OUTSIDE:
-            reach = " x ".join(f"{side:.0f}" for side in points.max(axis=0))
+        share = float(((points < -MARGIN * sides) | (points > (1 + MARGIN) * sides)).any(axis=-1).mean())
+        ends = np.percentile(points, _ENDS, axis=0)
+        reach = " x ".join(f"{side:.0f}" for side in (points.max(axis=0) if share > DOUBTED_OUTSIDE else ends))
+        both = f"they reach {reach}, and the image is {width} x {height}"
+        if share > MAX_OUTSIDE:
             raise InputError(
-                f"{is_outside.mean():.0%} of the keypoints of '{name}' lie outside the image: they reach {reach}, and "
-                f"the image is {width} x {height}; give the keypoints of an image of this size, or a file that states "
-                "the size of its images"
+                f"{share:.0%} of the keypoints of '{name}' lie outside the image: {both}; give the keypoints of an "
+                "image of this size, or a file that states the size of its images"
             )
+        if share > DOUBTED_OUTSIDE:
+            doubts.append(
+                f"{share:.0%} of the keypoints of '{name}' lie outside the image: {both}: is it another size?"
+            )
+        elif (ends <= _HALF * sides).all():
+            doubts.append(f"the keypoints of '{name}' lie in a quarter of the image: {both}: is it another size?")
+    return replace(frames, doubts=tuple(dict.fromkeys((*frames.doubts, *doubts))))
 
 
 def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:

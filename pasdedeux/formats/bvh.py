@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 from itertools import count
 
 import numpy as np
@@ -32,6 +33,10 @@ _COMMENT = ("#", "//", ";")
 
 _BEGINNING = re.compile(r"^[ \t]*HIERARCHY(?!\w)", re.IGNORECASE | re.MULTILINE)
 """Where a file begins; what some programs write before it is skipped."""
+_FRAME_TIME = re.compile(rb"Frame\s*Time\s*:\s*\S+", re.IGNORECASE)
+_NUMBERS = b"0123456789+-.eE \t\r\n"
+_LARGE_BYTES, _NUM_SAMPLED = 2_000_000, 2000
+"""Size from which the head of a file is read by a sample of its frames, and about how many these are."""
 _CHANNELS = {f"{axis}position": axis.lower() for axis in "XYZ"} | {f"{axis}rotation": axis for axis in "XYZ"}
 """The letter that stands for each channel."""
 
@@ -58,11 +63,42 @@ def read_bvh(data: bytes | str, person: int = 0) -> SourceMotion:
 def read_bvh_head(data: bytes | str, person: int = 0) -> MotionHead:
     """Read a BVH file but do not convert its rotations, which takes most of the time.
 
+    Of a file larger than 2 MB some 2000 frames are read: what is wrong with another is told by `read_bvh`.
+
     Raises:
         FormatError: As `read_bvh`.
     """
+    if isinstance(data, bytes) and len(data) > _LARGE_BYTES and (sampled := _sample(data, person)):
+        return sampled
     file = _read(data)
     return MotionHead(file.motion(person, is_head=True), len(file.values))
+
+
+def _sample(data: bytes, person: int) -> MotionHead | None:
+    """Read the head of a large file by some of its frames, evenly spread; None where it must be read as a whole.
+
+    That is where something but numbers stands among the frames, or a line is no frame, or something is wrong.
+    """
+    found = _FRAME_TIME.search(data, 0, _LARGE_BYTES)
+    if found is None:
+        return None
+    lines, step = BytesIO(data), data.count(b"\n", found.end()) // _NUM_SAMPLED + 1
+    lines.seek(found.end())
+    kept: list[bytes] = []
+    last, num_frames = b"", 0
+    for line in lines:
+        if line.translate(None, _NUMBERS):
+            return None
+        if not line.isspace():
+            kept += [line] if num_frames % step == 0 else []
+            last, num_frames = line, num_frames + 1
+    kept += [last] if num_frames % step != 1 % step else []  # which may be cut off
+    try:
+        file = _read(b"\n".join([data[: found.end()], *kept]), num_frames)
+        is_whole = len(file.values) == len(kept)
+        return MotionHead(file.motion(person, is_head=True), num_frames) if is_whole else None
+    except FormatError:  # its line is that of the sample
+        return None
 
 
 def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion:
@@ -257,14 +293,15 @@ def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
     )
 
 
-def _read(data: bytes | str) -> _BvhFile:
+def _read(data: bytes | str, num_held: int | None = None) -> _BvhFile:
+    """Read a file, or a sample of one that holds so many frames."""
     with Lines(data, "BVH file") as lines:
         hierarchy = _read_hierarchy(lines)
         num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames")
         frame_time = _stated(lines, "Frame Time:")
         parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
         values = _read_rows(hierarchy, lines)
-        counted = compare_count(num_frames, len(values))
+        counted = compare_count(num_frames, num_held or len(values))
     rate_hz, note = rate_from_frame_time(frame_time)
     return _BvhFile(hierarchy, values, rate_hz, tuple(filter(None, (counted, note))))
 

@@ -152,7 +152,7 @@ class BvhHierarchy:
             )
         num_moving = int((away.max(axis=1) > _STILL * STATURE_M).sum())
         others = f" (and {num_moving - 1} more, by less)" if num_moving > 1 else ""
-        return offsets, [f"{most} in frame {frame}{others}: fixed at the median"] * bool(num_moving)
+        return offsets, [f"{most}{others}: fixed at the median"] * bool(num_moving)
 
     def _left_out(self, root: int, below: frozenset[int]) -> list[str]:
         """Say what hangs beside the root on the nodes above it."""

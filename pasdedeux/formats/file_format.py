@@ -20,7 +20,8 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import find_delimiter, wide_encoding
 from pasdedeux.skeletons.layouts import KeypointLayout
 
-_LOOKED_AT_BYTES = 200_000
+LOOKED_AT_BYTES = 200_000
+"""Bytes of a text by which its format is told."""
 
 
 class FileStart:
@@ -44,7 +45,7 @@ class FileStart:
         """The first 200 kB as text, without leading blanks; empty for an npz archive."""
         if is_npz(self._data):
             return ""
-        start = self._data[:_LOOKED_AT_BYTES]
+        start = self._data[:LOOKED_AT_BYTES]
         wide = wide_encoding(start)
         return start.decode(wide or "utf-8-sig", errors="replace").removeprefix("\ufeff").lstrip()
 

@@ -140,8 +140,7 @@ def clean_annotations(
     pixels = in_pixels(known)
     if pixels is known:
         pixels = _with_footage(in_size(frames, stated.image_size_px), stated, video)
-    frames = without_doubtful(pixels, min_confidence)
-    check_inside(frames)
+    frames = check_inside(without_doubtful(pixels, min_confidence))
     check_anatomy(frames)
     return frames
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from pasdedeux.errors import InputError
+from pasdedeux.formats.file_format import LOOKED_AT_BYTES
+from pasdedeux.formats.npz import is_npz
 from tasks.stage import SourceFile
-from tasks.user_files import read_file
+from tasks.user_files import digest_of, open_file, read_file
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,19 @@ class LoadedFile:
 def load_file(path: Path) -> LoadedFile:
     """Read and hash a file; an InputError as of `read_file`."""
     data = read_file(path)
-    return LoadedFile(file=SourceFile(path=str(path), sha256=hashlib.sha256(data).hexdigest()), data=data)
+    return LoadedFile(file=SourceFile(path=str(path), sha256=digest_of(path, data)), data=data)
+
+
+def find_file(path: Path) -> SourceFile:
+    """Hash a file without holding it in memory; an InputError as of `open_file`."""
+    return SourceFile(path=str(path), sha256=digest_of(path))
+
+
+def read_start(path: Path) -> bytes:
+    """Return as much of a file as its format is told by: all of an archive; an InputError as of `read_file`."""
+    with open_file(path) as file:
+        start = file.read(LOOKED_AT_BYTES)
+    return read_file(path) if is_npz(start) else start
 
 
 def read_again(file: SourceFile) -> bytes:

@@ -35,11 +35,13 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
             skipped=waiting,
             take_seconds=parameters.take_seconds,
         ):
-            shards.append(INGEST.shard(inputs, found.parameters.id, "annotations", found.parameters, files=found.files))
+            planned, files, notes = found.parameters, found.files, found.notes
+            shards.append(INGEST.shard(inputs, planned.id, "annotations", planned, files=files, notes=notes))
         if waiting:
             shards.append(INGEST.shard(inputs, options.id, "skipped", SkippedParameters(skipped=waiting)))
     for film in parameters.videos:
         is_held_out = film.take_id in parameters.held_out
         for shot in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
-            shards.append(INGEST.shard(inputs, shot.parameters.id, "film", shot.parameters, files=shot.files))
+            planned, files, notes = shot.parameters, shot.files, shot.notes
+            shards.append(INGEST.shard(inputs, planned.id, "film", planned, files=files, notes=notes))
     return shards

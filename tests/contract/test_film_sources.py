@@ -222,6 +222,7 @@ def test_key_frames_of_another_size_are_scaled_where_they_state_it_and_refused_e
     keys = tmp_path / "large.csv"
     keys.write_text("\n".join(["# image_size: 1280x960", *head, *rows]))
     (one,) = found(film, keys=keys, frame_offset=-1)
+    assert one.notes == ("keypoints of images of 1280 x 960 scaled to 640 x 480",)
     np.testing.assert_allclose(one.read().keypoints_px[:20], [walker_px(at) for at in range(20)], atol=0.01)
     assert one.in_words().endswith("keypoints of images of 1280 x 960 scaled to 640 x 480")
     keys.write_text("\n".join([*head, *rows]))

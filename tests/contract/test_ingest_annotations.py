@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from flows.console.app import run_command_line
+from pasdedeux.errors import InputError
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.facts import SequenceFacts
 from tests.builders.ingest_runs import judged, planned, run
+from tests.builders.rigs import SMALL_BVH
 from tests.builders.source_samples import coco_text, csv_text, openpose_text
 
 
@@ -100,3 +105,36 @@ def test_every_so_many_th_moment_is_left_out_of_what_draws_are_made_from(tmp_pat
     out = {name for name, is_out in zip(views["sequence_id"], views["is_held_out"], strict=True) if is_out}
     assert len(set(views["sequence_id"])) == 7
     assert out == set(sorted(set(views["sequence_id"]))[1::3])
+
+
+def test_a_large_source_is_read_when_its_shard_runs_and_a_small_one_while_planning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(coco_text()[:-30])
+    with pytest.raises(InputError, match=r"annotations c: c.json: .*not valid JSON"):
+        planned(annotations=[{"id": "c", "path": path}])
+    monkeypatch.setattr("tasks.ingest.poses2d.resolution._MAX_PLANNED_BYTES", path.stat().st_size - 1)
+    shards = planned(annotations=[{"id": "c", "path": path}])
+    with pytest.raises(InputError, match=r"c.json: .*not valid JSON"):
+        run(Store(tmp_path / "store"), shards)
+
+
+def test_a_plan_shows_what_readers_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.bvh").write_text(SMALL_BVH.replace("Frames: 4", "Frames: 3"))
+    content = json.loads(coco_text())
+    for image in content["images"]:
+        image |= {"width": 6400, "height": 6400}
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    study = tmp_path / "mine.toml"
+    study.write_text(
+        '[study]\nname = "mine"\n[ingest]\ntakes = [{ id = "t", files = ["a.bvh"] }]\n'
+        'annotations = [{ id = "c", path = "c.json" }]\n'
+    )
+    asked = ["plan", str(study), "--store", str(tmp_path / "store"), "--only", "ingest"]
+    assert run_command_line(asked) == 0
+    said = capsys.readouterr().out
+    assert "note: t: a.bvh: it states 3 frames and holds 4, which are read" in said
+    assert "note: c: the keypoints of 'c' lie in a quarter of the image" in said
+    assert run_command_line([*asked, "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["notes"]) == 2

@@ -129,9 +129,10 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
         read_annotations(kind, shares(), source_id="s")
     found = read_annotations(kind, shares(), source_id="s", stated=Footage((400, 320)))
     np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
+    assert found.remarks == ("coordinates from 0 to 1 across an image of 400 x 320",)
     centred = read_annotations(kind, shares(shift=(0.5, 0.5), scale=2.0), source_id="s", stated=Footage((400, 320)))
     np.testing.assert_allclose(centred.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
-    assert centred.remarks == ("coordinates from -1 to 1 across the image",)
+    assert centred.remarks == ("coordinates from -1 to 1 across an image of 400 x 320",)
     for hips_at_origin in (shares(shift=(0.25, 0.594)), shares(shift=(0.25, 0.594), scale=1.5)):
         with pytest.raises(InputError, match="world landmarks"):
             read_annotations(kind, hips_at_origin, source_id="s", stated=Footage((400, 320)))

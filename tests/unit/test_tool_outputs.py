@@ -251,6 +251,45 @@ def test_keypoints_of_another_size_are_scaled_where_the_file_states_it_and_refus
         read({"images": [{"id": f} for f in range(FRAMES)]}, SIZE_PX)
 
 
+@pytest.mark.parametrize(
+    ("scale", "num_outside", "doubt"),
+    [
+        (1.0, 0, ""),
+        (1.0, 10, r"\d% of the keypoints of 's' lie outside the image: they reach \d+ x \d+, and .* is 640 x 480"),
+        (0.5, 0, r"'s' lie in a quarter of the image: they reach \d+ x \d+, and the image is 640 x 480"),
+        (0.1, 0, r"'s' lie in a quarter of the image: .* is 640 x 480: is it another size"),
+    ],
+)
+def test_keypoints_that_seem_to_be_of_another_size_are_doubted(scale: float, num_outside: int, doubt: str) -> None:
+    """Points near the edges, of whom so many of a hundred are outside, or in a quarter of the image may be right."""
+    seen = np.concatenate([t[t[:, 2] > 0, 0] for _, _, t in listed()])
+    shift = np.array([np.percentile(seen, num_outside) + 0.06 * 640 if num_outside else 0.0, 0.0, 0.0])
+    content = {"images": [{"id": f, "width": 640, "height": 480} for f in range(FRAMES)]}
+    people = [
+        {"image_id": f, "track_id": p, "keypoints": ((t - shift) * (scale, scale, 1)).ravel().tolist()}
+        for f, p, t in listed()
+    ]
+    data = json.dumps({**content, "annotations": people}).encode()
+    found = read_annotations(ANNOTATION_FORMATS["coco"], {"a": data}, source_id="s")
+    assert len(found.doubts) == bool(doubt)
+    assert re.search(doubt, " ".join(found.doubts))
+
+
+def test_keypoints_of_a_larger_image_never_pass_without_a_word() -> None:
+    def read(scale: float) -> AnnotatedFrames:
+        people = [
+            {"image_id": f, "track_id": p, "keypoints": (t * (scale, scale, 1)).ravel().tolist()}
+            for f, p, t in listed()
+        ]
+        content = {"images": [{"id": f, "width": 640, "height": 480} for f in range(FRAMES)], "annotations": people}
+        data = json.dumps(content).encode()
+        return read_annotations(ANNOTATION_FORMATS["coco"], {"a": data}, source_id="s")
+
+    assert "lie outside the image" in read(1.6).doubts[0]
+    with pytest.raises(InputError, match="lie outside the image: they reach 902 x 608, and the image is 640 x 480"):
+        read(2.0)
+
+
 def test_an_offset_moves_frames_that_a_tool_counts_from_1() -> None:
     data = "\n".join(ONE).encode()
     found = read_annotations(ANNOTATION_FORMATS["mediapipe"], {"a": data}, source_id="s", frame_offset=7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import signal
@@ -126,3 +127,19 @@ def test_text_in_another_encoding_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_bytes("título".encode("latin-1"))
     with pytest.raises(InputError, match=r"a\.toml is no text in UTF-8: invalid .* at byte 1"):
         read_text_file(tmp_path / "a.toml")
+
+
+def test_a_file_is_digested_once_while_it_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, old = tmp_path / "a", tmp_path / "b"
+    path.write_bytes(b"one")
+    for _ in range(2):  # it may be written again within a step of the disk's clock
+        path.write_bytes(b"two")
+        assert digest_of(path) == hashlib.sha256(b"two").hexdigest()
+        path.write_bytes(b"six")
+        assert digest_of(path) == hashlib.sha256(b"six").hexdigest()
+    old.write_bytes(b"old")
+    monkeypatch.setattr("tasks.user_files._SETTLED_NS", -(10**18))
+    assert digest_of(old) == digest_of(old, b"old")
+    monkeypatch.setattr(hashlib, "file_digest", None)
+    monkeypatch.setattr(hashlib, "sha256", None)
+    assert digest_of(old) == digest_of(old, b"old")

@@ -21,7 +21,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.detections import UNKNOWN, Detection, Footage, join_detections
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, read_annotations
 from pasdedeux.skeletons import PAIR17
-from tasks.ingest.files import load_file, read_again
+from tasks.ingest.files import find_file, read_again
 from tasks.ingest.film.detector_files import find_network
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
 from tasks.ingest.film.readers import Film, first_shown, image_at, is_film, open_film, read_film
@@ -37,11 +37,12 @@ _MAX_RATE_RATIO = 1.02
 
 @dataclass(frozen=True)
 class FoundShot:
-    """A shot of a film that was found: parameters and files of its shard."""
+    """A shot of a film that was found: parameters and files of its shard, and what to say of what is given of it."""
 
     parameters: FilmParameters
     files: tuple[SourceFile, ...]
     film: Film
+    notes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -288,7 +289,7 @@ def _shots_of(
     rate_hz = options.rate_hz or film.rate_hz or ASSUMED_RATE_HZ
     starts = [*(film.starts if options.has_cuts else (0,)), film.num_frames]
     base = f"{options.id}.{name}" if name else options.id
-    files = tuple(load_file(one).file for one in camera.paths) if camera else ()
+    files = tuple(map(find_file, camera.paths)) if camera else ()
     numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([one.name for one in camera.paths]) if camera else []
     common = options.model_dump(
         exclude={*("id", "path", "format", "keys", "detections", "detect", "has_cuts", "layout_file", "people_file")}
@@ -319,13 +320,14 @@ def _shots_of(
     shots = [one for one in shots if one.parameters.num_frames > 1]
     if camera is None or not shots:
         return shots
-    frames = _check_given(shots[0], given or path, film, rate_hz, options)
-    spans = [(one, film.first_number + one.parameters.first_frame) for one in shots]
+    checked = _check_given(shots[0], given or path, film, rate_hz, options)
+    frames, notes = checked.given().frame, (*checked.remarks, *checked.doubts)
+    spans = [(replace(one, notes=notes), film.first_number + one.parameters.first_frame) for one in shots]
     return [one for one, first in spans if ((frames >= first) & (frames < first + one.parameters.num_frames)).any()]
 
 
-def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> np.ndarray:
-    """Return the frames that are given, after a check against the film."""
+def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> AnnotatedFrames:
+    """Return what is given, after a check against the film."""
     with named(given.name):
         parameters = shot.parameters
         files = shot.files[: parameters.num_given]
@@ -343,4 +345,4 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
             raise InputError(
                 f"it holds {len(set(frames.sequence_id))} sequences with the same frames; give each film its own file"
             )
-        return frames.given().frame
+        return frames

@@ -64,7 +64,7 @@ def find_videos(
         for one in shots:
             rows = tuple(row.in_words() for row in decisions if row.sequence_id == one.parameters.id)
             parameters = one.parameters.model_copy(update={"people": rows})
-            found.append(FoundFilm(parameters, one.files, Path(one.files[-1].path)))
+            found.append(FoundFilm(parameters, one.files, Path(one.files[-1].path), one.notes))
     return found
 
 

@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
-from tasks.ingest.files import load_file
+from tasks.ingest.files import read_start
 from tasks.user_files import open_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
@@ -116,14 +116,14 @@ def _frames_format(tried: Sequence[Path], format_name: str) -> str | None:
     name = per_frame[0]
     for item in tried:
         with suppress(InputError):
-            name = find_format(ANNOTATION_FORMATS, "auto", load_file(item).data).name
+            name = find_format(ANNOTATION_FORMATS, "auto", read_start(item)).name
             break
     return name if ANNOTATION_FORMATS[name].is_file_per_frame else None
 
 
 def _format_of(path: Path, format_name: str) -> str:
     try:
-        return find_format(ANNOTATION_FORMATS, format_name, load_file(path).data).name
+        return find_format(ANNOTATION_FORMATS, format_name, read_start(path)).name
     except InputError as error:
         if not path.is_file():
             raise

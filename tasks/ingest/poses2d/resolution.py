@@ -15,7 +15,7 @@ from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
-from tasks.ingest.files import load_file, read_again
+from tasks.ingest.files import find_file, load_file, read_again
 from tasks.ingest.poses2d.parameters import AnnotationOptions, AnnotationParameters
 from tasks.ingest.poses2d.readers import CameraFiles, find_cameras, read_header, video_beside
 from tasks.stage import SourceFile
@@ -23,6 +23,8 @@ from tasks.stage import SourceFile
 DEFAULT_RATE_HZ = 30.0
 PEOPLE_NAME = "people.csv"
 """Who is who, as ingest decided it, beside the tables."""
+_MAX_PLANNED_BYTES = 16_000_000
+"""Size of a source that planning reads, so that bad input is refused before any work: about a second."""
 MAX_NAMED_FILES = 20
 """Skipped files that are named, of any number."""
 
@@ -35,11 +37,13 @@ class FoundAnnotations:
         parameters: Those of its shard: every choice is made.
         files: Its files.
         video: The video beside them whose header was read, None without.
+        notes: What a user should know of how they are read; empty where they have not been read.
     """
 
     parameters: AnnotationParameters
     files: tuple[SourceFile, ...]
     video: Path | None
+    notes: tuple[str, ...] = ()
 
     def read(self) -> AnnotatedFrames:
         """Return the annotations in pixels, with the rate, and with image size and focal length where they are known.
@@ -81,7 +85,7 @@ class FoundAnnotations:
         words.append(f"focal length {lens}" if lens else "lens of a phone assumed (focal_px, fov_deg)")
         if frames.skipped:
             words.append(f"{len(frames.skipped)} damaged files skipped ({', '.join(frames.skipped[:3])})")
-        return f"{stated.id}: {', '.join((*words, *frames.remarks))}"
+        return f"{stated.id}: {', '.join((*words, *frames.remarks, *frames.doubts))}"
 
     def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
         """Return what lies beside the tables: who is who."""
@@ -111,6 +115,8 @@ def find_annotations(
         skipped: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
         take_seconds: Only so much from the start of each sequence.
 
+    What is larger than 16 MB is read when its shard runs.
+
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
     """
@@ -122,8 +128,13 @@ def find_annotations(
         for camera in find_cameras(options.path, options.format, skipped=skipped):
             try:
                 one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
-                sequences = set(one.read().sequence_id)
                 planned, name = one.parameters, camera.paths[0].name
+                is_large = sum(path.stat().st_size for path in camera.paths) > _MAX_PLANNED_BYTES
+                # Whose rows are of which sequence, and whether a file is whole yet, only its content tells.
+                is_read = not is_large or bool(decisions) or skipped is not None
+                frames = one.read() if is_read else None
+                sequences = set(frames.sequence_id) if frames else set()
+                notes = (*frames.remarks, *frames.doubts) if frames else ()
                 if planned.id in ids:
                     raise InputError(f"{name}: another file is '{planned.id}' already; rename one of them")
             except InputError as error:
@@ -134,7 +145,7 @@ def find_annotations(
             ids.add(planned.id)
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
-            found.append(replace(one, parameters=planned.model_copy(update={"people": rows})))
+            found.append(replace(one, parameters=planned.model_copy(update={"people": rows}), notes=notes))
         check_sequences(decisions, known)
     return found
 
@@ -189,7 +200,7 @@ def _find_camera(
         take_seconds=take_seconds,
         own_layout=own_layout_of(options.layout_file),
     )
-    files = tuple(load_file(path).file for path in camera.paths)
+    files = tuple(map(find_file, camera.paths))
     return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
 
 

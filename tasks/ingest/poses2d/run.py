@@ -109,31 +109,31 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
             len(frames.skipped),
             len(shard.files),
             resolved.sequences,
-            stated_of_nobody(dict(parameters.statures_m), frames.person_id.tolist()),
+            [*stated_of_nobody(dict(parameters.statures_m), frames.person_id.tolist()), *frames.doubts],
         ),
     )
 
 
-def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> str:
+def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> list[str]:
     """Say of which people who are not there a stature is stated; nothing where there are none."""
     absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known)))) or "none"
     whom = ", ".join(map(str, absent))
-    return f"a stature is stated for person {whom}, who is not there; people: {people}" if absent else ""
+    return [f"a stature is stated for person {whom}, who is not there; people: {people}"] * bool(absent)
 
 
 def _verdict(
-    is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople], of_nobody: str
+    is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople], doubts: Sequence[str]
 ) -> Verdict:
     """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped.
 
-    What is stated `of_nobody` is doubted.  Tracks that were joined are said, which is no fault.
+    Tracks that were joined are said, which is no fault.
     """
     reasons, share_seen = [], float(is_seen.mean())
     if share_seen < GOOD_SHARE_SEEN:
         reasons.append(f"{share_seen:.0%} of the joints are seen")
     if num_skipped:
         reasons.append(f"{num_skipped} of {num_files} frames could not be read and were skipped")
-    reasons += [of_nobody] if of_nobody else []
+    reasons += doubts
     is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
     level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
     reasons += [row.as_joined() for one in sequences for row in one.joined]

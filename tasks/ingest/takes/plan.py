@@ -203,7 +203,8 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
     )
     files = [file for person in people for file in person.files]
     files += [loaded.file for loaded in (objects, contacts) if loaded is not None]
-    return INGEST.shard(inputs, take.id, "take", parameters_of_shard, files=files)
+    notes = [f"{person.parameters.source_name}: {note}" for person in people for note in person.notes]
+    return INGEST.shard(inputs, take.id, "take", parameters_of_shard, files=files, notes=dict.fromkeys(notes))
 
 
 def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, contacts: LoadedFile | None) -> None:

@@ -13,7 +13,7 @@ from pasdedeux.formats.registry import MOTION_FORMATS, find_format
 from pasdedeux.formats.resolution import KnownSource, Mappings, Resolution, Stated, resolve_motion
 from pasdedeux.formats.source_motion import SourceMotion
 from storage_schema import SourceCredit
-from tasks.ingest.files import load_file, read_again
+from tasks.ingest.files import find_file, load_file, read_again, read_start
 from tasks.ingest.takes.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
 from tasks.ingest.takes.parameters import PersonOptions, PersonParameters
 from tasks.stage import SourceFile
@@ -30,11 +30,13 @@ class PersonSource:
         parameters: Those of the shard: every choice is made.
         files: The motion file, then the file beside it that its format needs.
         num_frames: Frames in the motion file.
+        notes: What its reader assumed, a sentence each.
     """
 
     parameters: PersonParameters
     files: tuple[SourceFile, ...]
     num_frames: int
+    notes: tuple[str, ...]
 
 
 def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, number: int = 0) -> PersonSource:
@@ -44,16 +46,16 @@ def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, numbe
         InputError: With the file's name in front: missing, mangled, unknown joints, a bone of length zero, or
             something that must be said in the study and is not.
     """
-    loaded = load_file(path)
+    file = find_file(path)
     with named(path.name):
-        kind = find_format(MOTION_FORMATS, options.format or "auto", loaded.data)
+        kind = find_format(MOTION_FORMATS, options.format or "auto", read_start(path))
         companion = find_companion(path, kind, options.skeleton)
-        head = _head(kind.name, loaded.file, companion, number)
-        taken = resolve_file(loaded.file, head.rest, options, mappings)
+        head = _head(kind.name, file, companion, number)
+        taken = resolve_file(file, head.rest, options, mappings)
         layout, usual = taken.required_layout(), usual_rate_hz(path.name)
         parameters = PersonParameters(
             source_name=path.name,
-            motion_sha256=loaded.file.sha256,
+            motion_sha256=file.sha256,
             companion_sha256=companion.sha256 if companion else "",
             format=kind.name,
             layout=layout.name if options.layout in (None, "auto") else str(options.layout),
@@ -67,7 +69,8 @@ def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, numbe
             translation_m=options.translation_m or (0.0, 0.0, 0.0),
             yaw_deg=options.yaw_deg or 0.0,
         )
-    return PersonSource(parameters, (loaded.file, companion) if companion else (loaded.file,), head.num_frames)
+    files = (file, companion) if companion else (file,)
+    return PersonSource(parameters, files, head.num_frames, head.rest.notes)
 
 
 def resolve_file(

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
+
+T = TypeVar("T")
 
 
 def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArray[np.int64]:
@@ -21,3 +26,12 @@ def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArr
         return np.zeros(0, dtype=np.int64)
     places = np.linspace(0, total - 1, min(count, total)) if has_ends else np.linspace(0, total - 1, count + 2)[1:-1]
     return np.unique(places.round().astype(np.int64))
+
+
+def some_of(items: Sequence[T], count: int, *, has_ends: bool = True) -> list[T]:
+    """Return at most `count` of these, evenly spread and in order, as `evenly_spread` has it.
+
+    >>> some_of("abcde", 3)
+    ['a', 'c', 'e']
+    """
+    return [items[at] for at in evenly_spread(len(items), count, has_ends=has_ends)]

@@ -16,7 +16,7 @@ from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import COUNTED17, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
 from tasks.facts import SequenceFacts
-from tasks.stage import StageInputs
+from tasks.stage import Shard, StageInputs
 
 
 class Place(NamedTuple):
@@ -85,6 +85,12 @@ def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifes
     """Return the views that were estimated from these annotations."""
     seen = {manifest.ref for manifest in annotated}
     return [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
+
+
+def with_views(annotated: Sequence[Manifest], inputs: StageInputs) -> dict[str, list[Manifest]]:
+    """Return as `annotations` those of these that views were estimated from, and the `views` of each."""
+    views = [(manifest, found[0]) for manifest in annotated if (found := views_of([manifest], inputs))]
+    return {"annotations": [manifest for manifest, _ in views], "views": [found for _, found in views]}
 
 
 def place_of(table: TableData, row: int) -> Place:
@@ -175,6 +181,14 @@ def read_seen_pairs(
         if one.num_seen >= MIN_SEEN:
             found[place] = one
     return found, len(people) - len(found)
+
+
+def read_all_seen(store: Store, shard: Shard, *, num_hypotheses: int) -> list[dict[Place, SeenPair]]:
+    """Return what `read_seen_pairs` does of each artifact that a shard has by `with_views`."""
+    return [
+        read_seen_pairs(store, annotations, views, num_hypotheses=num_hypotheses)[0]
+        for annotations, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True)
+    ]
 
 
 def pair_of(people: Mapping[int, np.ndarray]) -> np.ndarray:

@@ -9,8 +9,9 @@ import numpy as np
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.objects import MovingObjects
-from storage_schema import ArtifactRef, Store
+from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import TakeFacts, VariantFacts
+from tasks.stage import StageInputs
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,12 @@ class TakeMotion:
     rest_m: np.ndarray
     world_unitquat: np.ndarray
     time_s: np.ndarray
+
+
+def takes_of(inputs: StageInputs, num_persons: int, *, or_more: bool = False) -> list[Manifest]:
+    """Return the takes of so many people, or of more too."""
+    counts = [(take, TakeFacts.of(take).num_persons) for take in inputs.of("poses")]
+    return [take for take, count in counts if count == num_persons or (or_more and count > num_persons)]
 
 
 def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.ndarray]:

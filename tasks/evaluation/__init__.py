@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 from pydantic import create_model
 
@@ -27,12 +28,12 @@ from tasks.evaluation import (
     unseen_views,
     views,
 )
-from tasks.evaluation.topic import EVALUATION, Topic, commit_topic
+from tasks.evaluation.topic import EVALUATION, Topic, run_topic
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs
 
 __all__ = ["STAGE", "TOPICS", "evaluation_stage"]
 
-TOPICS: tuple[Topic, ...] = (
+TOPICS: tuple[Topic[Any], ...] = (
     takes.TOPIC,
     film.TOPIC,
     clips.TOPIC,
@@ -54,7 +55,7 @@ TOPICS: tuple[Topic, ...] = (
 """Every topic, in the order of the page."""
 
 
-def evaluation_stage(topics: Sequence[Topic]) -> Stage:
+def evaluation_stage(topics: Sequence[Topic[Any]]) -> Stage:
     """Return the stage that answers these topics: it reads their tables, and its keys are those of their settings."""
     settings = dict.fromkeys(topic.settings for topic in topics if topic.settings is not Parameters)
     return Stage(
@@ -72,18 +73,17 @@ def evaluation_stage(topics: Sequence[Topic]) -> Stage:
     )
 
 
-def _plan(topics: Sequence[Topic], inputs: StageInputs, parameters: report.PageSettings) -> list[Shard]:
+def _plan(topics: Sequence[Topic[Any]], inputs: StageInputs, parameters: report.PageSettings) -> list[Shard]:
     """Plan the topics there is something for, and the report over them."""
     planned = [shard for topic in topics for shard in topic.plan(inputs, parameters)]
     return [*planned, report.plan(inputs, parameters, planned)] if planned else []
 
 
-def _run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRef:
+def _run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> ArtifactRef:
     """Score one topic, or assemble the report."""
     if shard.partition == report.PARTITION:
         return report.run_shard(topics, shard, store)
-    topic = next(topic for topic in topics if topic.name == shard.partition)
-    return commit_topic(topic, shard, store, topic.run(shard, store))
+    return run_topic(next(topic for topic in topics if topic.name == shard.partition), shard, store)
 
 
 STAGE = evaluation_stage(TOPICS)

@@ -107,7 +107,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     times_s = np.tile(drifts.frames / source.rate_hz, len(variant_ids))
     values = {method: found.ravel() for method, found in drifts.found_m.items()}
     items = {"": Items(values, [take_id] * len(times_s), times_s, len(variant_ids))} if len(drifts.frames) else {}
-    return TopicResult(scores, pictures, notes, items, baselines=(_PLAIN,))
+    return TopicResult(scores, notes, items, (_PLAIN,), pictures=pictures)
 
 
 def _furthest_from_1(scales: np.ndarray) -> float:
@@ -274,6 +274,6 @@ TOPIC = Topic(
     "angles on the new bones, so that hands miss each other.",
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     criteria=(Criterion("contact_drift_mean", "drift of contacts (known, else found)", "m", "variants", (_OURS,)),),
 )

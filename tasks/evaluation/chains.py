@@ -15,9 +15,9 @@ from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.diagnostics import FIGURES
 from pasdedeux.skeletons import PAIR17
-from pasdedeux.spread import evenly_spread
+from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import Manifest, Store
-from tasks.annotated_pairs import SeenPair, annotated_pairs, read_seen_pairs, views_of
+from tasks.annotated_pairs import annotated_pairs, read_all_seen, with_views
 from tasks.evaluation.lifting import rows_figure
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import DrawFacts
@@ -40,10 +40,9 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     shown = _first_chains(inputs.of("draws"))
     named = {"summary": found, "draws": shown}
     shards = [TOPIC.shard(inputs, name, chains=chains) for name, chains in named.items() if chains]
-    known = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
-    if shown and known:
-        views = [views_of([one], inputs)[0] for one in known]
-        shards.append(TOPIC.shard(inputs, "nearest", chains=shown, annotations=known, views=views))
+    known = with_views(annotated_pairs(inputs), inputs)
+    if shown and known["annotations"]:
+        shards.append(TOPIC.shard(inputs, "nearest", chains=shown, **known))
     return shards
 
 
@@ -90,16 +89,13 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
         player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
         pictures.append(Picture(f"draws-{density}.player.json", caption, player))
         scores += summarise({density: log_prior}, "log_prior", item="first chain")
-    return TopicResult(scores, pictures, baselines=(PRIOR_ONLY,))
+    return TopicResult(scores, pictures=pictures, baselines=(PRIOR_ONLY,))
 
 
 def _nearest(shard: Shard, store: Store) -> TopicResult:
     """Show states of a chain of each density beside the annotations most like them (Yin et al. 2018, fig. 11)."""
-    known: list[SeenPair] = []
-    for ref, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True):
-        seen = read_seen_pairs(store, ref, views, num_hypotheses=1)[0]
-        known += [one for one in seen.values() if not one.is_left_out]
-    known = [known[at] for at in evenly_spread(len(known), _MAX_KNOWN)]
+    seen = [pair for pairs in read_all_seen(store, shard, num_hypotheses=1) for pair in pairs.values()]
+    known = some_of([pair for pair in seen if not pair.is_left_out], _MAX_KNOWN)
     if not known:
         return TopicResult()
     images, directions = np.stack([one.image_m for one in known]), np.stack([one.directions[0] for one in known])
@@ -156,7 +152,7 @@ TOPIC = Topic(
     "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1).",
     reads=("chain_info", "draws", "annotations", "views"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     cautions=(
         (
             "draws",

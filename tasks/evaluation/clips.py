@@ -84,6 +84,6 @@ TOPIC = Topic(
     introduction="The 2D poses of each sequence as its camera saw them.",
     reads=("annotations", "cameras"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     cautions=(("cameras", "Virtual video is made from motion capture: its 2D noise is simulated."),),
 )

@@ -12,7 +12,6 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.evaluation.names import in_words, part_in_words
 from pasdedeux.evaluation.pictures import (
     CLOUD,
@@ -29,15 +28,17 @@ from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.coverage import CoverageCurve, DrawPart, coverage_curve, curve_of_parts, draw_parts
 from pasdedeux.interaction.nearest import PairTable, cartesian_distances, pair_table
+from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
-from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
+from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.selection import READS, SelectedPairs, select_pairs
 from tasks.stage import Parameters, Shard, StageInputs, kept, stream
+from tasks.takes import takes_of
 
 SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
@@ -92,7 +93,7 @@ class CoverageParameters(CoverageSettings):
 def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
     """Plan one shard per part of the real frames, over the draws of every density and the grown pairs."""
     draws = draw_manifests(inputs)
-    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons == 2]
+    takes = takes_of(inputs, 2)
     annotations = [
         manifest for manifest in inputs.of("annotations") if SequenceFacts.of(manifest).purpose == "random_views"
     ]
@@ -109,7 +110,26 @@ def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
     ]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+class _Dots(NamedTuple):
+    """Draws of a set on the map: those on any panel made ready, and by panel which of them are on it."""
+
+    table: PairTable
+    of_panel: dict[int, npt.NDArray[np.intp]]
+
+
+class _Shown(NamedTuple):
+    """What is drawn of a part of the real frames, in `words`: curves, real pairs and draws, and the first seed."""
+
+    split: str
+    words: str
+    curves: Mapping[str, CoverageCurve]
+    levels: CoverageCurve
+    truth_m: Array
+    dots: Mapping[str, _Dots]
+    seed_m: Array | None
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Measure coverage on one part of the real frames."""
     options = shard.options(CoverageParameters)
     split, draw_refs = options.split, shard.refs("draws")
@@ -126,43 +146,58 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
     truth, places = truth[chosen], [places[at] for at in chosen]
     draws, parts, dots = _ready_draws(store, draw_refs)
-    some = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
+    compared = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {name: curve_of_parts(truth, parts.get(name) or _parts(pairs)) for name, pairs in draws.items()}
     levels = real_frame_levels(truth, others, generator)
     nearest = nearest_by_method(curves, GROWN)
     scores = coverage_scores(curves, levels, nearest, split=split)
-    scores += realism_scores(some, np.concatenate([truth, others]), generator, split=split)
+    scores += realism_scores(compared, np.concatenate([truth, others]), generator, split=split)
+    where = known.where(places) if split == "held_out" else None
+    selected = select_pairs(store, (*draw_refs, *shard.refs("chains"), *shard.refs("limits")), _REAL_COUNTS[-1])
+    if selected.columns:
+        pool = [draws[name] for name in dots if name != PRIOR_ONLY]
+        scores += set_scores(truth, selected, pool, levels, generator, split=split)
+        notes.append(f"Selected were {selected.in_words()}.")
+    items = {
+        name: Items(nearest_m, *where) if where else Items()
+        for name, nearest_m in (("", nearest), (_ALONE, alone(nearest)))
+    }
+    shown = _Shown(split, words, curves, levels, truth, dots, _first_seed(store, shard.refs("first_seed")))
+    return TopicResult(scores, notes, items, _baselines({score.method for score in scores}), shown)
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Draw coverage against the number of draws, and a map of real pairs and draws unless the pairs are all alike."""
     caption = (
-        f"Distance from {words} real pairs to their nearest draw against the number of draws; lower is better, "
+        f"Distance from {shown.words} real pairs to their nearest draw against the number of draws; lower is better, "
         "baselines are dashed, grey lines are as many real pairs in place of draws (Yin et al. 2018, fig. 9). "
         "By interaction: by distances between both people's joints."
     )
-    pictures = [Picture(f"coverage-{split}.svg", caption, coverage_figure(curves, levels, words))]
-    shown = _map(truth, dots, _seed(store, shard.refs("first_seed")), words)
-    if shown is not None:
-        caption = (
-            f"A map of {words} real pairs and of draws, more draws from left to right, at most 400 dots of each; "
-            "what is near is alike, in "
-            "centimetres (Yin et al. 2018, fig. 8); the cross is the first seed. Better: draws lie wherever real pairs "
-            "lie, and nowhere else."
-        )
-        pictures.append(Picture(f"coverage-map-{split}.svg", caption, shown))
-    where = known.where(places) if split == "held_out" else None
-    chosen_from = (*draw_refs, *shard.refs("chains"), *shard.refs("limits"))
-    pool = {name: draws[name] for name in dots if name != PRIOR_ONLY}
-    found, said = set_scores(
-        truth, select_pairs(store, chosen_from, _REAL_COUNTS[-1]), pool, levels, generator, split=split
+    yield Picture(f"coverage-{shown.split}.svg", caption, coverage_figure(shown.curves, shown.levels, shown.words))
+    try:
+        plane = PairMap.of(shown.truth_m[:_NUM_MAPPED])
+    except InputError:
+        return
+    panels: dict[str, dict[str, Array]] = {}
+    for name, dots in shown.dots.items():
+        places = plane.place(dots.table)
+        for count, rows in dots.of_panel.items():
+            panels.setdefault(f"{count:,} draws of each", {})[name] = places[rows]
+    seed = None if shown.seed_m is None else plane.place(shown.seed_m)[0]
+    title = f"{shown.words} frames and draws ({plane.share:.0%} of the spread shown)"
+    caption = (
+        f"A map of {shown.words} real pairs and of draws, more draws from left to right, at most 400 dots of each; "
+        "what is near is alike, in "
+        "centimetres (Yin et al. 2018, fig. 8); the cross is the first seed. Better: draws lie wherever real pairs "
+        "lie, and nowhere else."
     )
-    scores, notes = [*scores, *found], [*notes, *said]
-    items = {name: Items(own, *where) if where else Items() for name, own in (("", nearest), (_ALONE, alone(nearest)))}
-    return TopicResult(scores, pictures, notes, items, _baselines({score.method for score in scores}))
+    yield Picture(f"coverage-map-{shown.split}.svg", caption, map_figure(plane.places, panels, seed=seed, title=title))
 
 
-class _Dots(NamedTuple):
-    """Draws of a set on the map: those on any panel made ready, and by panel which of them are on it."""
-
-    table: PairTable
-    of_panel: dict[int, npt.NDArray[np.intp]]
+def _tabulate(scores: ScoresOf) -> list[TextTable]:
+    """Compare methods of exploration at a glance, and sets of one size."""
+    coverage = scores.get("coverage", ())
+    return [*exploration_table(coverage, scores.get("chains", ())), *set_table(coverage)]
 
 
 @kept()
@@ -270,38 +305,34 @@ def alone(nearest_m: Mapping[str, Array]) -> dict[str, Array]:
 def set_scores(
     truth: Array,
     selected: SelectedPairs,
-    pool: Mapping[str, npt.NDArray[np.floating]],
+    pool: Sequence[npt.NDArray[np.floating]],
     levels: CoverageCurve,
     generator: np.random.Generator,
     *,
     split: str,
-) -> tuple[list[Score], list[str]]:
-    """Return coverage by selected pairs, by random ones of the pool and by real frames, and what was selected.
+) -> list[Score]:
+    """Return coverage by selected pairs, by random ones of the pool and by real frames.
 
     All three are sets of the same sizes, those of real frames, as far as so many pairs were selected.
     """
-    count = len(selected.columns.get("rank", ()))
-    if not count:
-        return [], []
+    count = len(selected.columns["rank"])
     sizes = [size for size in levels.num_draws.tolist() if size <= count]
-    parts, starts = list(pool.values()), np.cumsum([0, *map(len, pool.values())])
-    some = generator.permutation(starts[-1])[:count]
-    part = np.searchsorted(starts, some, side="right") - 1
+    starts = np.cumsum([0, *map(len, pool)])
+    rows = generator.permutation(starts[-1])[:count]
+    part = np.searchsorted(starts, rows, side="right") - 1
     sets = {
         _SELECTED: np.stack(selected.columns["pair17_m"]),
-        _RANDOM: np.stack([parts[at][row] for at, row in zip(part, some - starts[part], strict=True)]),
+        _RANDOM: np.stack([pool[at][row] for at, row in zip(part, rows - starts[part], strict=True)]),
     }
-    distances = {name: cartesian_distances(truth, pairs.astype(np.float64)) for name, pairs in sets.items()}
-    covered = {
-        name: [float(own[:, :size].min(axis=1).mean()) for size in sizes if size <= own.shape[1]]
-        for name, own in distances.items()
-    }
-    scores = [
+    covered = {_REAL: levels.cartesian_m.tolist()}
+    for name, pairs in sets.items():
+        distances = cartesian_distances(truth, pairs.astype(np.float64))
+        covered[name] = [float(distances[:, :size].min(axis=1).mean()) for size in sizes if size <= len(pairs)]
+    return [
         Score(_SET_METRIC, name, value, "m", split=split, at=float(size), count=len(truth))
-        for name, values in {**covered, _REAL: levels.cartesian_m.tolist()}.items()
+        for name, values in covered.items()
         for size, value in zip(sizes, values, strict=False)
     ]
-    return scores, [f"Selected were {selected.in_words()}."]
 
 
 def set_table(scores: Sequence[Score]) -> list[TextTable]:
@@ -381,26 +412,10 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
 
 
-def _seed(store: Store, refs: Sequence[ArtifactRef]) -> Array | None:
+def _first_seed(store: Store, refs: Sequence[ArtifactRef]) -> Array | None:
     """Return the first seed (1, 2, 17, 3)."""
     pairs = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
     return pairs[0][:1] if pairs else None
-
-
-def _map(truth: Array, draws: Mapping[str, _Dots], seed: Array | None, words: str) -> bytes | None:
-    """Draw the draws among the real pairs, at three numbers of draws; nothing where the pairs are all alike."""
-    try:
-        plane = PairMap.of(truth[:_NUM_MAPPED])
-    except InputError:
-        return None
-    panels: dict[str, dict[str, Array]] = {}
-    for name, dots in draws.items():
-        places = plane.place(dots.table)
-        for count, own in dots.of_panel.items():
-            panels.setdefault(f"{count:,} draws of each", {})[name] = places[own]
-    place = None if seed is None else plane.place(seed)[0]
-    title = f"{words} frames and draws ({plane.share:.0%} of the spread shown)"
-    return map_figure(plane.places, panels, seed=place, title=title)
 
 
 def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: Array | None, title: str) -> bytes:
@@ -464,14 +479,12 @@ TOPIC = Topic(
     "the prior alone (the baseline) and beside real pairs in place of draws.",
     reads=(*READS, "poses", "annotations"),
     plan=_plan,
-    run=_run,
+    compute=_compute,
+    draw=_draw,
+    tabulate=_tabulate,
     settings=CoverageSettings,
     criteria=tuple(
         Criterion("coverage_D_C", f"distance from a real pair to the nearest {what}", "m", "real pairs", name=name)
         for name, what in {"": "draw", _ALONE: "draw of a chain"}.items()
     ),
-    tables=lambda scores: [
-        *exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
-        *set_table(scores.get("coverage", ())),
-    ],
 )

@@ -68,7 +68,7 @@ TOPIC = Topic(
     "mid-hip) of each person of the take, beside that of the same video with the same noise alone.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     criteria=(
         Criterion("identity_switches_per_minute", "identity switches a minute", "", "sequences", limit=_MAX_SWITCHES),
     ),

@@ -215,7 +215,7 @@ class _Repetition:
         if self.options.model:
             note += f" {self.options.model} made as many variants, and saw none of the test takes."
         judged = {name: items for by, name in _JUDGED.items() if by in items.values}
-        return TopicResult(scores, (), [note], judged, BASELINES)
+        return TopicResult(scores, [note], judged, BASELINES)
 
 
 def split_takes(
@@ -348,13 +348,13 @@ RECOGNITION = Topic(
     "takes are." + _MODEL_TOO,
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan_recognition,
-    run=_recognise,
+    compute=_recognise,
     settings=LearnedSettings,
     criteria=tuple(
         Criterion("accuracy", "accuracy of recognition", "%", "clips", (method,), name, is_larger_better=True)
         for method, name in _JUDGED.items()
     ),
-    tables=lambda scores: recognition_table(scores["recognition"]),
+    tabulate=lambda scores: recognition_table(scores["recognition"]),
 )
 
 PREDICTION = Topic(
@@ -366,12 +366,12 @@ PREDICTION = Topic(
     + _MODEL_TOO,
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan_prediction,
-    run=_predict,
+    compute=_predict,
     settings=LearnedSettings,
     criteria=tuple(
         Criterion("JME_mean", "mean error of prediction", "cm", "clips", (method,), name)
         for method, name in _JUDGED.items()
     ),
     has_means_first=True,
-    tables=lambda scores: prediction_table(scores["prediction"]),
+    tabulate=lambda scores: prediction_table(scores["prediction"]),
 )

@@ -47,5 +47,5 @@ TOPIC = Topic(
     "blurred. Keypoints that are missing are hidden, or were lost on the way from one known place to the next.",
     reads=("annotations",),
     plan=_plan,
-    run=_run,
+    compute=_run,
 )

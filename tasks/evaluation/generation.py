@@ -100,7 +100,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             }
             generator = stream(shard.seed, "evaluation", "generation", facts.model, facts.split)
             scores += distribution_scores(classifier, real, kinds, clips, generator, **more)
-    return TopicResult(scores, pictures, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS))
+    return TopicResult(scores, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS), pictures=pictures)
 
 
 def _wanted(store: Store, shard: Shard, model: str) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
@@ -202,8 +202,8 @@ TOPIC = Topic(
     "unbiased, so of few clips it can be strongly negative, and then says nothing.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     settings=LearnedSettings,
     criteria=(Criterion("contact_error", "contact error", "mm", "motions", ()),),
-    tables=_tables,
+    tabulate=_tables,
 )

@@ -6,7 +6,9 @@ goal that Yin et al. 2018 state).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +17,6 @@ from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import (
     CLOUD,
@@ -31,15 +32,17 @@ from pasdedeux.evaluation.pictures import (
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
+from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
-from pasdedeux.spread import evenly_spread
+from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_seen_pairs, views_of
-from tasks.draw_sets import draw_manifests, read_draw_sets
+from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_all_seen, with_views
+from tasks.draw_sets import density_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
-from tasks.facts import DrawFacts, SequenceFacts, TakeFacts
+from tasks.facts import SequenceFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.takes import takes_of
 
 Nearest = Mapping[int, Array]
 """Least d_I of each annotation (annotation,), metres, to any of the first draws, by their number."""
@@ -63,79 +66,95 @@ _NEAREST, _REAL = "nearest_annotation", "real_frames"
 _BASELINES = (PRIOR_ONLY, _NEAREST, _REAL)
 
 
+class _Shown(NamedTuple):
+    """What is drawn: curves by part and method, annotations (n, 2, 17, 2), and those that draws of methods are nearest.
+
+    `left_out_m` (k, 2, 17, 2) are annotations that draws were not made from.
+    """
+
+    curves: Mapping[str, Mapping[str, Nearest]]
+    images_m: Array
+    nearest_m: Mapping[str, Array]
+    left_out_m: Array
+
+
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard over annotations that draws were not made from: left out, or of held-out takes."""
-    learned = annotated_pairs(inputs)
     held_out = [
-        one
-        for one in inputs.of("annotations")
-        if (facts := SequenceFacts.of(one)).is_held_out and facts.num_persons == 2 and views_of([one], inputs)
+        manifest
+        for manifest in inputs.of("annotations")
+        if (facts := SequenceFacts.of(manifest)).is_held_out and facts.num_persons == 2
     ]
-    draws = draw_manifests(inputs)
-    learned = [one for one in learned if views_of([one], inputs)]
-    if not draws or not learned:
+    learned, draws = annotated_pairs(inputs), draw_manifests(inputs)
+    if not draws or not with_views(learned, inputs)["annotations"]:
         return []
-    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons >= 2]
-    every = [*learned, *held_out]
-    views = [views_of([one], inputs)[0] for one in every]
-    return [TOPIC.shard(inputs, "images", annotations=every, views=views, draws=draws, takes=takes)]
+    takes = takes_of(inputs, 2, or_more=True)
+    return [TOPIC.shard(inputs, "images", draws=draws, takes=takes, **with_views([*learned, *held_out], inputs))]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Measure how near draws come to images that they were not made from, and draw a map of annotations."""
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Measure how near draws come to images that they were not made from."""
     annotations, draw_refs = shard.refs("annotations"), shard.refs("draws")
     facts = SequenceFacts.read(store, annotations)
     used: dict[Place, SeenPair] = {}
     unused: dict[str, dict[Place, SeenPair]] = {"leave_one_out": {}, "held_out": {}}
-    for fact, *refs in zip(facts, annotations, shard.refs("views"), strict=True):
-        for place, one in read_seen_pairs(store, *refs, num_hypotheses=_NUM_HYPOTHESES)[0].items():
-            group = unused["held_out"] if fact.is_held_out else unused["leave_one_out"] if one.is_left_out else used
-            group[place] = one
+    for fact, pairs in zip(facts, read_all_seen(store, shard, num_hypotheses=_NUM_HYPOTHESES), strict=True):
+        for place, seen in pairs.items():
+            group = unused["held_out"] if fact.is_held_out else unused["leave_one_out"] if seen.is_left_out else used
+            group[place] = seen
     stills = {name for fact in facts for name in fact.why_no_video}
     unused["leave_one_out"] = _apart(unused["leave_one_out"], used, stills)
     truth = GroundTruth.read(store, shard.refs("takes"), annotations)
     if unused["held_out"]:
         refuse_learned(store, draw_refs, truth.held_out)
     generator = stream(shard.seed, "left_out", "draws")  # a label, not a name: another one draws others
-    draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
     # In random order, so that every seed counts from the start.
-    draws = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
-    real = [found.pair_m for found in map(truth.pair, used) if found is not None]
-    if real:
+    draws = {
+        name: draw_set.pairs_m[generator.permutation(len(draw_set.pairs_m))[:_MAX_DRAWS]]
+        for name, draw_set in read_draw_sets(store, draw_refs).items()
+    }
+    if real := [pair.pair_m for pair in map(truth.pair, used) if pair is not None]:
         draws[_REAL] = np.array(real)[generator.permutation(len(real))].astype(np.float32)
-    known = _spread(used, _MAX_KNOWN)
+    known = some_of(list(used.values()), _MAX_KNOWN)
     curves: dict[str, dict[str, Nearest]] = {}
     items = Items()
     for split, every in unused.items():
-        chosen = _spread(every, _NUM_JUDGED)
+        chosen = some_of(list(every.values()), _NUM_JUDGED)
         if not chosen or not known:
             continue
-        images, directions = [one.image_m for one in chosen], [one.directions for one in chosen]
+        images, directions = _images(chosen), [seen.directions for seen in chosen]
         curves[split] = {name: nearest_curve(images, directions, pairs) for name, pairs in draws.items()}
-        nearest = np.nanmin(image_distances(np.stack(images), np.stack([one.image_m for one in known])), axis=1)
-        curves[split][_NEAREST] = {len(known): nearest}
+        curves[split][_NEAREST] = {len(known): np.nanmin(image_distances(images, _images(known)), axis=1)}
         # The last counts: held-out takes where there are any, else images left out of what draws are made from.
-        times = _takes_and_times(facts, truth, [one.place for one in chosen], stills)
+        times = _takes_and_times(facts, truth, [seen.place for seen in chosen], stills)
         items = Items({name: list(curve.values())[-1] for name, curve in curves[split].items()}, *times)
-    pictures = []
-    if curves:
+    scores = [score for split, of_part in curves.items() for score in nearest_draw_scores(of_part, split=split)]
+    mapped = [
+        _images(some_of(list(group.values()), count))
+        for group, count in ((used, _NUM_MAPPED), (unused["leave_one_out"], _NUM_UNUSED_MAPPED))
+    ]
+    shown = _Shown(curves, mapped[0], _nearest_annotations(store, draw_refs, used), mapped[1])
+    return TopicResult(scores, _notes(unused, curves), {"": items} if curves else {}, _BASELINES, shown)
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Draw how near draws come as they grow in number, and a map of annotations unless they are all alike."""
+    if shown.curves:
         caption = (
             "Distance of images that draws were not made from to their nearest draw, seen from where the image was "
             "taken; lower is better. Baselines are dashed: chains without annotations, and real pairs in place of "
             "draws, which need ground truth. The grey line is the nearest image among those used. Left out are "
             "images of the same sources; held out: images of takes that nothing was learned from."
         )
-        pictures.append(Picture("leave-one-out.svg", caption, nearest_draw_figure(curves)))
-    shown = _map(store, draw_refs, used, unused["leave_one_out"])
-    if shown is not None:
-        caption = (
-            "A map of the annotations: what is near is alike (Yin et al. 2018, fig. 5b); some are drawn as people. "
-            "Circles: annotations that draws are nearest to, larger where more draws are. Crosses: annotations left "
-            "out. Better: circles lie all over the annotations, and near every cross."
-        )
-        pictures.append(Picture("annotations-map.svg", caption, shown))
-    scores = [score for split, own in curves.items() for score in nearest_draw_scores(own, split=split)]
-    return TopicResult(scores, pictures, _notes(unused, curves), {"": items} if curves else {}, _BASELINES)
+        yield Picture("leave-one-out.svg", caption, nearest_draw_figure(shown.curves))
+    caption = (
+        "A map of the annotations: what is near is alike (Yin et al. 2018, fig. 5b); some are drawn as people. "
+        "Circles: annotations that draws are nearest to, larger where more draws are. Crosses: annotations left "
+        "out. Better: circles lie all over the annotations, and near every cross."
+    )
+    with suppress(InputError):
+        content = annotation_map_figure(shown.images_m, shown.nearest_m, shown.left_out_m)
+        yield Picture("annotations-map.svg", caption, content)
 
 
 def _takes_and_times(
@@ -174,18 +193,18 @@ def _apart(
         if place.sequence_id not in stills:
             frames.setdefault(place.sequence_id, []).append(place.frame)
     return {
-        place: one
-        for place, one in left_out.items()
+        place: seen
+        for place, seen in left_out.items()
         if np.abs(np.array(frames.get(place.sequence_id, [])) - place.frame).min(initial=_MIN_APART) >= _MIN_APART
     }
 
 
-def _spread(every: Mapping[Place, SeenPair], count: int) -> list[SeenPair]:
-    found = list(every.values())
-    return [found[at] for at in evenly_spread(len(found), count)]
+def _images(pairs: Sequence[SeenPair]) -> Array:
+    """Return the images (n, 2, 17, 2) of annotations, metres."""
+    return np.array([seen.image_m for seen in pairs])
 
 
-def nearest_curve(images_m: Sequence[Array], directions: Sequence[Array], pairs_m: npt.NDArray[np.floating]) -> Nearest:
+def nearest_curve(images_m: Iterable[Array], directions: Sequence[Array], pairs_m: npt.NDArray[np.floating]) -> Nearest:
     """Return how near draws come to images, as draws grow in number.
 
     Args:
@@ -194,10 +213,10 @@ def nearest_curve(images_m: Sequence[Array], directions: Sequence[Array], pairs_
         pairs_m: Draws in the order in which they count, (draw, person=2, joint=17, 3), metres, at least one.
     """
     found: dict[int, Array] = {}
-    least = np.full(len(images_m), np.inf)
+    least = np.full(len(directions), np.inf)
     for count in [*(count for count in _COUNTS if count < len(pairs_m)), len(pairs_m)]:
         index = DrawIndex(pairs_m[:count])
-        near = [nearest_by_image(index, *one)[1][0] for one in zip(images_m, directions, strict=True)]
+        near = [nearest_by_image(index, *seen)[1][0] for seen in zip(images_m, directions, strict=True)]
         # The nearest of few is among many too; that d_I is computed of some only must not hide it.
         found[count] = least = np.minimum(least, near)
     return found
@@ -236,32 +255,20 @@ def nearest_draw_figure(curves: Mapping[str, Mapping[str, Nearest]]) -> bytes:
     )
 
 
-def _map(
-    store: Store,
-    draw_refs: Sequence[ArtifactRef],
-    used: Mapping[Place, SeenPair],
-    left_out: Mapping[Place, SeenPair],
-) -> bytes | None:
-    """Draw annotations among each other, and which of them draws are nearest to; None where they are all alike."""
-    by_name = {place[:3]: one for place, one in used.items()}
-    nearest: dict[str, list[np.ndarray]] = {}
+def _nearest_annotations(
+    store: Store, draw_refs: Sequence[ArtifactRef], used: Mapping[Place, SeenPair]
+) -> dict[str, Array]:
+    """Return the annotation (m, 2, 17, 2) that each draw is nearest to, metres, by density in order."""
+    images = {place[:3]: seen.image_m for place, seen in used.items()}
+    nearest: dict[str, list[Array]] = {}
+    names = ["sequence_id", "sequence_frame", "sequence_person_id"]
     for ref in draw_refs:
-        if "draws" not in store.manifest(ref).tables:
-            continue
-        names = ["sequence_id", "sequence_frame", "sequence_person_id"]
-        table = store.read(ref, "draws", columns=names)
-        rows = [row for row in range(table.num_rows) if table["sequence_id"][row] is not None]
-        places = [(str(table[names[0]][row]), *(int(table[name][row]) for name in names[1:])) for row in rows]
-        found = [by_name[place].image_m for place in places if place in by_name]
-        nearest.setdefault(DrawFacts.of(store.manifest(ref)).density, []).extend(found)
-    try:
-        return annotation_map_figure(
-            np.array([one.image_m for one in _spread(used, _NUM_MAPPED)]),
-            {name: np.stack(images) for name, images in sorted(nearest.items()) if images},
-            np.array([one.image_m for one in _spread(left_out, _NUM_UNUSED_MAPPED)]),
-        )
-    except InputError:
-        return None
+        manifest = store.manifest(ref)
+        if "draws" in manifest.tables:
+            table = store.read(ref, "draws", columns=names)
+            places = zip(*(table[name].tolist() for name in names), strict=True)
+            nearest.setdefault(density_of(manifest), []).extend(images[place] for place in places if place in images)
+    return {name: np.stack(found) for name, found in sorted(nearest.items()) if found}
 
 
 def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_out_m: Array) -> bytes:
@@ -310,6 +317,7 @@ TOPIC = Topic(
     "good draws include one that looks like each of them. Distances are those of images (d_I of Yin et al. 2018).",
     reads=("annotations", "views", "draws", "seeds", "poses"),
     plan=_plan,
-    run=_run,
+    compute=_compute,
+    draw=_draw,
     criteria=(Criterion(f"{_METRIC}_mean", "distance of left-out images to the nearest draw", "m", "images"),),
 )

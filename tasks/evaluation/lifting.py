@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress, groupby
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.errors import completion_errors, in_between_errors, lifted_errors
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
-from pasdedeux.evaluation.lifting import completion_errors, in_between_errors, lifted_errors
 from pasdedeux.evaluation.names import in_words, part_in_words
 from pasdedeux.evaluation.pictures import (
     CLOUD,
@@ -30,14 +32,15 @@ from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
-from pasdedeux.spread import evenly_spread
+from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
+from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_all_seen, with_views
 from tasks.draw_sets import GROWN, density_of, draw_manifests, read_all_draws, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
-from tasks.facts import LiftedFacts, SequenceFacts, TakeFacts
+from tasks.facts import LiftedFacts, SequenceFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.takes import takes_of
 
 _BASELINES = ("mean_pair", "lifting", "lifting_ik", "naive_sampling", "straight", "nearest_draw")
 _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
@@ -56,6 +59,8 @@ _CELL_M = np.array([1.75, 2.7])
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown pairs are all used."""
 
+K = TypeVar("K", str, tuple[str, str])
+
 
 class LiftedPairsSettings(Parameters):
     """What is completed to be scored."""
@@ -65,84 +70,105 @@ class LiftedPairsSettings(Parameters):
     )
 
 
+class _Shown(NamedTuple):
+    """What is drawn of a shard.
+
+    Args:
+        expected_m: By part, expected errors with their interval (n, 3) and true errors (n,), metres.
+        examples: By part, some annotations' pairs (2, 17, 3) by method, the truth first.
+        neighbours: Lifted pairs in words, each with the images, draws and annotations in its row.
+    """
+
+    expected_m: Mapping[str, tuple[Array, Array]] = {}
+    examples: Mapping[str, Sequence[Mapping[str, Array]]] = {}
+    neighbours: Sequence[tuple[str, Sequence[tuple[str, Array]]]] = ()
+
+
 def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     """Plan a shard over all lifted pairs, one that shows some, two over real pairs with joints or frames hidden."""
     lifted = list(inputs.of("lifted_pairs"))
-    takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).num_persons >= 2]
-    couples = [manifest for manifest in takes if TakeFacts.of(manifest).num_persons == 2]
+    takes = takes_of(inputs, 2, or_more=True)
     known = {ref for manifest in lifted for ref in manifest.inputs}
-    shown = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
-    annotations = [manifest for manifest in shown if SequenceFacts.of(manifest).is_virtual]
-    found = []
-    draws = [one for one in draw_manifests(inputs) if density_of(one) != PRIOR_ONLY]
-    shown = [one for one in shown if views_of([one], inputs)]
-    learned = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
+    annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
+    draws = [manifest for manifest in draw_manifests(inputs) if density_of(manifest) != PRIOR_ONLY]
+    shown = with_views(annotations, inputs)["annotations"]
+    learned = with_views(annotated_pairs(inputs), inputs)["annotations"]
+    virtual = [manifest for manifest in annotations if SequenceFacts.of(manifest).is_virtual]
+    shards = []
     if shown and draws and learned:
-        every = [*shown, *(one for one in learned if one not in shown)]
-        views = [views_of([one], inputs)[0] for one in every]
-        found.append(
-            TOPIC.shard(inputs, "nearest", lifted=lifted, annotations=every, views=views, known=learned, draws=draws)
-        )
-    if lifted and takes and annotations:
-        found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
-    if settings.num_completed_pairs and draws and couples:
+        every = with_views([*shown, *(one for one in learned if one not in shown)], inputs)
+        shards.append(TOPIC.shard(inputs, "nearest", lifted=lifted, known=learned, draws=draws, **every))
+    if lifted and takes and virtual:
+        shards.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=virtual, lifted=lifted))
+    if settings.num_completed_pairs and draws and (couples := takes_of(inputs, 2)):
         own = settings.part(LiftedPairsSettings)
-        found += [TOPIC.shard(inputs, name, own, takes=couples, draws=draws) for name in ("completed", "between")]
-    return found
+        shards += [TOPIC.shard(inputs, name, own, takes=couples, draws=draws) for name in ("completed", "between")]
+    return shards
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Score or show one of the four."""
-    runs = {"lifted": _lifted, "nearest": _nearest, "completed": _completed, "between": _between}
-    return runs[shard.name](shard, store)
+    kinds = {"lifted": _lifted, "nearest": _nearest, "completed": _completed, "between": _between}
+    return kinds[shard.name](shard, store)
 
 
-def _lifted(shard: Shard, store: Store) -> TopicResult:
-    """Score lifted pairs and frames between them, and what was expected of their errors; show some of each part."""
-    truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
-    rows = [row for ref in shard.refs("lifted") for row in _read_lifted(store, ref, truth)]
-    scores: list[Score] = []
-    items: dict[str, Items] = {}
-    for table, name in (("lifted_pairs", ""), ("in_betweens", _BETWEEN_LIFTED)):
-        mine = [row for row in rows if row.table == table]
-        if any(table in store.manifest(ref).tables for ref in shard.refs("lifted")):
-            items[name] = Items.joined([_items(held_out) for held_out in _by_place(mine, "held_out").values()])
-        for split in sorted({row.split for row in mine}):
-            for method in sorted({row.method for row in mine if row.split == split}):
-                same = [row for row in mine if (row.split, row.method) == (split, method)]
-                errors = lifted_errors(np.stack([row.pair_m for row in same]), np.stack([row.true_m for row in same]))
-                if table == "lifted_pairs":
-                    for metric, values in errors.items():
-                        scores += summarise({method: values}, metric, "m", split=split)
-                else:
-                    mean = {"in_between_lifted_error_mean": float(np.mean(errors["lifted_pair_error"]))}
-                    scores += scores_of(mean, method, "m", split=split, count=len(same))
-    pictures = []
-    expected = {}
-    for split in sorted({row.split for row in rows if row.expected_m is not None}):
-        judged = [(row.expected_m, row.error_m) for row in rows if row.split == split and row.expected_m is not None]
-        expected[split] = np.array([one for one, _ in judged]), np.array([error for _, error in judged])
-        scores += calibration_scores(*expected[split], split=split)
-    if expected:
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Draw expected errors over true ones, examples of each part, and lifted pairs beside what is most like them."""
+    if shown.expected_m:
         caption = (
             "Expected error of each lifted pair, estimated without ground truth, and its true error. Better: dots "
             "follow the line, and four of five lie in the grey."
         )
-        pictures.append(Picture("expected-error.svg", caption, expected_figure(expected)))
-    lifted = [row for row in rows if row.table == "lifted_pairs"]
-    for split in sorted({row.split for row in lifted}):
-        places = [pairs for _, pairs in sorted(_by_place(lifted, split).items())]
-        examples = []
-        for at in evenly_spread(len(places), _NUM_EXAMPLES, has_ends=False):
-            made = {row.method: row.pair_m for row in places[at]}
-            examples.append({"truth": places[at][0].true_m, **{name: made[name] for name in _SHOWN if name in made}})
+        yield Picture("expected-error.svg", caption, expected_figure(shown.expected_m))
+    for split, examples in shown.examples.items():
         caption = (
             f"{split.replace('_', '-').capitalize()} frames: ground truth and lifted pairs, first as the camera saw "
             "them; turn them. Better: the depth is true from the side too."
         )
-        if examples:
-            pictures.append(Picture(f"lifted-{split}.player.json", caption, lifted_player(examples)))
-    return TopicResult(scores, pictures, items=items, baselines=_BASELINES)
+        yield Picture(f"lifted-{split}.player.json", caption, lifted_player(examples))
+    if shown.neighbours:
+        caption = (
+            "Lifted pairs with the expected error of a joint and its 80 % interval, each beside the other annotations "
+            "and the draws most like it, nearest first, with their distance: of an annotation to the pair seen from "
+            "where that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Annotations of the same "
+            "moment are excluded; the nearest draw may have been lifted from that very image. Better: all look alike; "
+            "far neighbours mean that nothing like it is known."
+        )
+        yield Picture("nearest.svg", caption, rows_figure(shown.neighbours))
+
+
+def _lifted(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Score lifted pairs and frames between them, and what was expected of their errors; show some of each part."""
+    truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
+    rows = [row for ref in shard.refs("lifted") for row in _read_lifted(store, ref, truth)]
+    tables = {table for ref in shard.refs("lifted") for table in store.manifest(ref).tables}
+    scores: list[Score] = []
+    items: dict[str, Items] = {}
+    for table, name in (("lifted_pairs", ""), ("in_betweens", _BETWEEN_LIFTED)):
+        of_table = [row for row in rows if row.table == table]
+        if table in tables:
+            items[name] = Items.joined([_items(same) for same in _by_place(of_table, "held_out").values()])
+        for (split, method), same in _grouped(of_table, lambda row: (row.split, row.method)).items():
+            errors = lifted_errors(np.stack([row.pair_m for row in same]), np.stack([row.true_m for row in same]))
+            if table == "lifted_pairs":
+                for metric, values in errors.items():
+                    scores += summarise({method: values}, metric, "m", split=split)
+            else:
+                mean = {"in_between_lifted_error_mean": float(np.mean(errors["lifted_pair_error"]))}
+                scores += scores_of(mean, method, "m", split=split, count=len(same))
+    lifted = [row for row in rows if row.table == "lifted_pairs"]
+    expected_m, examples = {}, {}
+    for split, same in _grouped([row for row in lifted if row.expected_m], lambda row: row.split).items():
+        expected_m[split] = np.array([row.expected_m for row in same]), np.array([row.error_m for row in same])
+        scores += calibration_scores(*expected_m[split], split=split)
+    for split in sorted({row.split for row in lifted}):
+        places = [same for _, same in sorted(_by_place(lifted, split).items())]
+        examples[split] = [
+            {"truth": same[0].true_m, **{name: made[name] for name in _SHOWN if name in made}}
+            for same in some_of(places, _NUM_EXAMPLES, has_ends=False)
+            for made in [{row.method: row.pair_m for row in same}]
+        ]
+    return TopicResult(scores, items=items, baselines=_BASELINES, shown=_Shown(expected_m, examples))
 
 
 @dataclass(frozen=True)
@@ -194,6 +220,11 @@ def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Li
                 )
             )
     return found
+
+
+def _grouped(rows: Iterable[_Lifted], key: Callable[[_Lifted], K]) -> dict[K, list[_Lifted]]:
+    """Return rows by key, sorted."""
+    return {name: list(same) for name, same in groupby(sorted(rows, key=key), key)}
 
 
 def _by_place(rows: Sequence[_Lifted], split: str) -> dict[Place, list[_Lifted]]:
@@ -249,40 +280,31 @@ def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
     return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
 
 
-def _nearest(shard: Shard, store: Store) -> TopicResult:
+def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Show some lifted pairs, each with the annotations and draws most like it (Yin et al. 2018, fig. 11)."""
     index = DrawIndex(read_all_draws(store, shard.refs("draws")).pairs_m)
-    seen: dict[Place, SeenPair] = {}
-    known: list[SeenPair] = []
-    for ref, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True):
-        own = read_seen_pairs(store, ref, views, num_hypotheses=_NUM_HYPOTHESES)[0]
-        seen |= own
-        known += [one for one in own.values() if not one.is_left_out] if ref in shard.refs("known") else []
-    known = [known[at] for at in evenly_spread(len(known), _MAX_KNOWN)]
+    every = read_all_seen(store, shard, num_hypotheses=_NUM_HYPOTHESES)
+    seen = {place: pair for pairs in every for place, pair in pairs.items()}
+    is_known = [ref in shard.refs("known") for ref in shard.refs("annotations")]
+    learned = [pair for pairs in compress(every, is_known) for pair in pairs.values() if not pair.is_left_out]
+    known = some_of(learned, _MAX_KNOWN)
     pairs: dict[Place, tuple[Array, list[float]]] = {}
     scores: list[Score] = []
     for ref in shard.refs("lifted"):
         table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "pair17_m", *_EXPECTED])
-        every: list[float] = []
+        errors: list[float] = []
         for row in range(table.num_rows):
             if (expected := _expected(table, row)) is not None:
-                every.append(expected[0])
-                if place_of(table, row) in seen:
-                    pairs[place_of(table, row)] = np.asarray(table["pair17_m"][row], dtype=np.float64), expected
+                errors.append(expected[0])
+                if (place := place_of(table, row)) in seen:
+                    pairs[place] = np.asarray(table["pair17_m"][row], dtype=np.float64), expected
         item = f"{store.manifest(ref).partition} {store.manifest(ref).name}".replace("_", " ")
-        scores += summarise({"fitted": np.array(every)}, "expected_error", "m", item=item)
-    chosen = [list(pairs)[at] for at in evenly_spread(len(pairs), _NUM_NEAREST_SHOWN, has_ends=False)]
-    if not chosen:
-        return TopicResult(scores)
-    caption = (
-        "Lifted pairs with the expected error of a joint and its 80 % interval, each beside the other annotations and "
-        "the draws most like it, nearest first, with their distance: of an annotation to the pair seen from where "
-        "that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Annotations of the same moment are "
-        "excluded; the nearest draw may have been lifted from that very image. Better: all look alike; far neighbours "
-        "mean that nothing like it is known."
-    )
-    rows = [(_label(place, pairs[place][1]), _row(seen[place], pairs[place][0], known, index)) for place in chosen]
-    return TopicResult(scores, [Picture("nearest.svg", caption, rows_figure(rows))])
+        scores += summarise({"fitted": np.array(errors)}, "expected_error", "m", item=item)
+    neighbours = [
+        (_label(place, expected), _row(seen[place], pair_m, known, index))
+        for place, (pair_m, expected) in some_of(list(pairs.items()), _NUM_NEAREST_SHOWN, has_ends=False)
+    ]
+    return TopicResult(scores, shown=_Shown(neighbours=neighbours))
 
 
 def _expected(table: TableData, row: int) -> list[float] | None:
@@ -296,20 +318,20 @@ def _label(place: Place, expected_m: Sequence[float]) -> str:
     return f"{place.sequence_id}, frame {place.frame}: expected error {value:.0f} cm, {low:.0f} to {high:.0f}"
 
 
-def _row(one: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIndex) -> list[tuple[str, Array]]:
+def _row(seen: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIndex) -> list[tuple[str, Array]]:
     """Return a lifted pair's image, itself, its nearest annotations and draws (2, 17, 2), each with its words."""
     # From its left: what was towards the camera is on the right.
-    row = [("image", one.image_m), ("lifted", pair_m[..., :2]), ("from the side", pair_m[..., [2, 1]])]
+    row = [("image", seen.image_m), ("lifted", pair_m[..., :2]), ("from the side", pair_m[..., [2, 1]])]
     others = [
         other
         for other in known
-        if other.place.sequence_id != one.place.sequence_id or abs(other.place.frame - one.place.frame) >= SAME_MOMENT
+        if other.place.sequence_id != seen.place.sequence_id or abs(other.place.frame - seen.place.frame) >= SAME_MOMENT
     ]
     if others:
         images, views = np.stack([other.image_m for other in others]), np.stack([o.directions[0] for o in others])
         found, distance = nearest_images(pair_m, images, views, count=_NUM_NEAREST)
         row += [(f"annotation, {100 * far:.0f} cm", images[at]) for at, far in zip(found, distance, strict=True)]
-    draws, distance = nearest_by_image(index, one.image_m, one.directions, count=_NUM_NEAREST)
+    draws, distance = nearest_by_image(index, seen.image_m, seen.directions, count=_NUM_NEAREST)
     return row + [(f"draw, {100 * far:.0f} cm", pair[..., :2]) for pair, far in zip(draws, distance, strict=True)]
 
 
@@ -331,36 +353,36 @@ def rows_figure(rows: Sequence[tuple[str, Sequence[tuple[str, Array]]]]) -> byte
     return figure_svg(figure)
 
 
-def _completed(shard: Shard, store: Store) -> TopicResult:
+def _completed(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Hide joints of real pairs, and score what is put in their place."""
     truth, pool, generator = _truth_and_pool(shard, store)
     scores: list[Score] = []
     judged: list[Items] = []
-    for split, own in _learned_and_held_out(truth):
-        places = _spread_places(own, shard.options(LiftedPairsSettings).num_completed_pairs, 0)
+    for split, takes in _learned_and_held_out(truth):
+        places = _spread_places(takes, shard.options(LiftedPairsSettings).num_completed_pairs, 0)
         if not places:
             continue
-        completed = completion_errors(generator, np.stack([own[take][frame] for take, frame in places]), pool)
+        completed = completion_errors(generator, np.stack([takes[take][frame] for take, frame in places]), pool)
         for part, errors in completed.items():
             scores += summarise(errors, "occluded_joint_error", "m", split=split, item=part)
             judged += _held_out(split, Items(errors, *truth.where(places)))
     notes = [f"Joints were completed from {len(pool):,} draws and pairs lifted from seeds."]
-    return TopicResult(scores, notes=notes, items={_COMPLETED: Items.joined(judged)}, baselines=_BASELINES)
+    return TopicResult(scores, notes, {_COMPLETED: Items.joined(judged)}, _BASELINES)
 
 
-def _between(shard: Shard, store: Store) -> TopicResult:
+def _between(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Hide frames of takes, and score what is put in their place."""
     truth, pool, _ = _truth_and_pool(shard, store)
     scores: list[Score] = []
     judged: list[Items] = []
-    for split, own in _learned_and_held_out(truth):
+    for split, takes in _learned_and_held_out(truth):
         count = max(shard.options(LiftedPairsSettings).num_completed_pairs, len(_GAPS))
-        every = _spread_places(own, count, max(_GAPS))
+        every = _spread_places(takes, count, max(_GAPS))
         for number, gap in enumerate(_GAPS):
             starts = every[number :: len(_GAPS)]
             if not starts:
                 continue
-            filled = in_between_errors([own[take][frame : frame + gap + 1] for take, frame in starts], pool)
+            filled = in_between_errors([takes[take][frame : frame + gap + 1] for take, frame in starts], pool)
             means = {method: np.array([span.mean() for span in spans]) for method, spans in filled.items()}
             scores += summarise(means, "in_between_error", "m", split=split, item=f"{gap} frames")
             between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
@@ -378,7 +400,7 @@ def _truth_and_pool(shard: Shard, store: Store) -> tuple[GroundTruth, np.ndarray
     generator = stream(shard.seed, TOPIC.name, "completed")
     nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
     grown = sets[GROWN].pairs_m if GROWN in sets else nothing
-    others = np.concatenate([nothing, *(found.pairs_m for name, found in sets.items() if name != GROWN)])
+    others = np.concatenate([nothing, *(draws.pairs_m for name, draws in sets.items() if name != GROWN)])
     pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MAX_DRAWS]]])
     return truth, pool, generator
 
@@ -398,7 +420,7 @@ def _held_out(split: str, items: Items) -> list[Items]:
 def _spread_places(takes: Mapping[str, Array], count: int, gap: int) -> list[tuple[str, int]]:
     """Return takes and frames, evenly spread over all takes that are long enough, with so many frames after each."""
     every = [(name, frame) for name, pairs in takes.items() for frame in range(len(pairs) - gap)]
-    return [every[at] for at in evenly_spread(len(every), count, has_ends=False)]
+    return some_of(every, count, has_ends=False)
 
 
 TOPIC = Topic(
@@ -411,7 +433,8 @@ TOPIC = Topic(
     "people, errors of people are about each person's own hips.",
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
     plan=_plan,
-    run=_run,
+    compute=_compute,
+    draw=_draw,
     settings=LiftedPairsSettings,
     criteria=(
         Criterion("lifted_pair_error_mean", "error of lifted pairs", "m", "images", ("over_time", "fitted")),

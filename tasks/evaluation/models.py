@@ -162,7 +162,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             if (pairs := one.key_names())
         ),
     ]
-    return TopicResult(scores, pictures, notes, {split_name.replace("_", " "): Items.joined(parts)}, baselines)
+    return TopicResult(scores, notes, {split_name.replace("_", " "): Items.joined(parts)}, baselines, pictures=pictures)
 
 
 def model_scores(
@@ -340,7 +340,7 @@ TOPIC = Topic(
     "describes each figure and model.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     settings=ModelsSettings,
     criteria=tuple(
         Criterion("E_r", "joint error E_r", "cm", "variants", name=split.replace("_", " ")) for split in SPLIT_NAMES
@@ -352,5 +352,5 @@ TOPIC = Topic(
             "otherwise.",
         ),
     ),
-    tables=lambda scores: model_tables(scores["models"]),
+    tabulate=lambda scores: model_tables(scores["models"]),
 )

@@ -202,6 +202,6 @@ TOPIC = Topic(
     "predicted clips whose interaction is recognised.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     settings=LearnedSettings,
 )

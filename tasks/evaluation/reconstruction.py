@@ -106,7 +106,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     # The database has not seen the take, or this would have been refused: all of it is held out.
     items = {"": reconstruction_items(people)}
     pictures = [Picture(_picture_name(shard.name), caption, player)]
-    return TopicResult(scores, pictures, [] if film is None else [film.in_words()], items, BASELINES)
+    return TopicResult(scores, [] if film is None else [film.in_words()], items, BASELINES, pictures=pictures)
 
 
 def read_reconstructed(
@@ -407,7 +407,7 @@ TOPIC = Topic(
     "says what each figure and method is.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     criteria=(
         Criterion(
             "error_root_kept",

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from typing import Any
 
 from pydantic import Field
 
@@ -65,7 +66,7 @@ def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) 
     return EVALUATION.shard(inputs, PARTITION, PARTITION, parameters, {"made": list(every.values())}, after=after)
 
 
-def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRef:
+def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> ArtifactRef:
     """Assemble the page and the card, and commit both with a table of all verdicts."""
     found = followed(shard, store)
     inputs = [store.manifest(ref) for ref in shard.refs("made")]
@@ -107,7 +108,7 @@ def _hero(store: Store, found: Sequence[Manifest]) -> Picture | None:
     return None
 
 
-def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None:
+def _compared(topic: Topic[Any], scores: Sequence[Score]) -> tuple[bytes, str] | None:
     """Draw the figure of a topic's first criterion that can be drawn, method by method."""
     return next((drawn for one in topic.criteria if (drawn := one.picture(scores)) is not None), None)
 
@@ -134,7 +135,7 @@ def _beyond(section: Section) -> list[str]:
     return found + [f"{one.caption}: {_MAX_ROWS} of {len(one.rows):,} rows; `scores` has all." for one in long]
 
 
-def _unasked(silent: Sequence[Topic], there: Set[str]) -> list[str]:
+def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:
     """Return sentences on topics without a section, and on the keys that request them."""
     keys = {
         topic.heading: [f"`evaluation.{name}`" for name, one in topic.settings.model_fields.items() if not one.default]
@@ -149,7 +150,7 @@ def _unasked(silent: Sequence[Topic], there: Set[str]) -> list[str]:
     ]
 
 
-def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score]:
+def _scores(store: Store, found: Sequence[Manifest], topic: Topic[Any]) -> list[Score]:
     scores = []
     for manifest in found:
         if manifest.partition == topic.name and "scores" in manifest.tables:
@@ -162,7 +163,7 @@ def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score
 def _section(
     store: Store,
     found: Sequence[Manifest],
-    topic: Topic,
+    topic: Topic[Any],
     scores: ScoresOf,
     summary: Summary,
     drawn: tuple[bytes, str] | None,
@@ -190,7 +191,7 @@ def _section(
             topic.introduction,
             *_shortened(folded(note for part in parts for note in TopicFacts.of(part).notes)),
         ),
-        tables=(*topic.tables(scores), *([] if means is None else [means]), *figures, *names),
+        tables=(*topic.tabulate(scores), *([] if means is None else [means]), *figures, *names),
         pictures=tuple(pictures),
         verdicts={
             name: verdict
@@ -230,7 +231,9 @@ class DatasetCard:
     cautions: Sequence[str]
 
 
-def _card(settings: PageSettings, topics: Sequence[Topic], inputs: Sequence[Manifest], summary: Summary) -> DatasetCard:
+def _card(
+    settings: PageSettings, topics: Sequence[Topic[Any]], inputs: Sequence[Manifest], summary: Summary
+) -> DatasetCard:
     rows = Counter[str]()
     for manifest in inputs:
         rows.update({table: part.rows for table, part in manifest.tables.items()})

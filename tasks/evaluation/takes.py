@@ -44,7 +44,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
     caption = f"Take {take_id}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
     picture = Picture(f"take-{take_id}.player.json", caption, player)
-    return TopicResult(take_scores(take_id, people, rate_hz), [picture], notes)
+    return TopicResult(take_scores(take_id, people, rate_hz), notes, pictures=[picture])
 
 
 def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
@@ -72,5 +72,5 @@ TOPIC = Topic(
     introduction="The captured 3D motion at the frame rate of the study, and the result of the capture check.",
     reads=("poses",),
     plan=_plan,
-    run=_run,
+    compute=_run,
 )

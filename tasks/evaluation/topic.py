@@ -1,10 +1,10 @@
-"""What a topic of the evaluation is, and what every topic gives: scores, pictures, notes, and items to be judged."""
+"""What a topic of the evaluation is: it computes scores, draws pictures, and tabulates the scores of all its shards."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.pictures import Picture
@@ -18,33 +18,38 @@ from tasks.stage import Parameters, Shard, StageInputs, StageName, commit, merge
 EVALUATION = StageName("evaluation", 57)
 
 ScoresOf = Mapping[str, Sequence[Score]]
+"""Scores of all shards by topic."""
+
+D = TypeVar("D")
 
 
 @dataclass(frozen=True)
-class TopicResult:
-    """What a topic found.
+class TopicResult(Generic[D]):
+    """What a topic computed in one shard.
 
     Args:
         scores: The figures.
-        pictures: Figures (.svg) and moving people (.player.json).
         notes: Sentences for the reader: what was measured, what was skipped and why.
         items: By name of a criterion, what it judges: items that nothing was learned from; empty where there is none.
         baselines: Methods that others are compared with, in scores and items.
+        shown: What the topic draws; None where there is nothing to draw.
+        pictures: Figures (.svg) and moving people (.player.json).
     """
 
     scores: Sequence[Score] = ()
-    pictures: Sequence[Picture] = ()
     notes: Sequence[str] = ()
     items: Mapping[str, Items] = field(default_factory=dict)
     baselines: Collection[str] = ()
+    shown: D | None = None
+    pictures: Sequence[Picture] = ()
 
 
 @dataclass(frozen=True)
-class Topic:
+class Topic(Generic[D]):
     """A question that the evaluation answers: a section of the report.
 
     A topic is a file with one of these, and a line in `TOPICS` (tasks/evaluation/__init__.py), whose order is that of
-    the page.
+    the page.  The file has the three functions `compute`, `draw` and `tabulate`; `D` is what `compute` hands to `draw`.
 
     Args:
         name: Name of the topic: the partition of its shards, and `topic` of its rows in the `scores` table.
@@ -53,12 +58,13 @@ class Topic:
         reads: Tables that its shards read; the stage reads those of all topics.
         plan: Gives the shards for these inputs and settings (an instance of `settings`), made by `shard`; none where
             there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
-        run: Scores one of these shards.
+        compute: Scores one of these shards; reads its artifacts.
+        draw: Draws what `compute` shows: figures (.svg) and moving people (.player.json).
+        tabulate: Tables beside the figures, from the scores of all shards of all topics.
         settings: Its keys in the study's section `evaluation`.
         criteria: What its result is judged by: a verdict for each whose items a shard has.
         has_means_first: The page shows means over many items before the items.
         cautions: What to know of a dataset, as pairs of a table and a sentence that holds where the table is there.
-        tables: Tables beside the figures, from the scores of all topics by name.
     """
 
     name: str
@@ -66,34 +72,40 @@ class Topic:
     introduction: str
     reads: tuple[str, ...]
     plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
-    run: Callable[[Shard, Store], TopicResult] = field(repr=False)
+    compute: Callable[[Shard, Store], TopicResult[D]] = field(repr=False)
+    draw: Callable[[D], Iterable[Picture]] = field(default=lambda _: (), repr=False)
+    tabulate: Callable[[ScoresOf], Sequence[TextTable]] = field(default=lambda _: (), repr=False)
     settings: type[Parameters] = Parameters
     criteria: tuple[Criterion, ...] = ()
     has_means_first: bool = False
     cautions: tuple[tuple[str, str], ...] = ()
-    tables: Callable[[ScoresOf], Sequence[TextTable]] = field(default=lambda _: (), repr=False)
 
     def shard(
-        self, inputs: StageInputs, name: str, parameters: Parameters | None = None, **named: Sequence[Manifest]
+        self, inputs: StageInputs, name: str, parameters: Parameters | None = None, /, **named: Sequence[Manifest]
     ) -> Shard:
         """Return a shard of the topic that reads these artifacts, by what they are to it."""
         return EVALUATION.shard(inputs, self.name, name, parameters or Parameters(), named)
 
 
-def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:
-    """Commit what a topic found, with the verdict of each of its criteria that has items."""
-    items = [(one, result.items[one.name]) for one in topic.criteria if one.name in result.items]
-    judged = {one.name: one.verdict(own, result.baselines) for one, own in items}
-    parts = {name: verdict for name, verdict in judged.items() if verdict is not None}
+def run_topic(topic: Topic[Any], shard: Shard, store: Store) -> ArtifactRef:
+    """Compute, draw and commit one shard of a topic, with the verdict of each of its criteria that has items."""
+    result = topic.compute(shard, store)
+    pictures = [*result.pictures, *(() if result.shown is None else topic.draw(result.shown))]
+    parts = {
+        criterion.name: verdict
+        for criterion in topic.criteria
+        if criterion.name in result.items
+        if (verdict := criterion.verdict(result.items[criterion.name], result.baselines)) is not None
+    }
     whole = merge_verdicts(parts.values())
     return commit(
         shard,
         store,
         tables={"scores": columns_of(topic.name, result.scores, result.baselines)} if result.scores else {},
-        attachments={picture.name: picture.content for picture in result.pictures},
+        attachments={picture.name: picture.content for picture in pictures},
         facts=TopicFacts(
             takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
-            captions={picture.name: picture.caption for picture in result.pictures},
+            captions={picture.name: picture.caption for picture in pictures},
             notes=tuple(result.notes),
         ),
         verdict=None if whole is None else replace(whole, paired=None),

@@ -117,7 +117,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is a bound that "
         "knows the ground truth."
     )
-    return TopicResult(scores, pictures, [note], {"": Items.joined(parts)}, _BASELINES)
+    return TopicResult(scores, [note], {"": Items.joined(parts)}, _BASELINES, pictures=pictures)
 
 
 def unseen_view_scores(
@@ -248,8 +248,8 @@ PARALLEL_VIEWS = Topic(
     "image.",
     reads=("poses", "projections", "projection_clusters"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     settings=UnseenViewsSettings,
-    tables=lambda scores: paper_table(scores.get("parallel_views", ())),
+    tabulate=lambda scores: paper_table(scores.get("parallel_views", ())),
     criteria=(Criterion("error_root_kept", "mean joint error", "m", "poses", (Method.FIT.value,)),),
 )

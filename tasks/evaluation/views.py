@@ -59,10 +59,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     columns = [np.concatenate([table[name] for table in tables]) for name in ("psi_rad", "phi_rad", "weight")]
     return TopicResult(
         scores,
-        [Picture("views.svg", caption, view_figure(*columns))],
         [*skipped, *([] if scores else ["No true camera is known, so views have no error."])],
         {"": items} if scores else {},
         baselines=("mean_view",),
+        pictures=[Picture("views.svg", caption, view_figure(*columns))],
     )
 
 
@@ -120,6 +120,6 @@ TOPIC = Topic(
     "true camera of virtual video. The baseline gives the same direction for every image.",
     reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
-    run=_run,
+    compute=_run,
     criteria=(Criterion("view_error_mean", "error of the view", "degrees", "images", ("heaviest_hypothesis",)),),
 )

@@ -201,7 +201,7 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
     ):
         inputs = {"poses": [take], "variants": augment(store, [take], scales=(0.8,), contacts=stated)}
         (shard,) = TOPIC.plan(StageInputs(inputs, seed=3), Parameters())
-        result = TOPIC.run(shard, store)
+        result = TOPIC.compute(shard, store)
         scores = {(score.metric, score.method): score for score in result.scores}
         counts.append(scores["hand_contact_drift_p95", "interaction_mesh"].count)
         assert [picture.name for picture in result.pictures] == ["variants-pair.player.json", "drift-pair.svg"]

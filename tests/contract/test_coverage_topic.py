@@ -50,7 +50,7 @@ def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(
         "draws": draws,
     }
     for shard in TOPIC.plan(StageInputs(evaluated, 1), CoverageSettings()):
-        assert TOPIC.run(shard, store).notes == [
+        assert TOPIC.compute(shard, store).notes == [
             "Coverage is not measured on learned: priors learned from these takes.",
             f"Coverage of {shard.name} frames: there are none.",
         ]
@@ -66,7 +66,7 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
         (reconstruction.TOPIC, reconstruction.TOPIC.shard(nothing, "film", motions=[motions])),
     ):
         with pytest.raises(InputError, match=r"learned from (kept_back|two), which it is evaluated on"):
-            topic.run(shard, store)
+            topic.compute(shard, store)
 
 
 def sampled(inputs: Any) -> tuple[Store, StageInputs]:
@@ -81,7 +81,7 @@ def sampled(inputs: Any) -> tuple[Store, StageInputs]:
 def test_only_takes_that_are_held_out_are_judged_and_draws_without_grown_pairs_too(inputs: Any) -> None:
     store, known = sampled(inputs)
     planned = TOPIC.plan(known, CoverageSettings(num_truth_pairs=300))
-    items = {shard.name: TOPIC.run(shard, store).items for shard in planned}
+    items = {shard.name: TOPIC.compute(shard, store).items for shard in planned}
     names = [one.name for one in TOPIC.criteria]
     for split, takes in {"annotated": set(), "unannotated": set(), "held_out": {"kept_back"}}.items():
         assert [set(items[split][name].takes) for name in names] == [takes, takes]
@@ -112,7 +112,7 @@ def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypa
 
     monkeypatch.setattr(coverage, "real_frame_levels", levels)
     for shard in coverage.TOPIC.plan(known, CoverageSettings(num_truth_pairs=300)):
-        coverage.TOPIC.run(shard, store)
+        coverage.TOPIC.compute(shard, store)
         truth, real = compared[-2:]
         assert truth
         assert real

@@ -6,23 +6,24 @@ import base64
 import html
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.pictures import PLAYER, Picture, compared_figure
-from pasdedeux.evaluation.score_tables import format_score
+from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, SourceCredit, Store
 from tasks import generation, ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
-from tasks.evaluation.topic import Topic, TopicResult
+from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of, verdicts_of_parts
 from tests.builders.pages import Page, in_browser
 from tests.builders.painted_film import painted, write_keys
@@ -118,7 +119,9 @@ def _detect(store: Store) -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[Manifest], str], topic: Topic) -> None:
+def test_what_a_topic_finds_arrives_in_the_report(
+    evaluated: tuple[Store, list[Manifest], str], topic: Topic[Any]
+) -> None:
     store, made, page = evaluated
     parts = [one for one in made if one.partition == topic.name]
     assert parts, f"the small study has nothing for topic {topic.name}: let EVERYTHING ask for it"
@@ -242,13 +245,20 @@ def plan_toys(inputs: StageInputs, settings: ToySettings) -> list[Shard]:
     return [TOY.shard(inputs, "all", ToySettings(num_toys=settings.num_toys), takes=inputs.of("poses"))]
 
 
-def run_toys(shard: Shard, store: Store) -> TopicResult:
+def count_toys(shard: Shard, store: Store) -> TopicResult[float]:
     count = shard.options(ToySettings).num_toys * len(shard.refs("takes"))
     values = {"counted": np.full(12, float(count)), "guessed": np.full(12, 7.0), "thrown": np.full(12, 9.0)}
     scores = [Score("toys", name, value[0]) for name, value in values.items()]
-    picture = Picture("toy.svg", "A toy.", compared_figure({"a": 1.0}, (), goal=1.0, x_label=""))
     items = {"": Items(values, ["box"] * 12, np.arange(12.0)), "broken toys": Items()}
-    return TopicResult(scores, [picture], ["Toys were counted."], items, ("guessed", "thrown"))
+    return TopicResult(scores, ["Toys were counted."], items, ("guessed", "thrown"), shown=count)
+
+
+def draw_toys(count: float) -> Iterator[Picture]:
+    yield Picture("toy.svg", f"{count:g} toys.", compared_figure({"a": count}, (), goal=1.0, x_label=""))
+
+
+def tabulate_toys(scores: ScoresOf) -> list[TextTable]:
+    return [TextTable("Toys by name", ("name",), tuple((score.method,) for score in scores["toys"]))]
 
 
 TOY = Topic(
@@ -257,7 +267,9 @@ TOY = Topic(
     introduction="How many toys there are.",
     reads=("poses",),
     plan=plan_toys,
-    run=run_toys,
+    compute=count_toys,
+    draw=draw_toys,
+    tabulate=tabulate_toys,
     settings=ToySettings,
     criteria=(Criterion("toys", "toys", "", "boxes"), Criterion("toys", "toys", "", "boxes", name="broken toys")),
     cautions=(("poses", "Toys break."),),
@@ -274,7 +286,8 @@ def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Pa
         "Toys & games",
         "How many toys there are.",
         "Toys were counted.",
-        "A toy.",
+        "6 toys.",
+        "Toys by name",
         "<td>6</td>",
         "Toys break.",
     ):

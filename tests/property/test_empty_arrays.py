@@ -11,8 +11,8 @@ import pytest
 from pasdedeux.arrays import merge_axes
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.cameras.frames import pair_frame, project_pair
+from pasdedeux.completion.errors import lifted_errors
 from pasdedeux.completion.retrieval import nearest_images
-from pasdedeux.evaluation.lifting import lifted_errors
 from pasdedeux.interaction.nearest import cartesian_distances, image_distances, interaction_distances, pair_table
 from pasdedeux.interaction.shape_context import plane_shape_dissimilarity, shape_bins
 from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps

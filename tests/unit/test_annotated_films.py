@@ -9,7 +9,7 @@ import pytest
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.evaluation.lifting import lifted_errors
+from pasdedeux.completion.errors import lifted_errors
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import body_height_m

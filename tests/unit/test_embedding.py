@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.interaction.coverage import coverage_curve
 from pasdedeux.interaction.nearest import pair_table
+from pasdedeux.interaction.pair_map import PairMap
 from tasks.evaluation.coverage import (
     coverage_figure,
     coverage_scores,
@@ -50,8 +50,8 @@ def test_draws_and_grown_seeds_together_cover_as_one_set() -> None:
 def test_selected_pairs_random_ones_and_real_frames_are_compared_in_sets_of_one_size() -> None:
     selected = SelectedPairs({"rank": range(12), "pair17_m": list(PAIRS[12:])}, (), 0, 0, 0, 0.0, 0.02)
     levels = real_frame_levels(PAIRS[:5], PAIRS[5:], np.random.default_rng(0))
-    pool = {"ic": PAIRS[5:10], "grown_seeds": PAIRS[10:]}
-    scores, _ = set_scores(PAIRS[:5], selected, pool, levels, np.random.default_rng(0), split="held_out")
+    pool = [PAIRS[5:10], PAIRS[10:]]
+    scores = set_scores(PAIRS[:5], selected, pool, levels, np.random.default_rng(0), split="held_out")
     found = {(score.method, score.at): score.value for score in scores}
     assert found["selected_pairs", 10.0] == coverage_curve(PAIRS[:5], PAIRS[12:22], [10]).cartesian_m[0]
     assert found["real_frames", 10.0] == levels.cartesian_m[2]

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.errors import HIDDEN, completion_errors, in_between_errors, lifted_errors
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
-from pasdedeux.evaluation.lifting import HIDDEN, completion_errors, in_between_errors, lifted_errors
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from tasks.annotated_pairs import Place

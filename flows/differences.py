@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from flows.reasons import changed_leaves
 from flows.recorded import Place, Recorded, environment_changes
+from pasdedeux.plain_text import counted
 from storage_schema import Manifest, Store
 from storage_schema.comparison import Difference, compare_artifacts
 
@@ -148,7 +149,7 @@ class Comparison:
 
     def lines(self) -> list[str]:
         """Return it as lines for people."""
-        lines = [f"same bytes: {self.num_same} of {self.num_same + len(self.differing)} artifacts"]
+        lines = [f"same bytes: {self.num_same} of {counted(self.num_same + len(self.differing), 'artifact')}"]
         lines += [f"only in one of the two: {' '.join(place)}" for place in self.only_one[:3]]
         first = self.beyond or next(iter(self.differing), None)
         if first is not None:

@@ -186,8 +186,7 @@ def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) ->
     report = folder.path / "report"
     for ref in refs:
         for name in store.manifest(ref).attachments:
-            report.mkdir(parents=True, exist_ok=True)
-            (report / name).write_bytes(store.attachment(ref, name))
+            folder.write_bytes(f"report/{name}", store.attachment(ref, name))
     return report if report.is_dir() else None
 
 

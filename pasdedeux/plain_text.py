@@ -40,11 +40,13 @@ def visible(text: str, *, is_line: bool = False) -> str:
 def cell_text(text: str) -> str:
     """Return the text of a CSV cell, with an apostrophe before what would be a formula; numbers stay as they are.
 
-    >>> cell_text("=HYPERLINK(1)"), cell_text("-0.5"), cell_text("waltz")
-    ("'=HYPERLINK(1)", '-0.5', 'waltz')
+    Text that begins with apostrophes and then a formula gets one more, so that `from_cell` returns it.
+
+    >>> cell_text("=HYPERLINK(1)"), cell_text("-0.5"), cell_text("waltz"), cell_text("'=a")
+    ("'=HYPERLINK(1)", '-0.5', 'waltz', "''=a")
     """
     text = visible(text)
-    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+    return f"'{text}" if _FORMULA.match(text.lstrip("'")) and not _NUMBER.fullmatch(text) else text
 
 
 def from_cell(cell: str) -> str:
@@ -53,7 +55,7 @@ def from_cell(cell: str) -> str:
     >>> from_cell("'=a"), from_cell("'tis")
     ('=a', "'tis")
     """
-    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell[1:]) else cell
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell.lstrip("'")) else cell
 
 
 def csv_line(*cells: object) -> str:

@@ -12,6 +12,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime, timedelta
 from functools import partial
@@ -29,22 +30,37 @@ if TYPE_CHECKING:
 
 _URL = re.compile(r"s3://(?P<bucket>[A-Za-z0-9][A-Za-z0-9.-]*)(/(?P<prefix>[^?#]*))?")
 _ADDRESS = re.compile(r"https?://\S+")
-AT_ONCE = 8
+_AT_ONCE = 8
 """Requests in flight."""
-_MAX_RETRIES = 6
 _PATIENCE_S = 60.0
-"""How long a bucket may refuse connections, hang up or answer with errors of its own; it is asked again meanwhile."""
-_PAUSES_S = (0.5, 8.0)
-"""The first pause before a bucket is asked again, and the longest: each is twice the one before."""
-_SAY_AGAIN_S = 15.0
-_AWAY = re.compile(r"error sending request|non-2xx status code: 5\d\d")
-"""What the client says of a server that is not there, or not well."""
+"""How long after a first failure a request is repeated."""
+_PAUSES_S = (0.1, 8.0)
+"""First and longest pause before a request is repeated; each pause is twice the one before."""
+_SAY_AFTER_S, _SAY_AGAIN_S = 1.5, 15.0
+_PASSING = re.compile(
+    r"status code: (408|429|500|502|503|504)|response body|kind: (Timeout|Interrupted)"
+    r"|Connection(Refused|Reset|Aborted)|TimedOut|BrokenPipe|IncompleteMessage|UnexpectedEof|(Network|Host)Unreachable"
+)
+"""Marks of faults that pass: an outage, an overload, an answer that was cut off; any other is reported at once."""
+_CAUSES = {
+    "dns error": "the server's host name cannot be resolved, check AWS_ENDPOINT_URL",
+    "InvalidContentType": "the server does not speak https, check AWS_ENDPOINT_URL",
+    "Parse(": "the server does not speak http, check AWS_ENDPOINT_URL",
+    "ertificate": "the server's certificate is not trusted",
+    "RequestTimeTooSkewed": "the clock of this machine or of the server is wrong",
+    "SignatureDoesNotMatch": "the server refuses the signature, check AWS_SECRET_ACCESS_KEY",
+    "InvalidAccessKeyId": "the server does not know the key, check AWS_ACCESS_KEY_ID",
+    "status code: 401": "the server wants credentials, set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
+    "status code: 403": "access is denied, check the credentials in the environment and the rights of their owner",
+}
+"""Marks of faults that the user can mend, in words."""
 _log = logging.getLogger(__name__)
 _DELETED_AT_ONCE = 1000
 """Files in one request: more are several requests, which end in any order."""
 _TIMEOUT = timedelta(seconds=60)
 """Longest time for one answer; a slower one is asked for again."""
 
+S = TypeVar("S")
 T = TypeVar("T")
 
 
@@ -76,7 +92,7 @@ class RemoteStore:
                 "timeout": timeout,
                 "connect_timeout": min(timeout, timedelta(seconds=10)),
             },
-            retry_config={"max_retries": _MAX_RETRIES, "retry_timeout": 10 * timeout},
+            retry_config={"max_retries": 0, "retry_timeout": timeout},
         )
         self.is_hurried = threading.Event()
         """Set where nobody waits any more: what fails then is not asked for again."""
@@ -129,9 +145,7 @@ class RemoteStore:
         That other one may be this: an answer that was lost is asked for again.
         """
         try:
-            put = self._asked(
-                f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}), is_conditional=True
-            )
+            put = self._asked(f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}))
             return str(put["e_tag"])
         except (PreconditionError, FileNotFoundError):
             return None
@@ -173,15 +187,26 @@ class RemoteStore:
         """Return the error of a file whose bytes have another digest."""
         return CorruptArtifact(f"{self.url}/files/{sha256} does not hold what its name says")
 
+    def at_once(self, do: Callable[[S], T], each: Iterable[S]) -> list[T]:
+        """Do something with each, some at the same time; what the first that fails raises is raised.
+
+        Who is interrupted waits for no outage.
+        """
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            try:
+                return list(pool.map(do, each))
+            except KeyboardInterrupt:
+                self.is_hurried.set()
+                raise
+
     def _put(self, path: str, data: bytes | Path, mode: Literal["overwrite", "create"] = "overwrite") -> None:
         try:
-            is_new = mode == "create"
-            self._asked(f"write {path}", lambda: self._store.put(path, data, mode=mode), is_conditional=is_new)
+            self._asked(f"write {path}", lambda: self._store.put(path, data, mode=mode))
         except FileNotFoundError:
             raise RemoteError(f"{self.url}: cannot write {path}: there is no such bucket") from None
 
-    def _asked(self, what: str, ask: Callable[[], T], *, is_conditional: bool = False) -> T:
-        began, num_asked, pause_s = time.monotonic(), 0, _PAUSES_S[0]
+    def _asked(self, what: str, ask: Callable[[], T]) -> T:
+        began, failed_at, pause_s = time.monotonic(), None, _PAUSES_S[0]
         while True:
             try:
                 return ask()
@@ -192,19 +217,15 @@ class RemoteStore:
             except PreconditionError:
                 raise
             except BaseError as error:
-                if "NoSuchBucket" in str(error):
-                    raise RemoteError(f"{self.url}: cannot {what}: there is no such bucket") from None
-                num_asked += 1
-                # What the client does not ask for again: a list that was cut off, and a conditional write that was not
-                # answered in time, which may have been done.
-                is_lost = "response body" in str(error) or (is_conditional and "sending request" in str(error))
-                left_s = _PATIENCE_S - (time.monotonic() - began) if _AWAY.search(str(error)) else 0.0
-                if left_s > 0.0 and not self.is_hurried.is_set():
-                    self._say_waiting(left_s)
-                    self.is_hurried.wait(min(pause_s, left_s))
-                    pause_s = min(2.0 * pause_s, _PAUSES_S[1])
-                elif not is_lost or num_asked >= _MAX_RETRIES or self.is_hurried.is_set():
+                now = time.monotonic()
+                failed_at = failed_at or now
+                left_s = _PATIENCE_S - (now - failed_at)
+                if left_s <= 0.0 or self.is_hurried.is_set() or not _PASSING.search(str(error)):
                     raise self._refused(what, error) from None
+                if now - began > _SAY_AFTER_S:
+                    self._say_waiting(left_s)
+                self.is_hurried.wait(min(pause_s, left_s))
+                pause_s = min(2.0 * pause_s, _PAUSES_S[1])
 
     def _say_waiting(self, left_s: float) -> None:
         """Say that the bucket does not answer, once for all that wait, and again after some time."""
@@ -214,6 +235,11 @@ class RemoteStore:
                 _log.warning("%s: the bucket does not answer, waiting up to %.0f s", self.url, left_s)
 
     def _refused(self, what: str, error: BaseError) -> RemoteError:
+        text = str(error)
+        if "NoSuchBucket" in text:
+            return RemoteError(f"{self.url}: cannot {what}: there is no such bucket")
+        if cause := next((words for mark, words in _CAUSES.items() if mark in text), ""):
+            return RemoteError(f"{self.url}: cannot {what}: {cause}")
         # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.
-        reason = _ADDRESS.sub("the server", str(error).partition("<?xml")[0].partition("\n")[0].rstrip(": "))
+        reason = _ADDRESS.sub("the server", text.partition("<?xml")[0].partition("\n")[0].rstrip(": "))
         return RemoteError(f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on")

@@ -10,6 +10,7 @@ import io
 import logging
 import os
 import platform
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -26,6 +27,23 @@ _SAY_AFTER_S = 4.0
 """A lock that is waited for so long is said."""
 _log = logging.getLogger(__name__)
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
+
+
+def cache_folder() -> Path:
+    """Return the folder of what can be had again: `$PASDEDEUX_CACHE`, else the user's own cache.
+
+    A user without a home that can be written, as in containers, has a temporary folder.
+    """
+    if stated := os.environ.get("PASDEDEUX_CACHE"):
+        return Path(stated).absolute()
+    with suppress(OSError, RuntimeError):
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pasdedeux"
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    folder = Path(tempfile.gettempdir()) / f"pasdedeux-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder if folder.stat().st_uid == os.getuid() else Path(tempfile.mkdtemp(prefix="pasdedeux-"))
 
 
 @contextmanager

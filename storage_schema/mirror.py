@@ -21,16 +21,15 @@ import tarfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from datetime import timedelta
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from storage_schema.bucket import AT_ONCE, RemoteStore
+from storage_schema.bucket import RemoteStore
 from storage_schema.columns import is_plain_name
-from storage_schema.durable import lock_file, make_folder, write_errors
+from storage_schema.durable import cache_folder, lock_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
 from storage_schema.keys import file_sha256
 from storage_schema.lease import Lease, each_beat
@@ -134,7 +133,7 @@ class Mirror:
         text = (staged / MANIFEST_NAME).read_bytes()
         files = Manifest.from_json(text, where=str(staged)).data_files
         parts = {entry.sha256: staged / name for name, entry in files.items()}
-        _at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
+        self.remote.at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
         place = f"manifests/{ref.stage}/{ref.key}"
         while not self.remote.create(place, text):
             with suppress(FileNotFoundError):  # taken away since
@@ -246,7 +245,7 @@ class Mirror:
                 files = (path for path in (self.root / "runs").rglob("[!.]*") if path.is_file())
                 changed = [path for path in files if self._pushed.get(path) != _state(path)]
                 if changed and self._lease.renew():  # who slept for long may not know that another builds now
-                    _at_once(push, changed)
+                    self.remote.at_once(push, changed)
 
     def _refresh(self) -> None:
         began = time.time()
@@ -261,7 +260,8 @@ class Mirror:
             if (found := _RECORD.fullmatch(entry["path"]))
         }
         wanted = {**manifests, **records}
-        _at_once(lambda one: self._bring_file(*one), [one for one in wanted.items() if not _is_same(*one)])
+        new = [one for one in wanted.items() if not _is_same(*one)]
+        self.remote.at_once(lambda one: self._bring_file(*one), new)
         here = [*self.root.glob(f"*/??/*/{MANIFEST_NAME}")]
         here += [path for path in (self.root / "runs").rglob("*") if path.is_file()]
         for path in here:
@@ -371,15 +371,7 @@ def _opened(url: str, endpoint: str, cache_folder: str) -> Mirror:
 
 def open_mirror(url: str) -> Mirror:
     """Return the mirror of a store in this process, in `$PASDEDEUX_CACHE` or the user's cache folder."""
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pasdedeux"
-    endpoint, folder = os.environ.get("AWS_ENDPOINT_URL", ""), os.environ.get("PASDEDEUX_CACHE") or str(user)
-    return _opened(url.rstrip("/"), endpoint, str(Path(folder).absolute()))
-
-
-def _at_once(do: Callable[[Any], object], each: Iterable[Any]) -> None:
-    """Do something with each, some at the same time; what the first that fails raises is raised."""
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(do, each))
+    return _opened(url.rstrip("/"), os.environ.get("AWS_ENDPOINT_URL", ""), str(cache_folder()))
 
 
 def _state(path: Path) -> tuple[int, int]:

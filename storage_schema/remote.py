@@ -11,12 +11,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from pathlib import Path
 
 from storage_schema.ancestry import walk
-from storage_schema.bucket import AT_ONCE, RemoteStore
+from storage_schema.bucket import RemoteStore
 from storage_schema.columns import is_plain_name
 from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
@@ -40,9 +39,8 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Map
         CorruptArtifact, MissingArtifact: An artifact is not whole in the store; nothing of it is pushed.
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
-    manifests = _closure(dataset.refs, store.manifest)
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        num_new = sum(pool.map(lambda manifest: _push_artifact(store, manifest, remote), manifests))
+    manifests = _closure(remote, dataset.refs, store.manifest)
+    num_new = sum(remote.at_once(lambda manifest: _push_artifact(store, manifest, remote), manifests))
     if files is None:
         files = {path.name: path.read_bytes() for path in dataset.path.iterdir() if path.name != "dataset.json"}
     attachments = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())}
@@ -90,19 +88,19 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         return manifest
 
     with in_use(store):  # what has come is needed by nothing before the list is there
-        manifests = _closure(dataset.refs, manifest_of)
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            num_new = sum(pool.map(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
+        manifests = _closure(remote, dataset.refs, manifest_of)
+        num_new = sum(remote.at_once(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
         if known is None:
             add_dataset(store, dataset, {name: remote.read_whole(sha256) for name, sha256 in attachments.items()})
     return dataset, num_new
 
 
-def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]) -> Sequence[Manifest]:
+def _closure(
+    remote: RemoteStore, refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]
+) -> Sequence[Manifest]:
     """Return the manifests of these artifacts and of all that they were computed from."""
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        steps = walk(refs, lambda level: pool.map(manifest_of, level))
-        return [step.manifest for step in steps if step.manifest is not None]
+    steps = walk(refs, lambda level: remote.at_once(manifest_of, level))
+    return [step.manifest for step in steps if step.manifest is not None]
 
 
 def _place(ref: ArtifactRef) -> str:

@@ -102,10 +102,12 @@ class RunFolder:
 
     def write(self, name: str, content: Mapping[str, Any]) -> None:
         """Put a file of JSON in the folder, whole or not at all; FullDisk where there is no room left."""
+        self.write_bytes(name, json_file(plain_json(dict(content), name)))
+
+    def write_bytes(self, name: str, data: bytes) -> None:
+        """Put a file in the folder, whole or not at all; FullDisk where there is no room left."""
         with write_errors(self.path):
-            replace_file(
-                self.path / name, json_file(plain_json(dict(content), name)), staging_root=self.path.parents[1] / "tmp"
-            )
+            replace_file(self.path / name, data, staging_root=self.path.parents[1] / "tmp")
 
     def read(self, name: str) -> bytes:
         """Return the bytes of a file of the folder; MissingArtifact where there is none."""

@@ -12,6 +12,7 @@ from flows.console.context import StoreOption, app, echo, open_store
 from pasdedeux.completion.occlusion import NUM_NEAREST, complete_pair
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
+from pasdedeux.plain_text import counted
 from storage_schema import parse_reference, resolve, source_credits
 from tasks.draw_sets import read_all_draws
 from tasks.stage import merge_takes
@@ -67,5 +68,5 @@ def complete(
             far_cm = 100.0 * float(np.median(apart[:, ~own]))
             echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
     near_m = found.neighbours.distance_m
-    echo(f"{len(near_m)} of {len(known.pairs_m)} draws within {100 * near_m.max():.1f} cm (D_I)")
+    echo(f"{len(near_m)} of {counted(len(known.pairs_m), 'draw')} within {100 * near_m.max():.1f} cm (D_I)")
     echo(f"written: {target}")

@@ -19,6 +19,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning.key_frames import KeyFrames, read_key_frames
 from pasdedeux.learning.registry import Weights
 from pasdedeux.learning.sampling import VariantSampler
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, source_credits
@@ -113,7 +114,7 @@ def _generate(
         echo(f"error: none of {num} motions is usable, nothing was written", err=True)
         raise typer.Exit(1)
     say(map(str, (*written, credits_path)))
-    echo(f"{num_usable} of {num} motions are usable; {whether_known}")
+    echo(f"usable: {num_usable} of {counted(num, 'motion')}; {whether_known}")
 
 
 def _said(variant: Variant, keys: KeyFrames | None) -> str:

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from string import ascii_uppercase
 from typing import Annotated
 
 from typer import Argument
@@ -56,7 +55,7 @@ def find_take(
     refs = resolve(reference, store)
     if reference.table != "poses" or len(refs) != 1:
         raise InputError(
-            f"'{take[0]}' names {len(refs)} artifacts of {reference.table}; one take is needed: STUDY/TAKE"
+            f"'{take[0]}' names {counted(len(refs), 'artifact')} of {reference.table}; one take is needed: STUDY/TAKE"
         )
     yield store, refs[0]
 
@@ -66,8 +65,6 @@ def _take_of_files(
     files: Sequence[str], units_m: Sequence[float], rate_hz: float | None
 ) -> Iterator[tuple[Store, ArtifactRef]]:
     """Read motion files as a study would, at their own rate, into a store that is gone afterwards."""
-    if len(files) > len(ascii_uppercase):
-        raise InputError(f"{len(files)} motion files are given, one a person; a take has at most 26 people")
     if len(units_m) > len(files):
         raise InputError(f"--unit is given {counted(len(units_m), 'time')} for {counted(len(files), 'file')}")
     last = len(units_m) - 1

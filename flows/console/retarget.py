@@ -29,6 +29,7 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.learning.model import VariantRequest
 from pasdedeux.learning.registry import Weights
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, source_credits
@@ -135,7 +136,7 @@ def _retarget_take(
     take = TakeFacts.of(store.manifest(ref))
     take_id, count = take.take_id, take.num_persons
     if len(targets) > count:
-        who = "one person" if count == 1 else f"{count} people"
+        who = counted(count, "person")
         raise InputError(f"{len(targets)} bodies are given, but take {take_id} has {who}: --to once for each, A first")
     source = read_take(store, ref).source
     people = people_of_take(store, ref)

@@ -56,8 +56,8 @@ class VariationSettings(Settings):
     persons: tuple[Persons, ...] = Field(
         ("A",),
         min_length=1,
-        description="Who is scaled: A, B, C, ...; AB, BC, ... (alike); all (everybody alike).  Who a take does not "
-        "have is skipped",
+        description="Who is scaled: A, B, C, ...; AB, BC, ... (alike); all (everybody alike, also after the 26th, Z).  "
+        "Who a take does not have is skipped",
     )
     groups: tuple[Group, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
     scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
@@ -88,11 +88,12 @@ class Variation:
 def persons_of(who: str, num_people: int) -> list[int]:
     """Return the numbers of the people that letters (or "all") name, without those who are not there.
 
+    Letters name the first 26 people; all others are among "all" only.
+
     >>> persons_of("CA", 3), persons_of("AB", 1), persons_of("all", 2)
     ([0, 2], [0], [0, 1])
     """
-    letters = person_names(num_people)
-    return [person for person, letter in enumerate(letters) if who == EVERYBODY or letter in who]
+    return [person for person, name in enumerate(person_names(num_people)) if who == EVERYBODY or name in set(who)]
 
 
 def check_bone_scales(

@@ -31,6 +31,7 @@ from pasdedeux.formats.detections import (
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.image_names import places_of_names
 from pasdedeux.formats.text import MAX_COUNT, MISSING, Lines, decode, parse_json, parse_number, parse_triples, shorten
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, KeypointLayout
 
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
@@ -288,7 +289,7 @@ def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:
     found = []
     for frame, (_, row, number) in zip(frames, read, strict=True):
         if len(row) != len(header):
-            raise FormatError(f"row {number} has {len(row)} values where {len(header)} are needed")
+            raise FormatError(f"row {number} has {counted(len(row), 'value')} where {len(header)} are needed")
         found.append({"frame": frame, **dict(zip(header, row, strict=True))})
     return ["frame", *header], found
 

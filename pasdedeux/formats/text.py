@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.foreign import refuse_foreign
+from pasdedeux.plain_text import counted
 
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
@@ -146,7 +147,7 @@ class Lines:
         at = len(numbers) % len(columns)
         if at or words:
             self.number = begun if at else self.number
-            raise FormatError(f"{at or len(words)} values where {len(columns)} are needed")
+            raise FormatError(f"{counted(at or len(words), 'value')} where {len(columns)} are needed")
         if not numbers:
             raise FormatError("the file ends without a frame")
         return np.array(numbers).reshape(-1, len(columns))
@@ -174,7 +175,7 @@ def find_delimiter(header: str) -> str:
 
 def _fitting(values: list[str], columns: Sequence[str]) -> list[str]:
     if len(values) != len(columns):
-        raise FormatError(f"{len(values)} values where {len(columns)} are needed")
+        raise FormatError(f"{counted(len(values), 'value')} where {len(columns)} are needed")
     return values
 
 

@@ -13,6 +13,7 @@ from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.labelled_points import LabelledPoints
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import Lines, compare_count, parse_integer, parse_number
+from pasdedeux.plain_text import counted
 
 _NUM_HEADER = 5
 """Lines before the frames: the type, keys, values, labels, axes."""
@@ -60,15 +61,13 @@ def read_points(data: bytes | str) -> LabelledPoints:
                 continue
             cells = [cell.strip() for cell in text.rstrip("\r\n").split("\t")][2:]
             if len(cells) < 3 * len(labels) or any(cells[3 * len(labels) :]):
-                raise FormatError(f"{len(cells)} values where {3 * len(labels)} are needed")
+                raise FormatError(f"{counted(len(cells), 'value')} where {3 * len(labels)} are needed")
             rows.append([parse_number(cell, "a position") if cell else np.nan for cell in cells[: 3 * len(labels)]])
         if not rows or not labels:
             raise FormatError("the file ends without a frame")
-        counted = compare_count(parse_integer(stated.get("NumFrames", str(len(rows))), "NumFrames"), len(rows))
+        note = compare_count(parse_integer(stated.get("NumFrames", str(len(rows))), "NumFrames"), len(rows))
     positions = np.array(rows).reshape(len(rows), len(labels), 3)
-    return LabelledPoints(
-        "TRC file", labels, positions, rate_hz, stated.get("Units", "").lower(), (counted,) * bool(counted)
-    )
+    return LabelledPoints("TRC file", labels, positions, rate_hz, stated.get("Units", "").lower(), (note,) * bool(note))
 
 
 def read_trc(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:

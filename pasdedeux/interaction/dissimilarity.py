@@ -89,7 +89,7 @@ def interaction_dissimilarity(first: Array, second: Array) -> float:
     is_shared = is_seen[0] & is_seen[1]
     shared = np.flatnonzero(is_shared)
     if len(shared) < 2:
-        raise InputError(f"{len(shared)} points are seen in both pairs: comparing needs at least 2")
+        raise InputError(f"comparing needs at least 2 points that are seen in both pairs, and there are {len(shared)}")
     near, far = first[shared], second[shared]
     moved = align_plane(near, far) if first.shape[-1] == 2 else align_rigid(near, far).apply(near)
     difference = np.full(first.shape, np.nan)

@@ -15,7 +15,9 @@ from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import BODY22, Skeleton
 
 Letter = Annotated[str, Field(pattern="^[A-Z]$")]
-"""A person of a take: A is the first."""
+"""One of the first 26 people of a take: A is the first."""
+PersonName = Annotated[str, Field(pattern="^[A-Z]{1,2}$")]
+"""A person of a take, as `person_name` names them."""
 
 
 class UserContact(Settings):
@@ -30,8 +32,8 @@ class UserContact(Settings):
     )
     share_a: float = Field(1.0, ge=0, le=1, description="Where on the first bone: 0 at its beginning, 1 at the joint")
     share_b: float = Field(1.0, ge=0, le=1, description="The same on the second bone, or from an object's start to end")
-    person_a: Letter = Field("A", description="The first person")
-    person_b: Letter = Field("B", description="The second person, who may be the first")
+    person_a: PersonName = Field("A", description="The first person")
+    person_b: PersonName = Field("B", description="The second person, who may be the first")
     start_frame: int = Field(0, ge=0, description="First frame")
     stop_frame: int = Field(description="Frame after the last")
     weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")

@@ -8,7 +8,6 @@ import os
 import resource
 import signal
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pasdedeux.threads import THREAD_VARIABLES
 from storage_schema import Store
+from storage_schema.durable import cache_folder
 from storage_schema.provenance import code_version, package_versions, source_digest
 from tasks.shards.errors import ClusterError, in_one_line
 from tasks.shards.profiles import ClusterProfile, await_workers, started
@@ -176,19 +176,13 @@ def worker_environment() -> dict[str, str]:
     """Return the environment of a worker: one thread for every library, and a place for compiled kernels.
 
     Compiled kernels lie beside their source where that can be written (numba's own rule), else in the user's cache
-    folder, else in a temporary one; NUMBA_CACHE_DIR wins where it is set.
+    folder (`cache_folder`); NUMBA_CACHE_DIR wins where it is set.
     """
     environment = dict.fromkeys(THREAD_VARIABLES, "1")
     if "NUMBA_CACHE_DIR" in os.environ:
         environment["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"]
     elif not os.access(Path(__file__).parents[2] / "pasdedeux", os.W_OK):
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pasdedeux" / "numba"
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            cache = Path(tempfile.gettempdir()) / f"pasdedeux-numba-{os.getuid()}"
-            cache.mkdir(exist_ok=True)
-        environment["NUMBA_CACHE_DIR"] = str(cache)
+        environment["NUMBA_CACHE_DIR"] = str(cache_folder() / "numba")
     return environment
 
 

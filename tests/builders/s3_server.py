@@ -31,8 +31,8 @@ class _Quiet(WSGIRequestHandler):
 class S3Server:
     """A server with one bucket; `fault` is asked with method and path before each answer, and names what goes wrong.
 
-    "error" answers 503, "slow" waits, "cut" hangs up after half of the answer, "lost" before
-    any of it, "gone" before the work too.
+    "error" answers 503, and a status such as "403 SignatureDoesNotMatch" that one, with the word as S3's code; "slow"
+    waits, "cut" hangs up after half of the answer, "lost" before any of it, "gone" before the work too.
     """
 
     port: int
@@ -77,9 +77,11 @@ def _with_faults(app: Answer, server: S3Server) -> Answer:
         method, path = environ["REQUEST_METHOD"], environ["PATH_INFO"]
         server.requests.append(f"{method} {path}")
         fault = server.fault(method, path)
-        if fault == "error":
-            start_response("503 Slow Down", [("Content-Length", "0")])
-            return []
+        if fault == "error" or fault[:1].isdigit():
+            status = fault if fault[:1].isdigit() else "503 SlowDown"
+            said = f"<Error><Code>{status.partition(' ')[2]}</Code></Error>".encode()
+            start_response(status, [("Content-Length", str(len(said)))])
+            return [said] if method != "HEAD" else []
         if fault == "gone":
             environ["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
             return []

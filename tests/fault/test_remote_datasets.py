@@ -37,7 +37,7 @@ from tests.builders.toys import TOYS
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 0.0)
+    monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 2.0)
 
 
 @pytest.fixture

@@ -56,9 +56,10 @@ EVERYTHING = 14
 _BUILD = """
 import sys
 from pathlib import Path
+from flows.signals import ended_as_by_ctrl_c
 from storage_schema import Store, in_use
 from tests.builders.toy_runs import run_toys
-with in_use(Store(sys.argv[2])):
+with ended_as_by_ctrl_c(), in_use(Store(sys.argv[2])):
     run_toys(Path(sys.argv[1]), Path(sys.argv[2]))
 """
 _HOLD_A_LOCK = """
@@ -207,6 +208,66 @@ def test_a_bucket_that_refuses_connections_is_waited_for_and_that_is_said_unless
         give_up()
     server.stop = server.start()
     assert caplog.messages == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_run_that_waits_for_a_bucket_ends_at_once_when_it_is_interrupted(
+    server: S3Server, tmp_path: Path, number: signal.Signals
+) -> None:
+    gates, said = tmp_path / "gates", tmp_path / "said.txt"
+    gates.mkdir()
+    (gates / "hold-grow-t1-s1").touch()
+    command = [sys.executable, "-c", _BUILD, str(write_study(tmp_path)), server.place]
+    with said.open("w") as errors:
+        running = subprocess.Popen(
+            command, cwd=Path(__file__).parents[2], env={**os.environ, "TOY_FOLDER": str(gates)}, stderr=errors
+        )
+    try:
+        wait_until(lambda: (gates / "ran.txt").exists() and "grow-t1-s1" in (gates / "ran.txt").read_text(), "a shard")
+        with server.refusing():
+            (gates / "hold-grow-t1-s1").unlink()
+            wait_until(lambda: "the bucket does not answer, waiting up to" in said.read_text(), "a word")
+            running.send_signal(number)
+            running.wait(timeout=15)
+    finally:
+        running.kill()
+        running.wait()
+    assert said.read_text().rstrip().endswith("KeyboardInterrupt")
+
+
+@pytest.mark.parametrize(
+    ("status", "why"),
+    [
+        ("501 NotImplemented", "501 Not Implemented"),
+        ("403 AccessDenied", "access is denied, check the credentials in the environment"),
+        ("403 SignatureDoesNotMatch", "refuses the signature, check AWS_SECRET_ACCESS_KEY"),
+        ("400 AuthorizationHeaderMalformed", "400 Bad Request"),
+        ("unknown.invalid", "the server's host name cannot be resolved, check AWS_ENDPOINT_URL"),
+        ("https", "the server does not speak https, check AWS_ENDPOINT_URL"),
+    ],
+)
+def test_a_fault_of_the_bucket_that_waiting_cannot_mend_is_said_after_one_request(
+    server: S3Server, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, status: str, why: str
+) -> None:
+    if status[0].isdigit():
+        server.fault = lambda method, path: status
+    else:
+        address = f"https://127.0.0.1:{server.port}" if status == "https" else f"http://{status}"
+        monkeypatch.setenv("AWS_ENDPOINT_URL", address)
+    server.requests.clear()
+    remote = RemoteStore(server.place)
+    with pytest.raises(RemoteError, match=rf"^{server.place}: cannot list records.*{why}") as error:
+        remote.entries("records")
+    assert len(server.requests) <= 1
+    assert caplog.messages == []
+    assert SECRET not in str(error.value)
+
+
+@pytest.mark.parametrize("status", ["500 InternalError", "503 SlowDown", "429 TooManyRequests"])
+def test_a_fault_of_the_bucket_that_passes_is_ridden_out(server: S3Server, status: str) -> None:
+    left = iter([status] * 3)
+    server.fault = lambda method, path: next(left, "")
+    assert RemoteStore(server.place).entries("records") == []
 
 
 def test_a_second_run_is_refused_and_a_killed_one_is_finished_on_another_machine(

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from storage_schema import StorageError, Store, create_dataset, record_latest, verify
+from flows.records import copy_report
+from storage_schema import StorageError, Store, create_dataset, new_run, record_latest, verify
 from storage_schema.durable import HashingFile
 from storage_schema.errors import FullDisk
 from tests.builders.storage_rows import commit_rows
@@ -111,6 +112,21 @@ def test_a_full_disk_keeps_the_last_record_and_makes_no_dataset(
     monkeypatch.undo()
     assert record_latest(store, "duets", "one", {}) == record
     assert create_dataset(store, "released", [ref]).version == "1"
+
+
+def test_a_report_is_copied_whole_or_not_at_all(
+    tmp_path: Path, fill: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    ref = commit_rows(store, attachments={"a.html": b"a", "b.html": b"b"})
+    run = new_run(store, "duets")
+    fill(1, errno.ENOSPC)
+    with pytest.raises(FullDisk):
+        copy_report(store, run, [ref])
+    assert [path.name for path in (run.path / "report").iterdir()] == ["a.html"]
+    monkeypatch.undo()
+    assert copy_report(store, run, [ref]) == run.path / "report"
+    assert (run.path / "report" / "b.html").read_bytes() == b"b"
 
 
 def test_a_store_that_may_not_be_written_to_is_said(tmp_path: Path, fill: Callable[[int, int], None]) -> None:

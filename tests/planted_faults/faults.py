@@ -430,9 +430,9 @@ FAULTS = (
           "unit/test_exporting.py::test_names_of_variants_and_sequences_that_lead_elsewhere_are_refused"),
     # The store
     Fault("a manifest goes to the bucket before its data", "storage_schema/mirror.py",
-          "        _at_once(lambda sha256: self.remote.write(",
+          "        self.remote.at_once(lambda sha256: self.remote.write(",
           '        self.remote.create(f"manifests/{ref.stage}/{ref.key}", text)\n'
-          "        _at_once(lambda sha256: self.remote.write(",
+          "        self.remote.at_once(lambda sha256: self.remote.write(",
           "fault/test_remote_store.py::test_a_commit_that_is_cut_off_shows_nothing"),
     Fault("who loses a race overwrites", "storage_schema/store.py",
           "found.ref.content_digest[:12]),\n            )\n            return True",

@@ -135,7 +135,7 @@ def test_a_few_hidden_points_hardly_change_the_dissimilarity_of_pairs() -> None:
 def test_pairs_that_share_hardly_a_point_are_refused() -> None:
     first, second = np.full((2, 34, 2), np.nan)
     first[:17], second[16:] = 1.0, 1.0
-    with pytest.raises(InputError, match="1 points are seen in both pairs"):
+    with pytest.raises(InputError, match="seen in both pairs, and there are 1"):
         interaction_dissimilarity(first, second)
 
 

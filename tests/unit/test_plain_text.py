@@ -76,10 +76,10 @@ def test_commands_print_in_one_place() -> None:
     }
 
 
-@given(st.lists(st.one_of(st.text(), st.text('a\n\r,"'), st.sampled_from(FORMULAS)), min_size=1))
+@given(st.lists(st.one_of(st.text(), st.text("a\n\r,\"'=-1"), st.sampled_from(FORMULAS)), min_size=1))
 def test_no_cell_of_a_line_is_a_formula_and_texts_come_back(cells: list[str]) -> None:
     (read,) = csv.reader(io.StringIO(csv_line(*cells), newline=""), strict=True)
-    assert [from_cell(cell) for cell in read] == [visible(cell) for cell in cells] or any("'" in cell for cell in cells)
+    assert [from_cell(cell) for cell in read] == [visible(cell) for cell in cells]
     for cell in read:
         assert not re.match(r"\s*[=@]|\s*[+-](?![\d.in])", cell, re.IGNORECASE)
 

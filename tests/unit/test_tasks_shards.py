@@ -24,7 +24,9 @@ from distributed.comm.core import CommClosedError
 from flows.machine import GIB, cluster_settings, kernel_cache, memory_bytes, usable_cores, why_few
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
+from storage_schema.durable import cache_folder
 from storage_schema.provenance import package_versions
+from tasks.ingest.film.detector_files import NetworkAddress
 from tasks.shards import (
     ClusterError,
     ClusterPool,
@@ -453,6 +455,27 @@ def test_what_shards_keep_lasts_until_the_process_begins_with_another_stage(tmp_
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/somewhere")
     assert worker_environment()["NUMBA_CACHE_DIR"] == "/somewhere"
+
+
+@pytest.mark.parametrize("home", ["unknown", "read-only", "a file"])
+def test_a_user_without_a_home_that_can_be_written_has_a_cache(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: str
+) -> None:
+    for name in ("NUMBA_CACHE_DIR", "PASDEDEUX_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK or str(path).startswith(str(tmp_path)))
+    if home == "unknown":
+        monkeypatch.delenv("HOME", raising=False)
+        monkeypatch.setattr("os.path.expanduser", lambda path: path)
+    else:
+        (tmp_path / "a file").touch()
+        monkeypatch.setenv("HOME", str(tmp_path / "a file") if home == "a file" else "/proc")
+    cache = tmp_path / f"pasdedeux-{os.getuid()}"
+    assert cache_folder() == cache
+    assert worker_environment()["NUMBA_CACHE_DIR"] == str(cache / "numba")
+    assert Store("s3://bucket/store").root.parent == cache / "stores"
+    assert NetworkAddress("https://a", "b").kept.parent == cache / "detectors"
 
 
 def test_kernels_are_kept_where_there_is_a_folder_with_room(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import NamedTuple
 
 from pasdedeux.errors import InputError
+from storage_schema.durable import cache_folder
 from tasks.downloads import check_host
 from tasks.stage import SourceFile
 from tasks.user_files import digest_of
@@ -24,9 +24,7 @@ class NetworkAddress(NamedTuple):
     @property
     def kept(self) -> Path:
         """Return where its file lies once it was fetched."""
-        base = os.environ.get("PASDEDEUX_CACHE")
-        folder = Path(base) if base else Path.home() / ".cache" / "pasdedeux"
-        return folder / "detectors" / f"{self.sha256}.onnx"
+        return cache_folder() / "detectors" / f"{self.sha256}.onnx"
 
 
 def find_network(stated: str) -> SourceFile:

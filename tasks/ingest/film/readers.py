@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.image_names import STILLS_STEP, places_of_names
+from pasdedeux.plain_text import counted
 from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
 from tasks.stage import SourceFile
 from tasks.user_files import digest_of, open_file
@@ -260,7 +261,7 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
         size = (frame.image.shape[1], frame.image.shape[0])
     name = Path(files[0].path).name
     if len(times) < 2:
-        raise InputError(f"film {name} has {len(times)} frames that can be read; at least 2 are needed")
+        raise InputError(f"film {name} has {counted(len(times), 'frame')} that can be read; at least 2 are needed")
     rate_hz, is_constant, num_lost = None, True, 0
     if _is_video(files):
         import cv2  # here: a quarter of a second that planning does not need

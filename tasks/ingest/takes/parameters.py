@@ -84,7 +84,6 @@ class CommonOptions(PersonOptions):
     )
     persons: tuple[PersonOptions, ...] = Field(
         (),
-        max_length=26,
         description="Keys of the take that differ for a person, in the order of the files",
     )
     licence: str | None = Field(
@@ -106,7 +105,7 @@ class TakeOptions(CommonOptions):
     """One take: a file per person."""
 
     id: str = Field(pattern=ID, max_length=100, description="Name of the take, unique in the study")
-    files: tuple[Path, ...] = Field(min_length=1, max_length=26, description="A motion file for each person")
+    files: tuple[Path, ...] = Field(min_length=1, description="A motion file for each person")
     objects: Path | None = Field(
         None, description="What the people handle: capsules that move, in the axes and frames of A's file (CSV, npz)"
     )
@@ -125,7 +124,7 @@ class PairOptions(CommonOptions):
         "auto",
         description="File name with {subject} and {take}; auto takes {subject}_{take}.bvh, else {subject}_{take}.amc",
     )
-    subjects: tuple[str, ...] = Field(min_length=1, max_length=26, description="Subjects: person A, then B, ...")
+    subjects: tuple[str, ...] = Field(min_length=1, description="Subjects: person A, then B, ...")
     takes: tuple[str, ...] | None = Field(
         None,
         description="Takes, as named in the file names; by default every take in the folder, also those that are added "

@@ -15,6 +15,7 @@ from pasdedeux.errors import InputError, named
 from pasdedeux.formats.resolution import one_rate
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
+from pasdedeux.plain_text import counted
 from tasks.ingest.common import INGEST
 from tasks.ingest.files import LoadedFile, load_file
 from tasks.ingest.parameters import IngestParameters, SkippedParameters
@@ -177,7 +178,9 @@ def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOpt
 def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOptions) -> Shard:
     with named(f"take {take.id}"):
         if len(take.persons) > len(take.files):
-            raise InputError(f"options for {len(take.persons)} persons, but it has {len(take.files)} file(s)")
+            raise InputError(
+                f"options for {counted(len(take.persons), 'person')}, but it has {counted(len(take.files), 'file')}"
+            )
         people = [
             find_person(path, person.over(take), parameters.mappings, number=take.files[:at].count(path))
             for at, (path, person) in enumerate(zip(take.files, _options(take), strict=True))

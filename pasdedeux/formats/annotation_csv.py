@@ -38,6 +38,8 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 
 COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence", "status")
 _NEEDED = ("frame", "joint", "x", "y")
+_PASSED_OVER = ("image", "image_name", "filename", "file_name")
+"""Columns that tools add; `frame` says of which image a row is."""
 
 
 def read_annotation_csv(
@@ -66,7 +68,7 @@ def read_annotation_csv(
                     rate_hz = parse_number(value, "the frame rate", *RATE_HZ)
                 case "focal_px":
                     focal_px = parse_number(value, "the focal length", *FOCAL_PX)
-        for row in lines.table(_NEEDED, COLUMNS)[1]:
+        for row in lines.table(_NEEDED, (*COLUMNS, *_PASSED_OVER))[1]:
             frame, word = parse_integer(_whole(row["frame"]), "frame"), _whole(row.get("person", "0"))
             person = word if any(map(str.isalpha, word)) else parse_integer(word, "person")
             joints = people.setdefault((from_cell(row.get("sequence", "")) or sequence_id, frame, person), {})

@@ -21,7 +21,7 @@ from pasdedeux.formats.bvh_body import BvhHierarchy
 from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import Lines, compare_count, parse_integer, parse_number, parse_numbers, shorten
+from pasdedeux.formats.text import Lines, compare_count, decode, parse_integer, parse_number, parse_numbers, shorten
 from pasdedeux.formats.yolo import YOLO
 from pasdedeux.skeletons import Skeleton
 
@@ -37,8 +37,12 @@ _FRAME_TIME = re.compile(rb"Frame\s*Time\s*:\s*\S+", re.IGNORECASE)
 _NUMBERS = b"0123456789+-.eE \t\r\n"
 _LARGE_BYTES, _NUM_SAMPLED = 2_000_000, 2000
 """Size from which the head of a file is read by a sample of its frames, and about how many these are."""
-_CHANNELS = {f"{axis}position": axis.lower() for axis in "XYZ"} | {f"{axis}rotation": axis for axis in "XYZ"}
+_SCALES = {"Xscale": "1", "Yscale": "2", "Zscale": "3"}
+_CHANNELS = {f"{axis}position": axis.lower() for axis in "XYZ"} | {f"{axis}rotation": axis for axis in "XYZ"} | _SCALES
 """The letter that stands for each channel."""
+_MAX_SCALED = 1e-3
+"""Difference of a scale from 1 that is digits."""
+_COMMAS, _POINTS = (re.compile(rf"(?<!\S)[-+]?\d+{mark}\d+(?:[eE][-+]?\d+)?(?!\S)") for mark in (",", r"\."))
 
 
 @dataclass(frozen=True)
@@ -295,6 +299,9 @@ def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
 
 def _read(data: bytes | str, num_held: int | None = None) -> _BvhFile:
     """Read a file, or a sample of one that holds so many frames."""
+    data, has_commas = decode(data, "BVH file"), False
+    if "," in data and _COMMAS.search(data) and not _POINTS.search(data):
+        data, has_commas = _COMMAS.sub(lambda number: number[0].replace(",", "."), data), True
     with Lines(data, "BVH file") as lines:
         hierarchy = _read_hierarchy(lines)
         num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames")
@@ -302,8 +309,26 @@ def _read(data: bytes | str, num_held: int | None = None) -> _BvhFile:
         parse_number(frame_time, "the frame time in seconds", MIN_FRAME_TIME_S, MAX_FRAME_TIME_S)
         values = _read_rows(hierarchy, lines)
         counted = compare_count(num_frames, num_held or len(values))
+    hierarchy, values = _without_scales(hierarchy, values)
     rate_hz, note = rate_from_frame_time(frame_time)
-    return _BvhFile(hierarchy, values, rate_hz, tuple(filter(None, (counted, note))))
+    notes = counted, note, "its decimal commas are read as points" if has_commas else ""
+    return _BvhFile(hierarchy, values, rate_hz, tuple(filter(None, notes)))
+
+
+def _without_scales(hierarchy: BvhHierarchy, values: Array) -> tuple[BvhHierarchy, Array]:
+    """Return joints and numbers without the scales of joints, which must be 1."""
+    joints = zip(hierarchy.skeleton.joint_names, hierarchy.channels, strict=True)
+    columns = [(joint, letter) for joint, letters in joints for letter in letters]
+    is_scale = np.array([letter in _SCALES.values() for _, letter in columns])
+    if not is_scale.any():
+        return hierarchy, values
+    for frame, column in np.argwhere((np.abs(values - 1.0) > _MAX_SCALED) & is_scale)[:1]:
+        raise FormatError(
+            f"frame {frame}: joint '{columns[column][0]}' is scaled by {values[frame, column]:g}; bones keep their "
+            "size here: export the motion without scales"
+        )
+    turns = tuple("".join(letter for letter in letters if letter.isalpha()) for letters in hierarchy.channels)
+    return replace(hierarchy, channels=turns), values[:, ~is_scale]
 
 
 def _stated(lines: Lines, label: str) -> str:

@@ -185,7 +185,7 @@ def _is_coco(start: FileStart) -> bool:
 
 def _is_image_result(start: FileStart) -> bool:
     others = ("people", *_LANDMARK_KEYS, *_IMAGE_KEYS, "frame_id", "frame")
-    return start.has_key("keypoints") and not start.has_points and not start.has_key(*others)
+    return start.has_key("keypoints") and not start.has_points and not start.is_by_frame and not start.has_key(*others)
 
 
 COCO = AnnotationFormat(

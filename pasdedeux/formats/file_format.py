@@ -67,6 +67,11 @@ class FileStart:
         return self.text[:1] in ("{", "[")
 
     @cached_property
+    def is_by_frame(self) -> bool:
+        """Whether it is a JSON object of lists or objects by numbers or names with numbers, such as images."""
+        return re.match(r'\{\s*"[^"]*\d[^"]*"\s*:\s*[\[{]', self.text) is not None
+
+    @cached_property
     def has_points(self) -> bool:
         """Whether it is JSON of objects with a number `x`."""
         return self.is_json and re.search(r'"x"\s*:\s*-?\d', self.text) is not None

@@ -4,6 +4,8 @@ MediaPipe itself writes no file.  What is read is what people's programs have in
 order or by name, alone or one list for each person; a table has a row for each landmark (`frame, landmark_id, x, y, z,
 visibility`) or a row for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, ...`, with several people `p1_nose_x`),
 also with the rows of DeepLabCut above it (`scorer`, `individuals`, `bodyparts`, `coords`).
+
+JSON may have frames by number or image, and in them people by number or name, as AlphaPose's forms of OpenPose have.
 """
 
 from __future__ import annotations
@@ -29,17 +31,23 @@ from pasdedeux.formats.detections import (
     names_in_order,
 )
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.image_names import places_of_names
+from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, MISSING, Lines, decode, parse_json, parse_number, parse_triples, shorten
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, KeypointLayout
 
+Names = tuple[str, ...] | None
 _NAMES = KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names
 _LIST_KEYS = ("frames", "poses", "results", "data", "landmarks", "pose_landmarks")
-_POSE_KEYS = ("landmarks", "pose_landmarks", "poselandmarks", "landmark", "keypoints", "pose")
+_POSE_KEYS = (
+    *("landmarks", "pose_landmarks", "poselandmarks", "landmark", "keypoints", "pose"),
+    *("people", "bodies", "pose_keypoints_2d", "joints"),
+)
 _FRAME_KEYS = ("frame", "frame_id", "frame_index", "frame_idx", "frame_number", "frame_num", "frame_no")
 _PERSON_KEYS = ("person", "person_id", "track_id", "pose_index", "pose_id", "individual", "id")
 _VIDEO_KEYS = ("video", "video_name", "sequence", "filename")
+_IMAGE_KEYS = ("image", "image_name", "image_file", "img", "img_name", "filename", "file_name", "file", *_FRAME_KEYS)
+_IMAGE = re.compile(r"\.(?:jpe?g|png|bmp|tiff?|webp)$", re.IGNORECASE)
 _LANDMARK_KEYS = (
     *("landmark_name", "landmark", "landmark_id", "landmark_index", "landmark_idx"),
     *("keypoint_name", "keypoint", "keypoint_id", "bodypart", "joint_name", "joint_id"),
@@ -54,9 +62,9 @@ _COLUMN = re.compile(
 )
 _LISTS = re.compile(
     r"(?:\[\s*(?:\[\s*\]\s*,\s*)*){2,5}(?:-?\d|null|NaN)"
-    r'|\{\s*"[^"]*\d[^"]*"\s*:\s*(?:\[\s*){1,4}[\]\d-]'
+    r'|\[\s*(?:\{\s*\}\s*,\s*)*(?:\{\s*"[^"]*"\s*:\s*){2}\[\s*(?:-?\d|null|NaN)'
 )
-"""How JSON of bare lists of numbers begins: lists of frames, or an object of them by number or image."""
+"""How JSON of bare lists of numbers begins: lists of frames, or of objects of people with named joints."""
 
 
 def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
@@ -90,10 +98,12 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLa
 def _is_mediapipe(start: FileStart) -> bool:
     """Tell whether the file is JSON of landmarks or of lists of points, or a table whose columns are theirs."""
     if start.is_json:
-        if start.has_key("people"):
+        if start.has_key("people") and not start.is_by_frame:
             return False
-        has_points = start.has_points or start.has_key("landmarks", "pose_landmarks")
-        return has_points or (_LISTS.match(start.text) is not None and not start.has_key("annotations", "image_id"))
+        if start.has_points or start.has_key("landmarks", "pose_landmarks"):
+            return True
+        has_lists = start.is_by_frame or _LISTS.match(start.text) is not None
+        return has_lists and not start.has_key("annotations", "image_id")
     if start.columns[0] == "scorer":
         return True
     keys = {_plain(column) for column in start.columns}
@@ -121,7 +131,9 @@ def _of_frames(content: Any) -> Iterator[Detection]:
     """Yield the people of JSON: a list of frames, an object with one, an object by frame numbers, or one frame."""
     frames = content
     if isinstance(content, dict):
-        are_frames = all(isinstance(one, list) and re.search(r"\d", key) for key, one in content.items())
+        are_frames = not _is_pose(content) and all(
+            _is_nested(one) and re.search(r"\d", key) for key, one in content.items()
+        )
         are_numbers = all(re.fullmatch(r"[0-9]{1,9}", key) for key in content)
         places = (
             {key: ("", int(key)) for key in content} if are_numbers else places_of_names(content if are_frames else ())
@@ -140,13 +152,14 @@ def _of_frames(content: Any) -> Iterator[Detection]:
             number = index if stated is None else stated
             if type(number) is not int or not 0 <= number <= MAX_COUNT:
                 raise FormatError(f"its number is {shorten(number)}; allowed: whole numbers to {MAX_COUNT}")
-            if low and not any(key in low for key in _POSE_KEYS) and not _is_pose(low):
+            are_people = bool(low) and all(map(_is_pose, low.values()))
+            if low and not any(key in low for key in _POSE_KEYS) and not _is_pose(low) and not are_people:
                 has_world = any("world" in key for key in low)
                 raise FormatError("no landmarks of the image are there" + (", only of the world" if has_world else ""))
             is_number = isinstance(person, int) and 0 <= person <= MAX_COUNT
             own = person if is_number or (isinstance(person, str) and person) else None
-            for pose, names in _poses(low or frame):
-                yield Detection(("", number), own, pose, where, names=names)
+            for who, pose, names in _poses(frame if are_people else low or frame):
+                yield Detection(("", number), own if who is None else who, pose, where, names=names)
 
 
 def _is_point(value: Any) -> bool:
@@ -166,12 +179,12 @@ def _is_pose(value: Any) -> bool:
     return len(points) > 2 and all(_is_point(point) for point in points)
 
 
-def _poses(value: Any) -> Iterator[tuple[Array, tuple[str, ...] | None]]:
-    """Yield the points (K, 3) of everybody in a value, and their names where they have some."""
+def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | str | None, Array, Names]]:
+    """Yield everybody in a value: number or name, points (K, 3), and their names; None where there is none."""
     if value is None or value in ([], {}):
         return
     if isinstance(value, list) and len(value) / 3 in LAYOUTS_OF_COUNT and not any(map(_is_nested, value)):
-        yield parse_triples(value, "a list of x, y, confidence"), None
+        yield person, parse_triples(value, "a list of x, y, confidence"), None
     elif _is_pose(value):
         points = list(value.values()) if isinstance(value, dict) else value
         names = (
@@ -180,12 +193,15 @@ def _poses(value: Any) -> Iterator[tuple[Array, tuple[str, ...] | None]]:
             else [_first(one, ("name", "part")) for one in points if isinstance(one, dict)]
         )
         has_names = len(names) == len(points) and all(isinstance(name, str) and name for name in names)
-        yield _table(points), tuple(names) if has_names else None
+        yield person, _table(points), tuple(names) if has_names else None
     elif isinstance(value, list):
         for one in value:
-            yield from _poses(one)
+            yield from _poses(one, person)
     elif isinstance(value, dict) and any(key in value for key in _POSE_KEYS):
-        yield from _poses(next(value[key] for key in _POSE_KEYS if key in value))
+        yield from _poses(next(value[key] for key in _POSE_KEYS if key in value), person)
+    elif isinstance(value, dict) and all(map(_is_nested, value.values())):
+        for key, one in value.items():
+            yield from _poses(one, int(key) if re.fullmatch(r"[0-9]{1,9}", key) else key)
     else:
         raise FormatError("something is no list of points with x and y")
 
@@ -217,6 +233,13 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
         for keys in (_FRAME_KEYS, _PERSON_KEYS, _VIDEO_KEYS, _LANDMARK_KEYS, _SEEN_KEYS)
     )
     by_person = _columns_by_landmark(header)
+    cells = [(lines.number, row) for row in rows]
+    keys = (plain[_plain(key)] for key in _IMAGE_KEYS if _plain(key) in plain)
+    image_key = next((key for key in keys if cells and all(_IMAGE.search(row[key]) for _, row in cells)), None)
+    video_key = None if video_key == image_key else video_key
+    places: Mapping[str, Place] = {}
+    if image_key is not None and frame_key in (None, image_key):
+        frame_key, places = image_key, places_of_names(row[image_key] for _, row in cells)
     if landmark_key is None and not any(len(points) >= MIN_NAMED for points in by_person.values()):
         raise FormatError("no columns of landmarks; known: landmark, x and y, or nose_x, nose_y ...")
     if landmark_key is not None and (frame_key is None or not {"x", "y"} <= set(plain)):
@@ -224,10 +247,13 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
     people: dict[tuple[str, int, int | str | None, int], dict[str, list[float]]] = {}
     numbers: dict[tuple[str, int, int | str | None, int], int] = {}
     seen: Counter[tuple[str, int, int | str | None]] = Counter()
-    for position, row in enumerate(rows):
-        frame = position if frame_key is None else _count(row[frame_key], frame_key)
+    for position, (line, row) in enumerate(cells):
+        lines.number = line  # where errors are
+        in_video, frame = places.get(row[frame_key], ("", None)) if frame_key else ("", position)
+        if frame is None:
+            frame = _count(row[str(frame_key)], str(frame_key))
         person = None if person_key is None else _person(row[person_key], person_key)
-        video = row[video_key] if video_key else ""
+        video = row[video_key] if video_key else in_video
         if landmark_key is not None:
             name = row[landmark_key]
             if name.isdigit() and int(name) >= len(_NAMES):
@@ -240,14 +266,14 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
             if name in people.get(key, {}):
                 raise FormatError(f"'{shorten(name)}' twice for person {person} in frame {frame}")
             people.setdefault(key, {}).update(points)
-            numbers.setdefault(key, lines.number)
+            numbers.setdefault(key, line)
             continue
         for who, columns in by_person.items():
             place = (video, frame, person if person is not None or len(by_person) == 1 else who)
             key = (*place, seen[place])
             seen[place] += 1
             people[key] = {name: [_value(row, column) for column in axes] for name, axes in columns.items()}
-            numbers[key] = lines.number
+            numbers[key] = line
     if not people:
         raise InputError("this table of landmarks has no rows: nobody was detected")
     names = names_in_order((name for points in people.values() for name in points), first=0)

@@ -44,7 +44,7 @@ def read_people(data: bytes | str) -> list[Detection]:
 OPENPOSE = AnnotationFormat(
     name="openpose",
     suffixes=(".json",),
-    recognises=lambda start: start.has_key("people"),
+    recognises=lambda start: start.has_key("people") and not start.is_by_frame,
     read_people=read_people,
 )
 """OpenPose's files; Pose2Sim, RTMPose's and other tools write the same, with layouts known by their size."""

@@ -9,30 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-ISSUE_BVH = """HIERARCHY
-ROOT Hips { OFFSET 0 95 0 CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-JOINT Spine { OFFSET 0 10 0 CHANNELS 0 JOINT Spine1 { OFFSET 0 11 0 CHANNELS 0 JOINT Spine2 { OFFSET 0 12 0 CHANNELS 0
-JOINT Neck { OFFSET 0 15 0 CHANNELS 0 JOINT Head { OFFSET 0 9 1 CHANNELS 0 End Site { OFFSET 0 16 0 } } }
-JOINT LeftShoulder { OFFSET 5 11 0 CHANNELS 0 JOINT LeftArm { OFFSET 13 0 0 CHANNELS 0 JOINT LeftForeArm { OFFSET 28 0 0
-CHANNELS 0 JOINT LeftHand { OFFSET 26 0 0 CHANNELS 0 } } } }
-JOINT RightShoulder { OFFSET -5 11 0 CHANNELS 0 JOINT RightArm { OFFSET -13 0 0 CHANNELS 0 JOINT RightForeArm {
-OFFSET -28 0 0 CHANNELS 0 JOINT RightHand { OFFSET -26 0 0 CHANNELS 0 } } } }
-} } }
-JOINT LeftUpLeg { OFFSET 9 -4 0 CHANNELS 0 JOINT LeftLeg { OFFSET 0 -42 0 CHANNELS 0 JOINT LeftFoot { OFFSET 0 -41 0
-CHANNELS 0 JOINT LeftToeBase { OFFSET 0 -6 13 CHANNELS 0 } } } }
-JOINT RightUpLeg { OFFSET -9 -4 0 CHANNELS 0 JOINT RightLeg { OFFSET 0 -42 0 CHANNELS 0 JOINT RightFoot { OFFSET 0 -41 0
-CHANNELS 0 JOINT RightToeBase { OFFSET 0 -6 13 CHANNELS 0 } } } }
-}
-MOTION
-Frames: 4
-Frame Time: 0.0333333
-0 95 0 0 0 0
-0 96 1 0 0 0
-0 97 2 0 0 0
-0 96 3 0 0 0
-"""
-"""A person of 1.69 m whose pelvis rises by 2 cm and goes forward by 3."""
-
 
 @dataclass(frozen=True)
 class Node:

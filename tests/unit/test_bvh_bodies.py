@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import BVH, read_bvh, read_bvh_head
 from pasdedeux.formats.registry import recognise_format
-from tests.builders.bvh_rigs import ISSUE_BVH, Node, body_nodes, bvh_of, world_of_file
+from tests.builders.bvh_rigs import Node, body_nodes, bvh_of, world_of_file
+from tests.builders.rigs import SMALL_BVH
+from tests.builders.source_samples import bvh_text
 
 ABOVE = ["reference", "Armature", "joint_Root", "Bip01", "Solving:Hips_root"]
 
@@ -56,9 +58,9 @@ def test_what_nodes_above_the_hips_do_is_composed_exactly(above: int, kinds: tup
 
 
 def test_the_pelvis_of_a_still_or_moving_reference_moves() -> None:
-    wanted = world_of_file(ISSUE_BVH)
+    wanted = world_of_file(SMALL_BVH)
     for channels in ("0", "6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"):
-        text = ISSUE_BVH.replace("ROOT Hips", f"ROOT reference {{ OFFSET 0 0 0 CHANNELS {channels} JOINT Hips", 1)
+        text = SMALL_BVH.replace("ROOT Hips", f"ROOT reference {{ OFFSET 0 0 0 CHANNELS {channels} JOINT Hips", 1)
         text = text.replace("}\nMOTION", "} }\nMOTION")
         if channels != "0":
             text = re.sub(r"(?m)^(0 9\d .*)$", r"0 0 0 0 0 0 \1", text)
@@ -70,7 +72,7 @@ def test_the_pelvis_of_a_still_or_moving_reference_moves() -> None:
 
 
 def test_a_node_turned_for_good_turns_the_rest_pose_too() -> None:
-    text = ISSUE_BVH.replace("ROOT Hips", "ROOT Armature { OFFSET 0 0 0 CHANNELS 1 Xrotation JOINT Hips", 1)
+    text = SMALL_BVH.replace("ROOT Hips", "ROOT Armature { OFFSET 0 0 0 CHANNELS 1 Xrotation JOINT Hips", 1)
     text = re.sub(r"(?m)^(0 9\d .*)$", r"-90 \1", text.replace("}\nMOTION", "} }\nMOTION"))
     source = read_bvh(text)
     np.testing.assert_allclose(source.rest_offsets[source.skeleton.index("Spine")], (0, 0, -10), atol=1e-9)
@@ -85,7 +87,7 @@ def test_a_node_turned_for_good_turns_the_rest_pose_too() -> None:
     ["ik_foot_root", "camera", "prop"],
 )
 def test_what_hangs_beside_the_hips_is_left_out_and_said(beside: str) -> None:
-    text = ISSUE_BVH.replace(
+    text = SMALL_BVH.replace(
         "ROOT Hips",
         f"ROOT root {{ OFFSET 0 0 0 CHANNELS 0 JOINT {beside} {{ OFFSET 1 0 0 CHANNELS 0 JOINT {beside}_l "
         "{ OFFSET 1 0 0 CHANNELS 0 } } JOINT Hips",
@@ -95,7 +97,7 @@ def test_what_hangs_beside_the_hips_is_left_out_and_said(beside: str) -> None:
     assert source.notes == (f"joint '{beside}' and 1 more beside 'Hips' left out",)
 
 
-STRETCHED = ISSUE_BVH.replace(
+STRETCHED = SMALL_BVH.replace(
     "JOINT Spine1 { OFFSET 0 11 0 CHANNELS 0", "JOINT Spine1 { OFFSET 0 11 0 CHANNELS 1 Yposition"
 )
 
@@ -227,3 +229,31 @@ def test_the_plain_reading_agrees_with_a_hand_made_case() -> None:
     places = world_of_file(bvh_of(nodes, np.array([[5.0, 90.0]])))
     np.testing.assert_allclose(places["b"], [[3.0, 0.0, 0.0]], atol=1e-12)
     assert Rotation.from_euler("Z", 90, degrees=True).apply([0, 2, 0])[0] == pytest.approx(-2)
+
+
+@pytest.mark.parametrize("channels", ["Xscale Yscale Zscale", "Zscale"])
+def test_scales_of_joints_are_read_where_they_are_1_and_refused_elsewhere(channels: str) -> None:
+    scales = channels.split()
+    text = SMALL_BVH.replace("CHANNELS 6 ", f"CHANNELS {6 + len(scales)} ").replace(
+        "Yrotation", f"Yrotation {channels}"
+    )
+    head, _, rows = text.rpartition("Frame Time: 0.0333333\n")
+    ones = [f"{row} {' '.join('1' for _ in scales)}" for row in rows.split("\n") if row]
+    same, plain = read_bvh("\n".join([head + "Frame Time: 0.0333333", *ones])), read_bvh(SMALL_BVH)
+    np.testing.assert_array_equal(same.root_translation, plain.root_translation)
+    np.testing.assert_array_equal(same.local_unitquat, plain.local_unitquat)
+    assert same.skeleton == plain.skeleton
+    ones[2] = f"{ones[2].rpartition(' ')[0]} 1.2"
+    with pytest.raises(FormatError, match=r"^frame 2: joint 'Hips' is scaled by 1.2; .*without scales$"):
+        read_bvh("\n".join([head + "Frame Time: 0.0333333", *ones]))
+
+
+def test_decimal_commas_are_points_where_no_number_has_a_point() -> None:
+    plain = bvh_text()
+    found, same = read_bvh(re.sub(r"(?<=\d)\.(?=\d)", ",", plain)), read_bvh(plain)
+    np.testing.assert_array_equal(found.local_unitquat, same.local_unitquat)
+    np.testing.assert_array_equal(found.rest_offsets, same.rest_offsets)
+    assert (found.rate_hz, found.notes) == (same.rate_hz, (*same.notes, "its decimal commas are read as points"))
+    last = max(at for at, letter in enumerate(plain) if letter == ".")
+    with pytest.raises(FormatError, match=r"line \d+: .*'-?\d+,\d+' is not a number"):
+        read_bvh(plain[:last] + "," + plain[last + 1 :])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -84,6 +85,9 @@ POSETRACK_PEOPLE = [
 ]
 BOXES = [{"image_id": 0, "bbox": [1, 2, 3, 4]}, {"image_id": 3, "keypoints": None}]
 BY_FRAME = [[table.tolist() for at, _, table in listed() if at == frame] for frame in range(FRAMES)]
+BY_NAME: dict[str, dict[str, dict[str, list[float]]]] = {}
+for _frame, _person, _table in listed():
+    BY_NAME.setdefault(str(_frame), {})[str(_person)] = dict(zip(NAMES, _table.tolist(), strict=True))
 ALONE = [table.tolist() for _, _, table in listed(1)]
 NAMED = [
     [
@@ -114,6 +118,34 @@ TEXTS = {
     "flat lists": json.dumps([[[value for point in one for value in point] for one in people] for people in BY_FRAME]),
     "wide table with axes first, one person": "\n".join(ONE_AXIS_FIRST),
     "our rows by number of joint": long(2, "frame,person,joint,x,y,confidence", "{0}.0,{1}.0,{7},{4},{5},{6}"),
+    "people by number in frames by number": json.dumps(BY_NAME),
+    "people by name in frames by image": json.dumps(
+        {f"img ({f}).jpg": {"AB"[int(p)]: one for p, one in people.items()} for f, people in BY_NAME.items()}
+    ),
+    "people by name in a list of frames": json.dumps(
+        [{"AB"[int(p)]: one for p, one in people.items()} for people in BY_NAME.values()]
+    ),
+    "lists of named joints by frame": json.dumps({f"frame_{f}": [*people.values()] for f, people in BY_NAME.items()}),
+    "AlphaPose's lists in OpenPose's words": json.dumps(
+        {
+            f"{f}.jpg": {
+                "version": "AlphaPose v0.3",
+                "people": [{"pose_keypoints_2d": [*chain(*one)]} for one in people],
+            }
+            for f, people in enumerate(BY_FRAME)
+        }
+    ),
+    "AlphaPose's lists of bodies": json.dumps(
+        {f"{f}.jpg": {"bodies": [{"joints": [*chain(*one)]} for one in people]} for f, people in enumerate(BY_FRAME)}
+    ),
+    "rows with a frame and an image": long(
+        2, "image,frame,person,keypoint,x,y,score", "film_{0}_12.jpg,{0},{1},{3},{4},{5},{6}"
+    ),
+    "rows with an image in place of a frame": long(
+        2, "file_name,person,keypoint,x,y,score", "clip/frame_{0:04d}.png,{1},{3},{4},{5},{6}"
+    ),
+    "rows with an image as frame": long(2, "frame,person,keypoint,x,y,score", "{0}.jpg,{1},{3},{4},{5},{6}"),
+    "our rows with an image": long(2, "image,frame,person,joint,x,y,confidence", "a_{0}.jpg,{0},{1},{3},{4},{5},{6}"),
     "points with names, one person": json.dumps([{"frame": at, "keypoints": one} for at, one in enumerate(NAMED)]),
     "wide table, one person": "\n".join(ONE),
     "wide table in camel case, one person": "\n".join(wide(1, lambda person, name: name.title().replace("_", ""))),

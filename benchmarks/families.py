@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -35,18 +35,15 @@ from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.reconstruction.people import Reconstruction, reconstruct_people
-from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
-from pasdedeux.reconstruction.reconstruct import Method, Searcher
-from pasdedeux.reconstruction.reliability import judge_tracks, left_out_misfit_m
+from pasdedeux.reconstruction.people import SequenceOptions
+from pasdedeux.reconstruction.reconstruct import Method
+from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, read_latest
 from tasks.facts import ProjectionFacts, TakeFacts
-from tasks.projections import ProjectionsParameters, read_database, read_pairs
-from tasks.reconstruction import MAX_PAIRS
+from tasks.projections import read_pairs, read_searched
 from tasks.takes import read_motion
 
 Array = npt.NDArray[np.float64]
@@ -90,16 +87,6 @@ class Seen:
     tracks: list[Track]
     truth_m: Array
     height_m: float
-
-
-@dataclass(frozen=True)
-class Family:
-    """What a family is reconstructed from: the takes of the others under every pitch, their pairs, and their misfit."""
-
-    searchers: list[Searcher]
-    level: Searcher
-    pairs_m: npt.NDArray[np.floating]
-    left_out_m: float
 
 
 def study_of(data: Path) -> str:
@@ -155,16 +142,12 @@ class Takes:
                 poses = read_motion(self._store, ref, "op14_m")["op14_m"]
                 self.poses_m[TakeFacts.of(manifest).take_id] = poses.astype(np.float64)
 
-    def without(self, family: str) -> Family:
+    def without(self, family: str) -> SearchedDatabase:
         """Return the database of the takes of all other families."""
         own = set(FAMILIES[family])
         refs = [ref for ref in self._parts if not own & set(ProjectionFacts.of(self._store.manifest(ref)).takes)]
-        database, take_ids, _ = read_database(self._store, refs)
-        pitches = np.deg2rad(ProjectionsParameters().pitches_deg)
-        searchers = [Searcher.of(replace(database, camera=DatabaseCamera(float(pitch)))) for pitch in pitches]
-        level = searchers[0].pitched(0.0)
-        left_out_m = left_out_misfit_m(level.database, level.index, take_ids)
-        return Family(searchers, level, read_pairs(self._store, refs, max_pairs=MAX_PAIRS), left_out_m)
+        database = replace(read_searched(self._store, refs), pairs_m=read_pairs(self._store, refs))
+        return replace(database, ready=tuple(database.searcher(pitch) for pitch in database.pitches_rad))
 
     def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[Clip]:
         """Return as many clips of each family; those of another seed have nothing in common."""
@@ -224,14 +207,15 @@ def lasting_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     return 0.7 * (white + lasting)
 
 
-def reconstruct(seen: Seen, family: Family, **stated: Any) -> Reconstruction:
+def reconstruct(
+    seen: Seen,
+    database: SearchedDatabase,
+    camera: StatedCamera | None = None,
+    statures_m: Mapping[int, float] | None = None,
+) -> Reconstruction:
     """Reconstruct a clip as `pasdedeux reconstruct` does."""
-    pitch: PitchEstimate = stated.pop("pitch", None) or choose_pitch(family.searchers, seen.tracks)
-    pairs_m = family.pairs_m if len(seen.tracks) > 1 else None
-    searcher = family.level.pitched(pitch.pitch_rad)
-    return reconstruct_people(
-        searcher, seen.tracks, [Method.NEAREST, Method.FIT], pairs_m=pairs_m, pitch=pitch, **stated
-    )
+    options = SequenceOptions((Method.NEAREST, Method.FIT), statures_m=statures_m or {})
+    return reconstruct_sequence(seen.tracks, database, camera, options)
 
 
 @dataclass(frozen=True)
@@ -246,13 +230,11 @@ class Row:
     verdict: str
 
 
-def rows_of(seen: Seen, found: Reconstruction, family: Family, level: Reconstruction | None) -> Iterator[Row]:
+def rows_of(seen: Seen, found: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
     """Yield everybody and the couple of a clip."""
-    judged = judge_tracks(
-        found, family.left_out_m, pitches_rad=[one.database.camera.pitch_rad for one in family.searchers]
-    )
-    made = {one.name: one.people for one in found.methods} | (
-        {} if level is None else {"level": level.methods[-1].people}
+    judged = found.judged
+    made = {one.name: one.people for one in found.people.methods} | (
+        {} if level is None else {"level": level.people.methods[-1].people}
     )
     made = {"ours": made.pop("fit_clean"), **{name: made[name] for name in ("nearest", "level") if name in made}}
     for number, one in enumerate(made["ours"]):
@@ -301,10 +283,10 @@ def say_all(takes: Takes, asked: argparse.Namespace) -> None:
         from_others = takes.without(family)
         for clip in (one for one in clips if one.family == family):
             seen = takes.seen(clip, has_lens=asked.lens)
-            stated = {"statures_m": {one.person_id: clip.stature_m for one in seen.tracks[:1]}} if asked.stature else {}
-            found = reconstruct(seen, from_others, **stated)
-            level = None if asked.no_level else reconstruct(seen, from_others, pitch=PitchEstimate(0.0), **stated)
-            rows += rows_of(seen, found, from_others, level)
+            statures_m = {one.person_id: clip.stature_m for one in seen.tracks[:1]} if asked.stature else {}
+            found = reconstruct(seen, from_others, statures_m=statures_m)
+            level = None if asked.no_level else reconstruct(seen, from_others, StatedCamera(0.0), statures_m)
+            rows += rows_of(seen, found, level)
             say(
                 f"{family} {clip.take}: "
                 + ", ".join(

@@ -34,7 +34,7 @@ from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
 from pasdedeux.reconstruction.live.person import NUM_CANDIDATES, LivePose
 from pasdedeux.reconstruction.live.window_fit import WindowFit
-from pasdedeux.reconstruction.people import reconstruct_people
+from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
@@ -280,7 +280,12 @@ def _reconstruct() -> BenchmarkResult:
     tracks = [Track(one, np.ones(one.shape[:2]), 24.0, lens, person_id=number) for number, one in enumerate(px)]
     forms = {"fit, scene, clean-up and bodies": Method.FIT, "nearest pose and bodies": Method.NEAREST}
     rates = [
-        measure(name, partial(reconstruct_people, searcher, tracks, [method]), count=2 * _LIVE_FRAMES, repeats=1)
+        measure(
+            name,
+            partial(reconstruct_people, searcher, tracks, SequenceOptions([method])),
+            count=2 * _LIVE_FRAMES,
+            repeats=1,
+        )
         for name, method in forms.items()
     ]
     return BenchmarkResult(

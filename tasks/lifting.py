@@ -21,7 +21,14 @@ from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedPairs, as_pair17, lift_over_time
+from pasdedeux.reconstruction.annotated import (
+    MIN_FRAMES,
+    as_pair17,
+    database_of_draws,
+    database_of_takes,
+    lift_over_time,
+)
+from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
@@ -32,7 +39,7 @@ from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws,
 from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
-from tasks.reconstruction import MAX_PAIRS, SequenceShard, read_tracks
+from tasks.reconstruction import read_tracks
 from tasks.stage import (
     Parameters,
     Shard,
@@ -242,17 +249,17 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
 
 
 @kept()
-def _filmed_pairs(
+def _searched(
     store: Store, database: tuple[ArtifactRef, ...], draws: tuple[ArtifactRef, ...], pitches_deg: Pitches
-) -> FilmedPairs:
-    """Return what cameras see that are tried, made ready once for all shards of a worker: takes of a database.
+) -> tuple[SearchedDatabase, bool]:
+    """Return what frames of a camera are matched to, made ready once for all shards of a worker, and if it is of draws.
 
-    Draws and grown pairs where these have no pairs.
+    These are takes of a database; draws and grown pairs if it has no pairs.
     """
     pitches = np.deg2rad(pitches_deg).tolist()
-    if len(pairs_m := read_pairs(store, database, max_pairs=MAX_PAIRS)):
-        return FilmedPairs.of_database(read_database(store, database)[0], pairs_m, pitches)
-    return FilmedPairs.of_draws(_indexed_draws(store, draws)[0].pairs_m, pitches)
+    if len(pairs_m := read_pairs(store, database)):
+        return database_of_takes(read_database(store, database)[0], pairs_m, pitches), False
+    return database_of_draws(_indexed_draws(store, draws)[0].pairs_m, pitches), True
 
 
 class _Together(NamedTuple):
@@ -277,24 +284,19 @@ def _over_time(
         chosen = sorted(between.union(wanted.intersection(own)))
         if len(own) < MIN_FRAMES or not wanted.intersection(own):
             continue
-        every = read_tracks(
-            store, shard.ref("annotations"), SequenceShard(sequence_id=couple.sequence_id), {"skipped": []}
-        )
-        tracks = {track.person_id: track for track in every}
+        tracks = {
+            track.person_id: track for track in read_tracks(store, shard.ref("annotations"), couple.sequence_id)[0]
+        }
         if not {couple.person_id, couple.partner_id} <= set(tracks):
             continue
         both = [tracks[couple.person_id], tracks[couple.partner_id]]
-        filmed = _filmed_pairs(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)
-        made = lift_over_time(
-            filmed,
-            both,
-            np.array([place.frame for place in chosen]),
-            statures_m=stated.statures_m,
-            camera_height_m=stated.camera_height_m,
-        )
+        database, is_of_draws = _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)
+        camera = StatedCamera(height_m=stated.camera_height_m)
+        frames = np.array([place.frame for place in chosen])
+        made = lift_over_time(both, frames, database, camera, stated.statures_m)
         if made is not None:
             for place, people_m, expected_m in zip(chosen, *made, strict=True):
-                found[place] = _Together(people_m, float(expected_m), filmed.is_of_draws)
+                found[place] = _Together(people_m, float(expected_m), is_of_draws)
     return found
 
 

@@ -25,6 +25,7 @@ from pasdedeux.reconstruction.body import (
     rotations_from_t_pose,
 )
 from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.reconstruction.sequence import SearchedDatabase
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
@@ -45,6 +46,8 @@ from tasks.takes import read_motion, read_rest
 
 PROJECTIONS = StageName("projections", 6)
 
+MAX_PAIRS = 30_000
+"""Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
 _DENSITY = "ic"
@@ -213,6 +216,17 @@ def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, 
     )
 
 
+def read_searched(store: Store, refs: Sequence[ArtifactRef]) -> SearchedDatabase:
+    """Return the database of all parts with the pitches of its cameras, without pairs.
+
+    Raises:
+        InputError: There is no pose, or parts differ in how they are seen.
+    """
+    poses, take_ids, take_frames = read_database(store, refs)
+    cameras = read_cameras([store.manifest(ref) for ref in refs])
+    return SearchedDatabase(poses, tuple(camera.pitch_rad for camera in cameras), take_ids, take_frames)
+
+
 def clusters_of(inputs: StageInputs, parts: Sequence[Manifest]) -> tuple[list[Manifest], list[Manifest]]:
     """Return the clusters of a database of exactly these parts, none where there are none, and the parts in order."""
     own = {part.ref: part for part in parts}
@@ -229,14 +243,14 @@ def read_clusters(store: Store, ref: ArtifactRef) -> Clusters:
     return Clusters(np.asarray(table["representative"], dtype=np.int64), members)
 
 
-def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | None = None) -> np.ndarray:
+def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int = MAX_PAIRS) -> np.ndarray:
     """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; people who were alone are skipped.
 
     The rows of a frame give back its people in their place to each other: heading and place are put on again.  Of more
     pairs than `max_pairs` an even choice is given.
     """
     count = sum(store.manifest(ref).tables["projections"].rows for ref in refs) // 2
-    step = 1 if max_pairs is None else max(1, -(-count // max_pairs))
+    step = max(1, -(-count // max_pairs))
     pairs = [np.zeros((0, 2, OP14.num_joints, 3))]
     for ref in refs:
         columns = ["person", "partner_row", "op14_m", "heading_rad", "root_translation_m"]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -15,22 +14,14 @@ from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
-from pasdedeux.reconstruction.body import EmbodiedMotion
-from pasdedeux.reconstruction.people import reconstruct_people
-from pasdedeux.reconstruction.pitch import choose_camera, searchers_tried
-from pasdedeux.reconstruction.reconstruct import (
-    HOW_TO_CLUSTER,
-    Method,
-    ReconstructedTrack,
-    ReconstructionOptions,
-    Searcher,
-)
-from pasdedeux.reconstruction.reliability import judge_tracks, left_out_misfit_m
-from pasdedeux.reconstruction.tracks import Track, tracks_from_rows
+from pasdedeux.reconstruction.people import MethodMotions, SequenceOptions
+from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER, Method
+from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
+from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import MotionFacts, SequenceFacts
-from tasks.projections import clusters_of, read_cameras, read_clusters, read_database, read_pairs
+from tasks.projections import clusters_of, read_cameras, read_clusters, read_pairs, read_searched
 from tasks.stage import (
     Parameters,
     Shard,
@@ -48,8 +39,6 @@ RECONSTRUCTION = StageName("reconstruction", 23)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""
-MAX_PAIRS = 30_000
-"""Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 _MAX_KEPT = 1_250_000
 """Projections before all cameras that a worker keeps from shard to shard, at most: 160 MB."""
 
@@ -96,7 +85,7 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
         allowed = [database for database in databases if not shares_takes(manifest, database)]
         facts = SequenceFacts.of(manifest)
         for sequence_id in facts.sequence_ids:
-            own = parameters.part(
+            of_sequence = parameters.part(
                 SequenceShard,
                 sequence_id=sequence_id,
                 has_level_camera=facts.purpose == "given" and bool(facts.takes),
@@ -112,7 +101,7 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
                         f"{HOW_TO_CLUSTER}, and hold the take out (ingest.held_out)"
                     )
                 read |= {"clusters": clusters, "projections": parts}
-            shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, own, read))
+            shards.append(RECONSTRUCTION.shard(inputs, sequence_id, sequence_id, of_sequence, read))
     return shards
 
 
@@ -135,28 +124,49 @@ def _is_wanted(manifest: Manifest, sequences: str) -> bool:
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Reconstruct every person of a sequence with every method; tracks that cannot be are named in the facts."""
+    """Reconstruct every person of a sequence with every method; people who cannot be are named in the facts."""
     annotations, database_refs = shard.ref("annotations"), shard.refs("projections")
-    manifest, parameters = store.manifest(annotations), shard.options(SequenceShard)
-    sequence_id = parameters.sequence_id
+    parameters, manifests = shard.options(SequenceShard), [store.manifest(ref) for ref in database_refs]
+    sequence_id, manifest = parameters.sequence_id, store.manifest(annotations)
     facts: dict[str, Any] = {
         "sequence_ids": [sequence_id],
-        "takes": merge_takes(manifest, *(store.manifest(ref) for ref in database_refs)),
+        "takes": merge_takes(manifest, *manifests),
         "sequence_takes": merge_takes(manifest),
-        "database_takes": merge_takes(*(store.manifest(ref) for ref in database_refs)),
+        "database_takes": merge_takes(*manifests),
         "methods": [method.value for method in parameters.methods],
-        "skipped": [],
     }
-    people = read_tracks(store, annotations, parameters, facts)
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
     judged: dict[str, Verdict] = {}
-    if not database_refs:
-        facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
-    elif people:
-        rows, attachments, judged = _reconstruct(
-            store, database_refs, people, parameters, facts, clusters=shard.refs("clusters")
+    tracks, reasons = read_tracks(store, annotations, sequence_id)
+    if not manifests:
+        reasons.append("there is no projection database without the sequence's own take")
+    elif tracks and not any(part.tables["projections"].rows for part in manifests):
+        reasons.append("the projection database has no pose")
+    facts["skipped"] = [f"{sequence_id}: {reason}" for reason in reasons]
+    if tracks and not reasons:
+        database = _database(store, database_refs, shard.refs("clusters"), num_people=len(tracks))
+        found = reconstruct_sequence(
+            tracks, database, StatedCamera(height_m=parameters.camera_height_m), _options(parameters)
         )
+        people, judged = found.people, found.judged.verdicts
+        made = [(motions.name, motions, people.camera_from_upright_rotmat) for motions in people.methods]
+        if parameters.has_level_camera:
+            made = [*_made_level(tracks, database, parameters), *made]
+        rows = [row for one in made for row in _rows(sequence_id, *one, database)]
+        judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in people.skipped.items()}
+        attachments = {
+            f"{sequence_id}_{person_id}.{kind}": data
+            for person_id, motion in people.motions.items()
+            for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion)))
+        }
+        facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in people.skipped.items()]
+        facts["num_projections"] = database.poses.num_projections
+        facts["pitch_deg"] = float(np.rad2deg(people.pitch.pitch_rad))
+        facts["pitch_deviation_deg"] = float(np.rad2deg(people.pitch.deviation_rad))
+        if people.scene is not None:
+            facts["camera_height_m"] = people.scene.camera_height_m
+            facts["lens_factor"] = people.scene.lens_factor
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
     return commit(
         shard,
@@ -170,163 +180,85 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     )
 
 
-def read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[Track]:
-    """Return the tracks of the sequence, by person; the facts say why there are none."""
-    sequence_id = parameters.sequence_id
-    columns = ["sequence_id", "frame", "person_id", "partner_id", "time_s", "op14_px", "op14_confidence"]
-    table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px", "focal_px"])
-    rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
-    if len(rows) == 0:
-        return []
-    is_unknown = table.is_null("image_width_px")[rows[0]] or table.is_null("image_height_px")[rows[0]]
-    frame, time_s = np.asarray(table["frame"])[rows], np.asarray(table["time_s"])[rows]
+def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[Track], list[str]]:
+    """Return the tracks of a sequence, by person, and why there are none if it is no video."""
+    table = store.read(ref, "annotations", columns=["sequence_id", *TRACK_COLUMNS])
+    frames = np.asarray(table["frame"])[table["sequence_id"] == sequence_id]
     # What ingest decided counts: stills numbered one by one look like a video by their numbers alone.
-    decided = SequenceFacts.of(store.manifest(ref)).why_no_video
-    reason = decided.get(sequence_id) or why_no_video(frame)
-    if reason:
-        facts["skipped"].append(f"{sequence_id}: {reason}")
-        return []
-    partner, is_alone = np.asarray(table["partner_id"])[rows], table.is_null("partner_id")[rows]
-    sides = ("image_width_px", "image_height_px")
-    width, height = (None if is_unknown else int(table[side][rows[0]]) for side in sides)
-    return tracks_from_rows(
-        frame,
-        np.asarray(table["person_id"])[rows],
-        time_s,
-        np.asarray(table["op14_px"], dtype=np.float64)[rows],
-        np.asarray(table["op14_confidence"], dtype=np.float64)[rows],
-        partner_id=np.where(is_alone, -1, partner).astype(np.int64),
-        width_px=width,
-        height_px=height,
-        focal_px=None if table.is_null("focal_px")[rows[0]] else float(table["focal_px"][rows[0]]),
-    )
+    decided = SequenceFacts.of(store.manifest(ref)).why_no_video.get(sequence_id)
+    if reason := decided or (why_no_video(frames) if len(frames) else ""):
+        return [], [reason]
+    return tracks_of({name: table[name] for name in table}, sequence_id), []
 
 
-class _SeenByAll(NamedTuple):
-    """The poses of a database before each camera, and the searchers that try the cameras where these are kept."""
-
-    databases: list[Database]
-    take_ids: np.ndarray
-    frames: np.ndarray
-    searchers: tuple[Searcher, ...]
-
-
-def _seen_by_all(store: Store, refs: tuple[ArtifactRef, ...]) -> _SeenByAll:
-    """Return what all shards over a database have in common; a worker makes a small one ready once."""
-    cameras = read_cameras([store.manifest(ref) for ref in refs])
+def _database(
+    store: Store, refs: tuple[ArtifactRef, ...], clusters: tuple[ArtifactRef, ...], *, num_people: int
+) -> SearchedDatabase:
+    """Return the projection database; a worker makes what shards share ready once, if it is small."""
     num_rows = sum(store.manifest(ref).tables["projections"].rows for ref in refs)
-    is_kept = len(cameras) * num_rows * Database.num_yaws <= _MAX_KEPT
-    return (_kept if is_kept else _make_ready)(store, refs, is_kept=is_kept)
-
-
-def _make_ready(store: Store, refs: tuple[ArtifactRef, ...], *, is_kept: bool) -> _SeenByAll:
-    level, take_ids, frames = read_database(store, refs)
-    cameras = read_cameras([store.manifest(ref) for ref in refs])
-    databases = [replace(level, camera=camera) for camera in cameras]
-    searchers = tuple(searchers_tried(databases)) if is_kept and len(databases) > 1 else ()
-    return _SeenByAll(databases, take_ids, frames, searchers)
-
-
-_kept = kept()(_make_ready)
-_read_pairs = kept()(partial(read_pairs, max_pairs=MAX_PAIRS))
-
-
-def _reconstruct(
-    store: Store,
-    database_refs: Sequence[ArtifactRef],
-    people: Sequence[Track],
-    parameters: SequenceShard,
-    facts: dict[str, Any],
-    *,
-    clusters: Sequence[ArtifactRef],
-) -> tuple[list[dict[str, Any]], dict[str, bytes], dict[str, Verdict]]:
-    """Return the rows of `motions` of every method and person, and of each person files and how good it is."""
-    sequence_id = parameters.sequence_id
-    options = ReconstructionOptions()
-    if all(store.manifest(ref).tables["projections"].rows == 0 for ref in database_refs):
-        facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
-        return [], {}, {}
-    seen = _seen_by_all(store, tuple(database_refs))
-    take_ids, frames, cameras = seen.take_ids, seen.frames, [one.camera for one in seen.databases]
-    pitch = choose_camera(seen.databases, people, options, ready=seen.searchers)
-    level = seen.databases[0]
-    suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
-    chosen = Searcher.of(suited, *(read_clusters(store, ref) for ref in clusters))
-    pairs_m = _read_pairs(store, tuple(database_refs)) if len(people) > 1 else None
-    stated: dict[str, Any] = {
-        "pairs_m": pairs_m,
-        "camera_height_m": parameters.camera_height_m,
-        "statures_m": parameters.statures_m,
-    }
-    found = reconstruct_people(chosen, people, parameters.methods, options, pitch=pitch, **stated)
-    pitch = found.pitch
-    level_camera = replace(level.camera, pitch_rad=0.0)
-    made_level = (
-        reconstruct_people(
-            chosen.pitched(level_camera.pitch_rad), people, parameters.methods[-1:], options, **stated
-        ).methods[-1:]
-        if parameters.has_level_camera
-        else ()
+    num_cameras = len(read_cameras([store.manifest(ref) for ref in refs]))
+    is_small = num_cameras * num_rows * Database.num_yaws <= _MAX_KEPT
+    return replace(
+        (_read_ready if is_small else read_searched)(store, refs),
+        pairs_m=_read_pairs(store, refs) if num_people > 1 else None,
+        clusters=read_clusters(store, clusters[0]) if clusters else None,
     )
-    if found.scene is not None:
-        facts["camera_height_m"] = found.scene.camera_height_m
-        facts["lens_factor"] = found.scene.lens_factor
-    pitches = [camera.pitch_rad for camera in cameras]
-    facts["pitch_deg"] = float(np.rad2deg(pitch.pitch_rad))
-    facts["pitch_deviation_deg"] = float(np.rad2deg(pitch.deviation_rad))
-    facts["num_projections"] = chosen.database.num_projections
-    facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
-    upright = np.asarray(replace(suited.camera, pitch_rad=pitch.pitch_rad).camera_from_upright_rotmat)
-    rows = [
-        _rows_of(sequence_id, name, one, made.origin_m, body.turned(turn), take_ids, frames)
-        for name, made, turn in (
-            *((LEVEL, made, np.asarray(level_camera.camera_from_upright_rotmat)) for made in made_level),
-            *((made.name, made, upright) for made in found.methods),
-        )
-        for one, body in zip(made.people, made.bodies, strict=True)
-    ]
-    left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids)
-    judged = judge_tracks(found, left_out_m, sequence_id=sequence_id, pitches_rad=pitches).verdicts
-    judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in found.skipped.items()}
-    attachments = {
-        f"{sequence_id}_{person_id}.{kind}": data
-        for person_id, motion in found.motions.items()
-        for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion)))
-    }
-    return rows, attachments, judged
 
 
-def _rows_of(
+@kept()
+def _read_ready(store: Store, refs: tuple[ArtifactRef, ...]) -> SearchedDatabase:
+    database = read_searched(store, refs)
+    return replace(database, ready=tuple(database.searchers_tried()) if len(database.pitches_rad) > 1 else ())
+
+
+_read_pairs = kept()(read_pairs)
+
+
+def _options(parameters: SequenceShard) -> SequenceOptions:
+    return SequenceOptions(parameters.methods, statures_m=parameters.statures_m)
+
+
+def _made_level(
+    tracks: Sequence[Track], database: SearchedDatabase, parameters: SequenceShard
+) -> list[tuple[str, MethodMotions, np.ndarray]]:
+    """Return what the last method makes of the people if the camera is taken to be level; none if nobody matches."""
+    camera = StatedCamera(0.0, parameters.camera_height_m)
+    options = replace(_options(parameters), methods=parameters.methods[-1:])
+    people = reconstruct_sequence(tracks, database, camera, options).people
+    return [(LEVEL, motions, people.camera_from_upright_rotmat) for motions in people.methods[-1:]]
+
+
+def _rows(
     sequence_id: str,
     method: str,
-    found: ReconstructedTrack,
-    origin: np.ndarray,
-    body: EmbodiedMotion,
-    take_ids: np.ndarray,
-    frames: np.ndarray,
-) -> dict[str, Any]:
-    count, track = len(found.positions_m), found.track
-    is_known = found.row >= 0
-    row = np.maximum(found.row, 0)
-    return {
-        "sequence_id": [sequence_id] * count,
-        "person_id": np.full(count, track.person_id),
-        "frame": track.frames,
-        "time_s": track.times_s,
-        "method": [method] * count,
-        "op14_m": found.positions_m - origin,
-        "op14_unitquat": found.bone_unitquat,
-        "body22_m": body.motion(track.rate_hz).world()[0],
-        "body22_unitquat": body.unitquat,
-        "root_translation_m": found.root_m - origin,
-        "metres_per_pixel": found.metres_per_pixel,
-        "yaw_rad": found.yaw_rad,
-        "score_m": found.score_m,
-        "match_take_id": [str(name) if known else "" for name, known in zip(take_ids[row], is_known, strict=True)],
-        "match_frame": np.where(is_known, frames[row], -1),
-        "num_joints_seen": found.num_joints_seen,
-        "is_bridged": found.is_bridged,
-    }
+    motions: MethodMotions,
+    camera_from_upright_rotmat: np.ndarray,
+    database: SearchedDatabase,
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table of motions for every person of a method."""
+    for person, body in zip(motions.people, motions.bodies, strict=True):
+        count, track, seen = len(person.positions_m), person.track, body.turned(camera_from_upright_rotmat)
+        is_known = person.row >= 0
+        row = np.maximum(person.row, 0)
+        yield {
+            "sequence_id": [sequence_id] * count,
+            "person_id": np.full(count, track.person_id),
+            "frame": track.frames,
+            "time_s": track.times_s,
+            "method": [method] * count,
+            "op14_m": person.positions_m - motions.origin_m,
+            "op14_unitquat": person.bone_unitquat,
+            "body22_m": seen.motion(track.rate_hz).world()[0],
+            "body22_unitquat": seen.unitquat,
+            "root_translation_m": person.root_m - motions.origin_m,
+            "metres_per_pixel": person.metres_per_pixel,
+            "yaw_rad": person.yaw_rad,
+            "score_m": person.score_m,
+            "match_take_id": np.where(is_known, database.take_ids[row], "").tolist(),
+            "match_frame": np.where(is_known, database.take_frames[row], -1),
+            "num_joints_seen": person.num_joints_seen,
+            "is_bridged": person.is_bridged,
+        }
 
 
 STAGE = Stage(

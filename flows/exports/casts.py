@@ -23,8 +23,7 @@ from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT, body_height_m
 from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.reconstruction.body import body_from_joints
-from pasdedeux.reconstruction.people import motions_together
+from pasdedeux.reconstruction.body import body_from_joints, motions_together
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.verdict import Level

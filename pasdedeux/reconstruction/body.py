@@ -8,13 +8,15 @@ one that turns its joints least is taken.  Every rotation is relative to the sta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
+from pasdedeux.formats.humanoid import HumanoidMotion
 from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
 from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, unitquat_from_rotmat
 from pasdedeux.projections.database import Database
@@ -266,3 +268,22 @@ def pose_body(
     bent = np.ascontiguousarray(bends.unitquat)
     nose = np.ascontiguousarray(bends.nose_unitquat)
     return pose_bodies(poses, trunk, bent, nose, body.offsets_m, body.rest_m, floor_m + body.toe_height_m)
+
+
+def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rate_hz: float) -> list[HumanoidMotion]:
+    """Return people of one video with soles at y = 0, all from the first frame with anybody to the last.
+
+    Args:
+        people: Of each the first frame, the body in every frame from there on, upright, standing ankles at y = 0, and
+            which of these frames (frame,) are bridged.
+        rate_hz: Frames per second.
+    """
+    frames = np.arange(min(first for first, _, _ in people), max(first + len(one.pelvis_m) for first, one, _ in people))
+    soles = np.mean([one.body.ankle_height_m for _, one, _ in people])
+    motions = []
+    for first, one, is_bridged in people:
+        at = np.clip(frames - first, 0, len(is_bridged) - 1)
+        whole = replace(one, pelvis_m=one.pelvis_m[at] + [0.0, soles, 0.0], unitquat=one.unitquat[at])
+        is_seen = (frames - first == at) & ~is_bridged[at]
+        motions.append(HumanoidMotion(whole.motion(rate_hz), int(frames[0]), is_seen))
+    return motions

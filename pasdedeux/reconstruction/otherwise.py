@@ -7,7 +7,6 @@ are compared with poses laid down, by the distance of the nearest projections.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -84,14 +83,8 @@ def may_lie(laid_m: Array, upright_m: Array, *, frames_per_s: float) -> bool:
 
 def _distances_m(other: Searcher, track: Track, matches: Matches) -> tuple[Array, Array]:
     """Return the distances of what another searcher finds and of what was found (frame,), in every fifth frame."""
-    thinned = replace(
-        track,
-        keypoints_px=track.keypoints_px[::_STRIDE],
-        confidence=track.confidence[::_STRIDE],
-        rate_hz=track.rate_hz / _STRIDE,
-    )
     try:
-        laid_m = match_track(other, thinned).neighbours.distance_m[:, 0]
+        laid_m = match_track(other, track.every(_STRIDE)).neighbours.distance_m[:, 0]
     except InputError:
         return np.zeros(0), np.zeros(0)
     upright_m = matches.neighbours.distance_m[::_STRIDE, 0]

@@ -1,8 +1,8 @@
-"""Where up is: the pitch of a sequence's camera, and the floor its people stand on, which may tell their size."""
+"""Where up is: the pitch of a sequence's camera, and the floor its people stand on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.lying import is_on_floor, searchers_for, stands
 from pasdedeux.reconstruction.reconstruct import (
@@ -57,16 +56,6 @@ _COMMON_MISFIT_M = 0.02
 _MIN_STANDING = 3
 """Frames in which somebody has to stand to have a say."""
 
-_MAX_PROJECTIONS = 1_000_000
-"""Projections that a camera is judged by."""
-
-_ANKLE_HEIGHT_M = 0.07
-"""Height of the ankle of the reference body over the floor, standing (Winter 2009, fig. 4.1: 0.039 of stature)."""
-_STANDING_PERCENT = 10.0
-"""Of the frames have the lower ankle no higher than it is when it stands."""
-_SIZE_RANGE = (0.5, 2.0)
-"""Times the size of the reference body that somebody may have by the height of the camera."""
-
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
 
@@ -95,69 +84,32 @@ class PitchEstimate:
         return f"camera pitch {np.rad2deg(self.pitch_rad):.3g}{deviation} degrees"
 
 
-def choose_camera(
-    databases: Sequence[Database],
-    tracks: Sequence[Track],
-    options: ReconstructionOptions | None = None,
-    *,
-    ready: Iterable[Searcher] = (),
-) -> PitchEstimate:
-    """Return the pitch at which databases (one per camera) suit the tracks of a sequence best; see `choose_pitch`.
-
-    Args:
-        databases: The same poses before each camera.
-        tracks: The tracks.
-        options: How.
-        ready: What `searchers_tried` gives for these databases, where it is at hand.
-    """
-    if len(databases) == 1:
-        return PitchEstimate(databases[0].camera.pitch_rad)
-    return choose_pitch(ready or searchers_tried(databases), tracks, options)
-
-
-def searchers_tried(databases: Iterable[Database]) -> Iterator[Searcher]:
-    """Yield one camera after the other: as all see the same poses, an even choice of those of a large database does."""
-    return (Searcher.of(database.thinned(_MAX_PROJECTIONS)) for database in databases)
-
-
-def choose_pitch(
-    databases: Iterable[Searcher], tracks: Sequence[Track], options: ReconstructionOptions | None = None
-) -> PitchEstimate:
+def choose_pitch(searchers: Iterable[Searcher], tracks: Sequence[Track]) -> PitchEstimate:
     """Return the pitch at which searchers (one per camera pitch) suit the tracks of a sequence best.
 
-    A camera does not change its pitch within a sequence, so every fifth frame of all tracks decides together, of those
-    in which somebody stands: back upright in the image, legs stretched, feet below.  Who crouches or is carried then
-    has no say.  Whose back is not upright is compared with poses laid down as well, by the mean distance of the matches
-    alone; if nobody stands, what is returned is called a guess.  Summed over people are the log likelihoods of
+    The pitch does not change within a sequence.  Every fifth frame counts, if the person stands: back upright in the
+    image, legs stretched, feet below.  Crouching or carried people are excluded.  People on the floor are matched to
+    poses laid down as well, and only the mean distance of their matches counts.  If nobody stands, the estimate is a
+    guess.  The log likelihood sums over people
 
-    - the mean distance of the matches and `_FLOOR_WEIGHT` times how far the lower ankle leaves its median height, up to
-      a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch, and under a wrong focal
-      length, of which the best counts where it is not known.  An ankle that is not seen has no say, nor has the other
-      where it is the higher one;
-    - the lines between the hips and between the shoulders, which are level however somebody leans: before a camera
-      that looks down the nearer end is lower in the image, by the sine of the pitch.  How much nearer it is the matched
-      pose says, by how short the line is seen and by which way the body faces.
+    - the mean distance of the matches, plus `_FLOOR_WEIGHT` times the median deviation of the lower ankle from its
+      median height, up to a bound.  A person who comes nearer on a flat floor seems to sink or climb under a wrong
+      pitch, or a wrong focal length: if that is unknown, the best of several counts.  Unseen ankles are excluded;
+    - the slopes of the lines between hips and between shoulders, which are level even if the person leans: before a
+      camera that looks down, the nearer end is lower in the image by the sine of the pitch.  The matched pose tells
+      how much nearer it is.
 
-    Both are functions of the pitch between and a little beyond the searchers, and the prior is how cameras stand: level
-    to 30 degrees down, else with a penalty, which for those that look up is bounded.  Returned are mean and standard
-    deviation of the posterior; what leaving out each person or half of the video in turn moves it by enters the latter.
+    Both are interpolated between the pitches of the searchers, and a little beyond.  The prior prefers cameras between
+    level and 30 degrees down; its penalty is bounded for cameras that look up.  Returned are mean and standard
+    deviation of the posterior; the latter includes the spread when each person, or half of the video, is left out.
     """
-    options = options or ReconstructionOptions()
     stride = max(1, min(_STRIDE, max(len(track.keypoints_px) for track in tracks) // _FEW_FRAMES))
-    thinned = [
-        replace(
-            track,
-            keypoints_px=track.keypoints_px[::stride],
-            confidence=track.confidence[::stride],
-            rate_hz=track.rate_hz / stride,
-        )
-        for track in tracks
-    ]
+    thinned = [track.every(stride) for track in tracks]
     pitches, judged = [], []
-    for searcher in databases:
+    for searcher in searchers:
         pitches.append(searcher.database.camera.pitch_rad)
-        own = zip(searchers_for(searcher, thinned), thinned, strict=True)
-        judged.append([one for ready, track in own if (one := _judge(ready, track, options)) is not None])
+        matched = zip(searchers_for(searcher, thinned), thinned, strict=True)
+        judged.append([evidence for ready, track in matched if (evidence := _judge(ready, track)) is not None])
     tried = np.array(pitches)
     if len(tried) < 2:
         return PitchEstimate(pitches[0])
@@ -172,7 +124,7 @@ def choose_pitch(
     return PitchEstimate(pitch, float(np.hypot(deviation, spread)), is_guess)
 
 
-def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Judged]]) -> tuple[float, float]:
+def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Evidence]]) -> tuple[float, float]:
     """Return mean and deviation of the pitch by what people show under each of the pitches tried (rising)."""
     from scipy.interpolate import CubicSpline  # here: 0.2 s that planning does not need
 
@@ -207,29 +159,8 @@ def floor_offset(reconstructions: Sequence[ReconstructedTrack], camera: Database
     return np.asarray(upright @ np.array([start[0], floor, start[2]]))
 
 
-def size_by_height(found: ReconstructedTrack, camera: DatabaseCamera, camera_height_m: float) -> float:
-    """Return how many times larger a person is if the floor is as far below the camera as it is known to be.
-
-    One camera does not see how large people are: body and path may grow together about the camera.  So does the floor
-    below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  It
-    is NaN of a person whose feet are not below the camera.
-    """
-    upright = found.positions_m @ np.asarray(camera.camera_from_upright_rotmat)
-    lowest = upright[~found.is_bridged][:, _ANKLES, 1].min(axis=1)
-    if not len(lowest):
-        return float("nan")
-    below = _ANKLE_HEIGHT_M - float(np.percentile(lowest, _STANDING_PERCENT))
-    return camera_height_m / below if below > 0 else float("nan")
-
-
-def sized_by_height(found: ReconstructedTrack, camera: DatabaseCamera, camera_height_m: float) -> ReconstructedTrack:
-    """Return a reconstruction at its size by the camera's height; who would be twice or half as large keeps the own."""
-    size = size_by_height(found, camera, camera_height_m)
-    return found.scaled(size) if _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1] else found
-
-
 @dataclass(frozen=True)
-class _Judged:
+class _Evidence:
     """A track under one pitch.
 
     Args:
@@ -277,7 +208,7 @@ class _Judged:
         own = [height[seen] for height, seen in zip(self.height_m, is_seen, strict=True) if seen.any()]
         return min((float(np.median(np.abs(height - np.median(height)))) for height in own), default=0.0)
 
-    def half(self, part: int) -> _Judged:
+    def half(self, part: int) -> _Evidence:
         """Return what the first or the second half of the video shows."""
         count = len(self.distance_m)
         own = np.arange(count) * 2 // count == part
@@ -290,13 +221,13 @@ class _Judged:
         )
 
 
-def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> _Judged | None:
-    """Match a track under one pitch; None where it is too thin to be searched and has no say."""
+def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
+    """Match a track under one pitch; None if too little is seen to search for."""
     try:
-        matches = match_track(searcher, track, options.model_copy(update={"num_candidates": 1}))
+        matches = match_track(searcher, track, ReconstructionOptions(num_candidates=1))
     except InputError:
         return None
-    found = reconstruct_track(searcher, track, Method.NEAREST, options, matches=matches)
+    found = reconstruct_track(searcher, track, Method.NEAREST, matches=matches)
     upright = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
     is_seen = (track.confidence[:, _ANKLES] > 0) & ~found.is_bridged[:, None]
     heights = []
@@ -327,4 +258,4 @@ def _judge(searcher: Searcher, track: Track, options: ReconstructionOptions) -> 
     nearer_m, higher_m = (np.where(np.isfinite(shown[1]), one, np.nan) for one in shown)
     has_say = ~found.is_bridged if is_on_floor(track) else is_standing
     distance = np.where(has_say, matches.neighbours.distance_m[:, 0], np.nan)
-    return _Judged(track.rate_hz, distance, np.where(is_standing, np.stack(heights), np.nan), nearer_m, higher_m)
+    return _Evidence(track.rate_hz, distance, np.where(is_standing, np.stack(heights), np.nan), nearer_m, higher_m)

@@ -179,6 +179,11 @@ class ReconstructedTrack:
         return bone_rotations(self.positions_m)
 
     @property
+    def person_id(self) -> int:
+        """Person in the sequence."""
+        return self.track.person_id
+
+    @property
     def num_joints_seen(self) -> Integers:
         """Joints seen in each frame (frame,)."""
         return np.asarray((self.track.confidence > 0).sum(axis=1))

@@ -24,7 +24,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import ProjectionIndex
 from pasdedeux.reconstruction.lying import is_on_floor
-from pasdedeux.reconstruction.people import Reconstruction
+from pasdedeux.reconstruction.people import ReconstructedPeople
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, ReconstructedTrack
 from pasdedeux.reconstruction.tracks import broken_doubts
@@ -200,7 +200,7 @@ class Judged:
 
 
 def judge_tracks(
-    found: Reconstruction,
+    found: ReconstructedPeople,
     left_out_m: float = float("nan"),
     *,
     sequence_id: str = "",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,18 @@ from pasdedeux.people.broken import find_breaks
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
 
+TRACK_COLUMNS = (
+    "frame",
+    "person_id",
+    "partner_id",
+    "time_s",
+    "op14_px",
+    "op14_confidence",
+    "image_width_px",
+    "image_height_px",
+    "focal_px",
+)
+"""Columns of the table of annotations that tracks are made of."""
 _FOCAL_OVER_WIDTH = 0.72
 """Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
 
@@ -27,7 +40,7 @@ class Lens:
 
     @classmethod
     def assumed(
-        cls, width_px: int | None, height_px: int | None, keypoints_px: Array, focal_px: float | None = None
+        cls, width_px: float | None, height_px: float | None, keypoints_px: Array, focal_px: float | None = None
     ) -> Lens:
         """Return the lens with this focal length, else of a common camera, for this image size.
 
@@ -88,58 +101,60 @@ class Track:
         """Frames of the sequence (frame,)."""
         return self.first_frame + np.arange(len(self.keypoints_px))
 
+    def every(self, stride: int) -> Track:
+        """Return every so many frames."""
+        return self.chosen(slice(None, None, stride), self.rate_hz / stride)
+
+    def chosen(self, frames: Integers | slice, rate_hz: float) -> Track:
+        """Return some frames, counted from the first of the track, as frames that follow each other at this rate."""
+        return replace(
+            self, keypoints_px=self.keypoints_px[frames], confidence=self.confidence[frames], rate_hz=rate_hz
+        )
+
     @property
     def times_s(self) -> Array:
         """Times (frame,)."""
         return np.asarray(self.first_time_s + np.arange(len(self.keypoints_px)) / self.rate_hz)
 
 
-def tracks_from_rows(
-    frame: Integers,
-    person_id: Integers,
-    time_s: Array,
-    keypoints_px: Array,
-    confidence: Array,
-    *,
-    partner_id: Integers | None = None,
-    width_px: int | None,
-    height_px: int | None,
-    focal_px: float | None = None,
-) -> list[Track]:
+def tracks_of(annotations: Mapping[str, Any], sequence_id: str) -> list[Track]:
     """Return the tracks of one sequence, by person id.
 
     Args:
-        frame: Frame of each row (row,).
-        person_id: Person of each row (row,).
-        time_s: Time of each row (row,), seconds.
-        keypoints_px: op14 keypoints (row, 14, 2), pixels, y down; NaN where not seen.
-        confidence: (row, 14), 0 where not seen.
-        partner_id: Partner of each row's person (row,), -1 for nobody; nobody has one where it is not given.
-        width_px: Width of the image, None when unknown.
-        height_px: Height of the image, None when unknown.
-        focal_px: Focal length of the camera, None when unknown.
+        annotations: `sequence_id` and `TRACK_COLUMNS` of the table of annotations, by name; numbers that are not known
+            are NaN or None.
+        sequence_id: The sequence.
+
+    Raises:
+        InputError: A person is annotated twice in one frame.
     """
-    if len(frame) == 0:
+    rows = np.flatnonzero(np.array(list(annotations["sequence_id"]), dtype=object) == sequence_id)
+    if not len(rows):
         return []
+    frame, person_id = (np.asarray(annotations[name])[rows] for name in ("frame", "person_id"))
+    partner_id, time_s, keypoints_px, confidence, width_px, height_px, focal_px = (
+        np.asarray(annotations[name], dtype=np.float64)[rows] for name in TRACK_COLUMNS[2:]
+    )
     rate_hz = rate_from_times(frame, time_s)
-    lens = Lens.assumed(width_px, height_px, keypoints_px, focal_px)
+    width, height, focal = (
+        float(value[0]) if np.isfinite(value[0]) else None for value in (width_px, height_px, focal_px)
+    )
+    lens = Lens.assumed(width, height, keypoints_px, focal)
     tracks = []
     for person in np.unique(person_id):
-        rows = np.flatnonzero(person_id == person)
-        at = frame[rows]
+        shown = np.flatnonzero(person_id == person)
+        at = frame[shown]
         if len(np.unique(at)) != len(at):
             raise InputError(f"person {int(person)} is annotated twice in one frame")
         first = int(at.min())
         count = int(at.max()) - first + 1
         points = np.full((count, OP14.num_joints, 2), np.nan)
         seen = np.zeros((count, OP14.num_joints))
-        points[at - first] = keypoints_px[rows]
-        seen[at - first] = confidence[rows]
-        start = float(time_s[rows[np.argmin(at)]])
-        partner = -1 if partner_id is None else int(partner_id[rows[0]])
-        tracks.append(
-            Track(points, seen, rate_hz, lens, int(person), first, start, partner_id=None if partner < 0 else partner)
-        )
+        points[at - first] = keypoints_px[shown]
+        seen[at - first] = confidence[shown]
+        start_s, partner = float(time_s[shown[np.argmin(at)]]), partner_id[shown[0]]
+        partner = int(partner) if np.isfinite(partner) else None
+        tracks.append(Track(points, seen, rate_hz, lens, int(person), first, start_s, partner))
     return tracks
 
 

@@ -31,7 +31,7 @@ from tasks.curation import without
 from tasks.evaluation.ground_truth import GroundTruth, rate_of
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
-from tasks.reconstruction import LEVEL, SequenceShard, read_tracks
+from tasks.reconstruction import LEVEL, read_tracks
 from tasks.stage import Parameters, Shard, StageInputs
 
 BASELINES = ("nearest", LEVEL, "standing_still", "truth", "equal_depth")
@@ -153,7 +153,7 @@ def _read_film(
     if not truth.takes:
         raise InputError("the take that it shows (take_id) has no poses")
     (take_id, motion_m), rate_hz = next(iter(truth.takes.items())), next(iter(truth.rates_hz.values()))
-    tracks = read_tracks(store, annotations[0], SequenceShard(sequence_id=sequence_id), {"skipped": []})
+    tracks, _ = read_tracks(store, annotations[0], sequence_id)
     film = align_film(tracks, np.asarray(motion_m, dtype=np.float64), rate_hz)
     people = []
     for person, number in sorted(zip(film.person_ids, range(len(film.person_ids)), strict=True)):

@@ -17,7 +17,14 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working
-from pasdedeux.reconstruction.annotated import MIN_FRAMES, FilmedPairs, as_pair17, lift_over_time
+from pasdedeux.reconstruction.annotated import (
+    MIN_FRAMES,
+    as_pair17,
+    database_of_draws,
+    database_of_takes,
+    lift_over_time,
+)
+from pasdedeux.reconstruction.sequence import StatedCamera
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 
@@ -39,8 +46,8 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     lens = Lens.assumed(1920, 1080, px)
     tracks = [Track(px[:, person], np.ones((len(px), 14)), 6.0, lens, person_id=person) for person in (0, 1)]
     frames = np.arange(0, len(px), 2)
-    filmed = FilmedPairs.of_draws(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
-    found = lift_over_time(filmed, tracks, frames)
+    of_draws = database_of_draws(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    found = lift_over_time(tracks, frames, of_draws)
     assert found is not None
     pairs = np.stack([as_pair17(one, draws[0]) for one in found.positions_m])
     true = truth[frames] @ camera.camera_from_world_rotmat.T
@@ -52,21 +59,21 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     # So do takes of a projection database.
     poses = centre_and_face(retarget_proportions(known.reshape(-1, 14, 3))).poses_m.astype(np.float32)
     database = Database(poses, np.ones(len(poses), dtype=bool))
-    of_takes = FilmedPairs.of_database(database, centre_pairs(known), np.deg2rad([0.0, 10.0, 20.0]).tolist())
-    assert not of_takes.is_of_draws
-    placed = lift_over_time(of_takes, tracks, frames)
+    of_takes = database_of_takes(database, centre_pairs(known), np.deg2rad([0.0, 10.0, 20.0]).tolist())
+    placed = lift_over_time(tracks, frames, of_takes)
     assert placed is not None
     between, true_between = (
         one[:, 1] - one[:, 0]
         for one in map(mid_hip, (placed.positions_m, op14[frames] @ camera.camera_from_world_rotmat.T))
     )
     assert np.linalg.norm(between - true_between, axis=-1).mean() < 0.12
-    assert lift_over_time(filmed, tracks, frames[: MIN_FRAMES - 1]) is None
+    assert lift_over_time(tracks, frames[: MIN_FRAMES - 1], of_draws) is None
     # A stature is that of the person, whatever number the sequence has for them.
     tracks = [replace(track, person_id=track.person_id + 5) for track in tracks]
-    one_pitch = FilmedPairs.of_draws(draws, [0.2])
-    tall = lift_over_time(one_pitch, tracks, frames[:MIN_FRAMES], statures_m={6: 2.2})
-    usual = lift_over_time(one_pitch, tracks, frames[:MIN_FRAMES], camera_height_m=float(camera.position_m[1]))
+    one_pitch = database_of_draws(draws, [0.2])
+    stated = StatedCamera(height_m=float(camera.position_m[1]))
+    tall = lift_over_time(tracks, frames[:MIN_FRAMES], one_pitch, statures_m={6: 2.2})
+    usual = lift_over_time(tracks, frames[:MIN_FRAMES], one_pitch, stated)
     heights = [
         np.median(body_height_m(OP14, bone_lengths(OP14, one.positions_m)), axis=0) for one in (tall, usual) if one
     ]

@@ -13,7 +13,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
-from pasdedeux.reconstruction.people import Reconstruction, reconstruct_people
+from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.tracks import Lens, Track
 from tests.builders.walkers import walk
@@ -58,14 +58,14 @@ def filmed() -> tuple[list[Track], np.ndarray]:
     return tracks, (world - camera.position_m) @ camera.camera_from_world_rotmat.T
 
 
-def depth_error(found: Reconstruction, truth: np.ndarray) -> float:
+def depth_error(found: ReconstructedPeople, truth: np.ndarray) -> float:
     first, second = (one.root_m[:, 2] for one in found.methods[-1].people)
     true = mid_hip(truth[:, 1])[:, 2] - mid_hip(truth[:, 0])[:, 2]
     return float(np.abs(second - first - true).mean())
 
 
-def reconstructed(tracks: list[Track], pairs: np.ndarray | None, method: Method) -> Reconstruction:
-    return reconstruct_people(database()[0], tracks, [method], has_clean_up=False, pairs_m=pairs)
+def reconstructed(tracks: list[Track], pairs: np.ndarray | None, method: Method) -> ReconstructedPeople:
+    return reconstruct_people(database()[0], tracks, SequenceOptions([method], has_clean_up=False), pairs_m=pairs)
 
 
 def test_pairs_find_the_depth_between_two_people() -> None:

@@ -25,9 +25,9 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.body import SHARED
-from pasdedeux.reconstruction.people import sized_by_stature
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
+from pasdedeux.reconstruction.sizes import sized_by_stature
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS

@@ -16,8 +16,8 @@ from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face,
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
-from pasdedeux.reconstruction.people import reconstruct_people
-from pasdedeux.reconstruction.reconstruct import Method, Searcher
+from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
+from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.temporal import FixedLagViterbi, choose_viterbi
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import BODY22, OP14
@@ -188,7 +188,7 @@ def test_a_stated_stature_holds_from_the_first_frame_on_and_gives_the_bones_of_t
     for one in tall:
         np.testing.assert_allclose(one, growth * plain, atol=1e-9)
     track = Track(px[:, 0], np.ones((70, 14)), RATE_HZ, Lens(1400.0, (960.0, 540.0), is_known=True), 0)
-    film = reconstruct_people(searcher, [track], [Method.FIT], statures_m={0: 1.9}).methods[-1].people[0]
+    film = reconstruct_people(searcher, [track], SequenceOptions(statures_m={0: 1.9})).methods[-1].people[0]
     np.testing.assert_allclose(bones[0], bone_lengths(OP14, film.positions_m)[0], atol=0.01)
 
 

@@ -27,7 +27,7 @@ from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face,
 from pasdedeux.projections.scale import running_median
 from pasdedeux.reconstruction import pitch
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor, with_laid
-from pasdedeux.reconstruction.people import reconstruct_people
+from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset
 from pasdedeux.reconstruction.reconstruct import (
     Method,
@@ -36,7 +36,7 @@ from pasdedeux.reconstruction.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.reconstruction.tracks import Lens, Track, tracks_from_rows
+from pasdedeux.reconstruction.tracks import Lens, Track, tracks_of
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import random_poses, walk
 
@@ -167,7 +167,7 @@ def test_who_lies_is_found_among_upright_poses_laid_down_and_told_by_their_rows(
     searcher, world = make_searcher(0.5), walk(48, seed=11, turn_rad=0.0)
     hips = mid_hip(world)[:, None]
     track, truth = film(hips[:1] + (world - hips) @ ON_BELLY.T, yaw=1.1, pitch=0.5)
-    (made,) = reconstruct_people(searcher, [track], [Method.FIT], has_clean_up=False).methods
+    (made,) = reconstruct_people(searcher, [track], SequenceOptions(has_clean_up=False)).methods
     upright = reconstruct_track(searcher, track, Method.FIT)
     assert root_centred_error_m(upright.positions_m, truth).mean() > 0.2
     assert root_centred_error_m(made.people[0].positions_m, truth).mean() < 0.07
@@ -263,19 +263,30 @@ def test_tracks_keep_gaps_and_people_apart() -> None:
     frame = np.array([3, 4, 4, 7])
     person = np.array([0, 0, 5, 0])
     points = np.arange(4 * 28, dtype=float).reshape(4, 14, 2)
-    tracks = tracks_from_rows(frame, person, frame / 25.0, points, np.ones((4, 14)), width_px=640, height_px=480)
+    columns = {
+        "sequence_id": ["walk"] * 4,
+        "frame": frame,
+        "person_id": person,
+        "partner_id": [None, 5, 0, None],
+        "time_s": frame / 25.0,
+        "op14_px": points,
+        "op14_confidence": np.ones((4, 14)),
+        "image_width_px": [640] * 4,
+        "image_height_px": [480] * 4,
+        "focal_px": [None] * 4,
+    }
+    tracks = tracks_of(columns, "walk")
     assert [one.person_id for one in tracks] == [0, 5]
     assert tracks[0].frames.tolist() == [3, 4, 5, 6, 7]
     assert tracks[0].rate_hz == pytest.approx(25.0)
     np.testing.assert_allclose(tracks[0].times_s, np.arange(3, 8) / 25.0)
     assert (tracks[0].confidence[[2, 3]] == 0).all()
     np.testing.assert_array_equal(tracks[0].keypoints_px[4], points[3])
-    assert (
-        tracks_from_rows(frame[:0], person[:0], frame[:0] / 1.0, points[:0], np.ones((0, 14)), width_px=1, height_px=1)
-        == []
-    )
+    assert (tracks[0].partner_id, tracks[1].partner_id) == (None, 0)
+    assert (tracks[0].lens.principal_point_px, tracks[0].lens.is_known) == ((320.0, 240.0), False)
+    assert tracks_of(columns, "run") == []
     with pytest.raises(InputError, match="twice"):
-        tracks_from_rows(frame, np.zeros(4), frame / 25.0, points, np.ones((4, 14)), width_px=1, height_px=1)
+        tracks_of(columns | {"person_id": np.zeros(4)}, "walk")
     with pytest.raises(InputError, match="do not grow"):
         rate_from_times(frame, np.zeros(4))
 

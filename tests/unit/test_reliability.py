@@ -16,7 +16,7 @@ from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
 from pasdedeux.reconstruction.otherwise import doubt_of_camera, may_lie, seen_otherwise
-from pasdedeux.reconstruction.people import reconstruct_people
+from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
 from pasdedeux.reconstruction.reconstruct import Method, ReconstructedTrack, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.reliability import (
@@ -152,9 +152,9 @@ def test_few_frames_and_a_stature_against_the_height_of_the_camera_are_doubts(
     walkers: tuple[Searcher, np.ndarray],
 ) -> None:
     # The camera is as high as the middle of the walker, 0.8 m.
-    stated = {"camera_height_m": 1.6, "statures_m": {0: 1.7}}
-    for length, doubts in ((5, {}), (48, stated)):
-        found = reconstruct_people(walkers[0], [seen(walk(length, seed=2))], [Method.FIT], **doubts)
+    for length, statures_m, height_m in ((5, {}, None), (48, {0: 1.7}, 1.6)):
+        options = SequenceOptions(statures_m=statures_m)
+        found = reconstruct_people(walkers[0], [seen(walk(length, seed=2))], options, camera_height_m=height_m)
         (judged,) = judge_tracks(found).verdicts.values()
         assert judged.level is Level.WARN
         assert ("0.2 s are too short" if length == 5 else "person 0 of 1.70 m would be") in judged.reason
@@ -174,7 +174,7 @@ def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(
         ({0: 1.7, 1: 1.1}, "by person 1 of 1.10 m: one of both statures is wrong"),
         ({0: 2.5}, "person 1 would be 2.5"),
     ):
-        found = reconstruct_people(walkers[0], tracks, [Method.FIT], statures_m=stated)
+        found = reconstruct_people(walkers[0], tracks, SequenceOptions(statures_m=stated))
         quality = judge_tracks(found)
         judged = quality.verdicts
         assert found.has_stature == (not says)
@@ -196,7 +196,7 @@ def test_the_place_of_a_partner_who_is_farther_away_than_the_other_is_less_well_
     ]
     # The second is seen a moment longer: frames of both count.
     tracks[1] = replace(tracks[1], first_frame=5)
-    found = reconstruct_people(walkers[0], tracks, [Method.FIT])
+    found = reconstruct_people(walkers[0], tracks)
     *before, last = found.methods
     near, far = last.people
     expected = []
@@ -218,7 +218,7 @@ def test_a_height_that_would_make_giants_is_a_doubt_and_changes_no_size(
 ) -> None:
     stated = {} if stature_m is None else {0: stature_m}
     track = seen(walk(48, seed=2))
-    found = reconstruct_people(walkers[0], [track], [Method.FIT], camera_height_m=height_m, statures_m=stated)
+    found = reconstruct_people(walkers[0], [track], SequenceOptions(statures_m=stated), camera_height_m=height_m)
     assert bool(found.doubts) == ((height_m, stature_m) != (0.8, 1.7))
     assert found.scene is not None
     if stature_m is None:
@@ -231,7 +231,7 @@ def test_a_height_says_nothing_of_the_size_of_who_has_no_feet_below_the_camera(
 ) -> None:
     track = seen(walk(48, seed=2))
     above = replace(track, keypoints_px=track.keypoints_px - [0.0, 400.0])
-    found = reconstruct_people(walkers[0], [above], [Method.FIT], camera_height_m=1.5, statures_m={0: 1.3})
+    found = reconstruct_people(walkers[0], [above], SequenceOptions(statures_m={0: 1.3}), camera_height_m=1.5)
     assert found.doubts == ()
 
 
@@ -249,7 +249,7 @@ def test_where_nothing_says_where_the_camera_is_the_place_fails_and_nobody_passe
     tracks = [Track(px[:, one], np.ones((*px.shape[:1], 14)), 24.0, LENS, one, partner_id=1 - one) for one in (0, 1)]
     pitches = [0.0, 0.25, 0.5]
     pitch = choose_pitch([walkers[0].pitched(one) for one in pitches], tracks)
-    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), tracks, [Method.FIT], pitch=pitch)
+    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), tracks, pitch=pitch)
     quality = judge_tracks(found, pitches_rad=pitches)
     judged = quality.verdicts
     assert judged["place of 0 and 1"].level is Level.FAIL
@@ -283,7 +283,7 @@ def test_what_may_be_seen_otherwise_fails_and_says_how(
     track = Track(camera.project(world).px, np.ones((48, 14)), 24.0, LENS)
     assert not is_on_floor(track)
     pitch = PitchEstimate(np.deg2rad(40.0), 0.03)
-    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], [Method.FIT], pitch=pitch)
+    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], pitch=pitch)
     (judged,) = judge_tracks(found).verdicts.values()
     assert bool(says) == (judged.level is Level.FAIL)
     assert says in judged.reason
@@ -328,25 +328,38 @@ def test_a_camera_that_looks_up_from_below_the_floor_is_found_and_said(walkers: 
     track = Track(camera.project(world).px, np.ones((48, 14)), 24.0, replace(LENS, is_known=True))
     tried = np.deg2rad([-30.0, 0.0, 20.0]).tolist()
     pitch = choose_pitch([walkers[0].pitched(one) for one in tried], [track])
-    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], [Method.FIT], pitch=pitch)
+    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], pitch=pitch)
     assert found.scene is not None
     assert np.rad2deg(found.pitch.pitch_rad) == pytest.approx(-28.0, abs=4.0)
     assert found.scene.camera_height_m == pytest.approx(camera.position_m[1], abs=0.5)
     (judged,) = judge_tracks(found, pitches_rad=tried).verdicts.values()
     assert judged.level is Level.WARN
     assert "m below the floor, as before a stage" in judged.reason
-    stated = reconstruct_people(walkers[0].pitched(0.0), [track], [Method.FIT], pitch=pitch, camera_height_m=1.0)
+    stated = reconstruct_people(walkers[0].pitched(0.0), [track], pitch=pitch, camera_height_m=1.0)
     assert stated.scene is not None
     assert stated.scene.camera_height_m > 0.0
     # A stature contradicts no camera below the floor, and says nothing where its person could not be reconstructed.
     unseen = replace(track, confidence=np.zeros((48, 14)), person_id=1)
     for name, is_used in ((0, True), (1, False)):
         tall = reconstruct_people(
-            walkers[0].pitched(pitch.pitch_rad), [track, unseen], [Method.FIT], pitch=pitch, statures_m={name: 1.8}
+            walkers[0].pitched(pitch.pitch_rad), [track, unseen], SequenceOptions(statures_m={name: 1.8}), pitch=pitch
         )
         assert set(tall.skipped) == {1}
         assert tall.doubts[0].endswith("state its height (--height, in a study camera_height_m)")
         assert tall.has_stature is is_used
+
+
+def test_searches_under_two_pitches_are_compared_by_the_people_that_both_have(
+    walkers: tuple[Searcher, np.ndarray],
+) -> None:
+    tracks = [replace(seen(walk(24, seed=2)), person_id=name) for name in (0, 1)]
+    both = reconstruct_people(walkers[0], tracks)
+    last = both.methods[-1]
+    farther = replace(last.people[0], score_m=1.1 * last.people[0].score_m)
+    alone = replace(both, methods=(replace(last, people=(farther,)),))
+    assert people._is_nearer(both, alone)
+    assert not people._is_nearer(alone, both)
+    assert not people._is_nearer(replace(both, methods=()), both)
 
 
 def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_nearer_to_the_image(
@@ -362,7 +375,7 @@ def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_n
 
     def error_m(pitch: PitchEstimate, least_rad: float) -> float:
         monkeypatch.setattr(people, "_OTHER_PITCH_RAD", least_rad)
-        found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], [Method.FIT], pitch=pitch)
+        found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], pitch=pitch)
         return float(root_centred_error_m(found.methods[-1].people[0].positions_m, truth).mean())
 
     assert error_m(wrong, people._OTHER_PITCH_RAD) < 0.6 * error_m(wrong, np.inf)
@@ -386,7 +399,7 @@ def test_a_camera_as_hardly_any_is_is_a_doubt_where_it_was_not_stated() -> None:
 
 
 def test_a_pitch_at_the_edge_lets_expect_a_larger_error(walkers: tuple[Searcher, np.ndarray]) -> None:
-    found = reconstruct_people(walkers[0], [seen(walk(48, seed=2))], [Method.FIT], pitch=PitchEstimate(0.1, 0.02))
+    found = reconstruct_people(walkers[0], [seen(walk(48, seed=2))], pitch=PitchEstimate(0.1, 0.02))
     expected = [
         judge_tracks(found, pitches_rad=tried).people[0].expected_error_m for tried in ([-1.0, 1.0], [-1.0, -0.9])
     ]
@@ -405,7 +418,7 @@ def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_o
         px = track.keypoints_px + np.array([0.0, 1400.0 * np.tan(below_rad)])
         track = replace(track, keypoints_px=px, lens=replace(LENS, is_known=True))
         pitch = PitchEstimate(below_rad, 0.03)
-        made = reconstruct_people(walkers[0].pitched(below_rad), [track], [Method.FIT], pitch=pitch)
+        made = reconstruct_people(walkers[0].pitched(below_rad), [track], pitch=pitch)
         assert made.pitch.pitch_rad == pytest.approx(0.0, abs=0.06)
         found.append(made.pitch.deviation_rad)
     assert found[1] < 1.5 * found[0]

@@ -19,8 +19,8 @@ from pasdedeux.evaluation.unseen_views import (
 )
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
-from pasdedeux.reconstruction.pitch import sized_by_height
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.sizes import sized_by_height
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from tasks.evaluation.reconstruction import reconstruction_player, turn_to_camera

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.people.resolution import SequencePeople
+from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -41,10 +42,9 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
         if digest_of(Path(file.path)) != file.sha256:
             raise InputError(f"file {file.path} changed since the run was planned; run again")
     resolved = source.resolve()
-    frames, op14 = resolved.frames, resolved.op14
+    frames = resolved.frames
     rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
-    sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
     count, stills = frames.num_rows, {one.sequence_id for one in resolved.sequences if one.why_not_followed}
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
@@ -52,12 +52,8 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
         store,
         tables={
             "annotations": {
-                "sequence_id": list(frames.sequence_id),
-                "frame": frames.frame,
-                "person_id": frames.person_id,
-                "partner_id": [None if one < 0 else int(one) for one in resolved.partner_id],
+                **track_columns(resolved),
                 "source_person_id": resolved.source_person_id,
-                "time_s": frames.frame / rate_hz,
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
                 "is_held_out": parameters.is_held_out
@@ -69,11 +65,6 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
                 "keypoint_confidence": list(frames.confidence),
                 "pair17_px": pair17.positions,
                 "pair17_confidence": pair17.confidence,
-                "op14_px": op14.positions,
-                "op14_confidence": op14.confidence,
-                "focal_px": [frames.focal_px.get(name) for name in frames.sequence_id],
-                "image_width_px": [size[0] if size else None for size in sizes],
-                "image_height_px": [size[1] if size else None for size in sizes],
             }
         },
         facts=SequenceFacts(
@@ -112,6 +103,24 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
             [*stated_of_nobody(dict(parameters.statures_m), frames.person_id.tolist()), *frames.doubts],
         ),
     )
+
+
+def track_columns(resolved: ResolvedPeople) -> dict[str, Any]:
+    """Return the columns of the table of annotations that say who is where, which tracks are made of."""
+    frames = resolved.frames
+    sizes = [frames.image_size_px.get(name) or (None, None) for name in frames.sequence_id]
+    return {
+        "sequence_id": list(frames.sequence_id),
+        "frame": frames.frame,
+        "person_id": frames.person_id,
+        "partner_id": [None if partner < 0 else int(partner) for partner in resolved.partner_id],
+        "time_s": frames.frame / (frames.rate_hz or DEFAULT_RATE_HZ),
+        "op14_px": resolved.op14.positions,
+        "op14_confidence": resolved.op14.confidence,
+        "focal_px": [frames.focal_px.get(name) for name in frames.sequence_id],
+        "image_width_px": [width for width, _ in sizes],
+        "image_height_px": [height for _, height in sizes],
+    }
 
 
 def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> list[str]:

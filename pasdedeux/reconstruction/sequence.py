@@ -1,0 +1,124 @@
+"""From the tracks of a video to the motion of its people and verdicts: what commands, stages and lifting call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.arrays import Integers
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.published import Clusters
+from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, reconstruct_people
+from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
+from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_misfit_m
+from pasdedeux.reconstruction.tracks import Track
+
+_MAX_PROJECTIONS = 1_000_000
+"""Projections that a pitch is judged by, at most: an even choice."""
+
+
+@dataclass(frozen=True)
+class SearchedDatabase:
+    """The poses that people of videos are matched to, and what belongs to them.
+
+    Args:
+        poses: The poses before a level camera.
+        pitches_rad: Pitches that are tried for a camera; a single one counts as stated.
+        take_ids: Take of each pose (row,); motions of one take are left out together.
+        take_frames: Its frame in the take (row,).
+        pairs_m: Pairs of people (row, person=2, 14, 3), as `pairs.centre_pairs` gives them; None for no pairs.
+        clusters: What the method `published` needs.
+        ready: Searchers at these pitches, where they are at hand.
+    """
+
+    poses: Database
+    pitches_rad: tuple[float, ...]
+    take_ids: npt.NDArray[np.object_]
+    take_frames: Integers
+    pairs_m: npt.NDArray[np.floating] | None = None
+    clusters: Clusters | None = None
+    ready: tuple[Searcher, ...] = ()
+
+    def searcher(self, pitch_rad: float) -> Searcher:
+        """Return the poses ready for a camera of this pitch."""
+        return Searcher.of(self._before(pitch_rad), self.clusters)
+
+    def searchers_tried(self) -> Iterable[Searcher]:
+        """Return searchers at the pitches that are tried, made one after the other unless at hand."""
+        return self.ready or (
+            Searcher.of(self._before(pitch_rad).thinned(_MAX_PROJECTIONS)) for pitch_rad in self.pitches_rad
+        )
+
+    def _before(self, pitch_rad: float) -> Database:
+        return replace(self.poses, camera=replace(self.poses.camera, pitch_rad=pitch_rad))
+
+
+@dataclass(frozen=True)
+class StatedCamera:
+    """What is known of the camera of a video.
+
+    Args:
+        pitch_rad: Its pitch, downwards; estimated if not given.
+        height_m: Its height over the floor; estimated if not given.
+    """
+
+    pitch_rad: float | None = None
+    height_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The motion of the people of a video, and how reliable it is.
+
+    Args:
+        people: The people by every method, and their camera.
+        judged: Verdicts on people and couples.
+    """
+
+    people: ReconstructedPeople
+    judged: Judged
+
+
+def reconstruct_sequence(
+    tracks: Sequence[Track],
+    database: SearchedDatabase,
+    camera: StatedCamera | None = None,
+    options: SequenceOptions | None = None,
+    *,
+    sequence_id: str = "",
+    on_step: Callable[[], None] = lambda: None,
+) -> Reconstruction:
+    """Reconstruct the people of a video.
+
+    Args:
+        tracks: Tracks of people whose identities are resolved, at least one.
+        database: Poses that have not seen the video.
+        camera: What is known of the camera.
+        options: Methods, clean-up and statures.
+        sequence_id: Name of the video, for rows of the table of people in verdicts.
+        on_step: Called when the pitch is chosen, a track is matched, and a method has made its motion.
+
+    Raises:
+        InputError: The height of the camera is not above 0, or the method `published` has no clusters.
+    """
+    camera, options = camera or StatedCamera(), options or SequenceOptions()
+    tried_rad = database.pitches_rad if camera.pitch_rad is None else (camera.pitch_rad,)
+    pitch = PitchEstimate(tried_rad[0]) if len(tried_rad) == 1 else choose_pitch(database.searchers_tried(), tracks)
+    on_step()
+    searcher = database.searcher(pitch.pitch_rad)
+    people = reconstruct_people(
+        searcher,
+        tracks,
+        options,
+        pitch=pitch,
+        camera_height_m=camera.height_m,
+        pairs_m=database.pairs_m if len(tracks) > 1 else None,
+        on_step=on_step,
+    )
+    left_out_m = left_out_misfit_m(searcher.database, searcher.index, database.take_ids)
+    judged = judge_tracks(people, left_out_m, sequence_id=sequence_id, pitches_rad=tried_rad)
+    return Reconstruction(people, judged)

@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,8 +17,9 @@ from flows.templates import render
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.guess import USUAL_HEIGHT_M, AxisGuess, draft_motion, guess_mirrored
+from pasdedeux.formats.rates import one_rate
 from pasdedeux.formats.registry import recognise_format
-from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, one_rate, resolve_up_axes
+from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.people.video import why_no_video
@@ -97,13 +98,13 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     if path.exists():
         raise InputError(f"{path} is there already; choose another name or remove it")
     sources = [source for file in files for source in _inspect(file, path.parent)]
-    people = [source for source in sources if isinstance(source, _Person)]
+    people = _with_one_draft([source for source in sources if isinstance(source, _Person)])
     videos = [source for source in sources if isinstance(source, _Video)]
     # Names of files and joints stand in them, and must not become lines of the study.
     lines = [visible(line, is_line=True) for line in _take_lines(people)] if people else []
     shown = [_quoted(_shown(person.path, path.parent)) for person in people]
     take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
-    mappings = _mappings(people)
+    mappings = [draft.toml(mapping) for _, mapping, draft in _drafts(people)]
     text = render(
         "new_study.toml",
         name=_identifier(path.stem),
@@ -220,16 +221,31 @@ def _key(line: str) -> str:
     return line.removeprefix("# ").partition("#")[0].strip()
 
 
-def _mappings(people: Sequence[_Person]) -> list[str]:
-    """Return the drafted mappings of a study, each once."""
-    drafts = {_identifier(person.path.stem): person.draft for person in people if person.draft is not None}
-    return [draft.toml(name) for name, draft in drafts.items()]
+def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
+    """Return people of whom those of one rig, whose drafts have the same joints, share the draft of the first."""
+    first: dict[tuple[str, ...], _Person] = {}
+    shared = []
+    for person in people:
+        if person.draft is not None:
+            owner = first.setdefault(tuple(part.joint for part in person.draft.parts), person)
+            name = _identifier(owner.path.stem)
+            # Another rig may be in a file of the same name.
+            name += f"_{len(first)}" * any(other.layout == name and other.draft is not owner.draft for other in shared)
+            person = replace(person, draft=owner.draft, layout=name if person.layout else "")
+        shared.append(person)
+    return shared
+
+
+def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
+    """Return each draft once, with the first file of it and its name."""
+    named_drafts = {id(one.draft): (one.path, one.layout, one.draft) for one in reversed(people) if one.draft}
+    return [(path, name or _identifier(path.stem), draft) for path, name, draft in reversed(named_drafts.values())]
 
 
 def _drafted(people: Sequence[_Person]) -> list[str]:
     """Return the drafts as a table for the terminal, and what is missing."""
     lines = []
-    for path, draft in {person.path: person.draft for person in people if person.draft is not None}.items():
+    for path, _, draft in _drafts(people):
         rows = [
             (part.part, part.joint or "none", "sure" if part.is_sure else "A GUESS", part.reason)
             for part in draft.parts
@@ -298,7 +314,7 @@ def _length(people: Sequence[_Person]) -> list[str]:
     """Say whether the files are of one take, by their lengths: in seconds where their rates differ."""
     lengths: list[float] = [person.num_frames for person in people]
     shown, what, slack = [str(length) for length in lengths], "frames", 0.0
-    rates = [rate for rate in one_rate([person.taken.rate_hz for person in people]) if rate]
+    rates = one_rate([person.taken.rate_hz for person in people if person.taken.rate_hz])
     if len(set(rates)) > 1 and len(rates) == len(people):
         lengths, slack = [person.duration_s or 0.0 for person in people], 1.0 / min(rates)
         shown, what = [f"{length:.2f}" for length in lengths], "seconds"

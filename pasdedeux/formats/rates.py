@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 _USUAL_HZ = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 150, 180, 200, 240, 250, 300, 360, 480, 500)
 """Whole rates that cameras and capture systems run at."""
 _SAME = 2e-4
-"""Share by which a stated rate may miss a whole number that is meant; 29.97 misses 30 by five times as much."""
+"""Share by which rates differ that are one, written with other digits: 30 and 30.0003 Hz; 29.97 differs by 1e-3."""
 _ROUGH = 0.01
 """Share of a rate within which the digits of a frame time must hold it."""
 _RESOLUTION = 1e-12
 """Share of a time that the digits of a float tell."""
+
+
+def is_one_rate(first_hz: float, second_hz: float) -> bool:
+    """Tell whether two rates differ in the last digits alone."""
+    return abs(first_hz - second_hz) <= _SAME * second_hz
+
+
+def one_rate(rates_hz: Sequence[float]) -> list[float]:
+    """Return rates with those that are one made the same: the first of them.
+
+    >>> one_rate([30.0, 30.0003, 29.97])
+    [30.0, 30.0, 29.97]
+    """
+    kept: list[float] = []
+    for rate_hz in rates_hz:
+        kept.append(next((one for one in kept if is_one_rate(one, rate_hz)), rate_hz))
+    return kept
 
 
 def plain_rate(rate_hz: float) -> float:
@@ -21,7 +40,7 @@ def plain_rate(rate_hz: float) -> float:
     (30.0, 29.97)
     """
     whole = round(rate_hz) if abs(rate_hz) < 1e6 else 0
-    return float(whole) if whole and abs(rate_hz - whole) <= _SAME * whole else rate_hz
+    return float(whole) if whole and is_one_rate(rate_hz, whole) else rate_hz
 
 
 def rate_from_frame_time(token: str) -> tuple[float, str]:

@@ -26,8 +26,8 @@ from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.expi import EXPI
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
 from pasdedeux.formats.foreign import refuse_foreign
-from pasdedeux.formats.mediapipe import MEDIAPIPE
 from pasdedeux.formats.openpose import OPENPOSE
+from pasdedeux.formats.points import POINTS
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.smpl import SMPL
 from pasdedeux.formats.text import shorten
@@ -41,7 +41,7 @@ MOTION_FORMATS: Mapping[str, MotionFormat] = {
     one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, TRC, SMPL)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
-    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, MEDIAPIPE, CVAT, YOLO, ANNOTATION_CSV, ANNOTATION_NPZ)
+    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, POINTS, CVAT, YOLO, ANNOTATION_CSV, ANNOTATION_NPZ)
 }
 
 

@@ -21,8 +21,6 @@ MIN_UNIT_CONFIDENCE = 0.3
 """A length unit that is guessed with less must be stated."""
 SURE = 0.6
 """Confidence of a guessed unit or axis below which a take is doubted: a very small or tall adult has 0.5."""
-ONE_RATE = 2e-4
-"""Rates that differ by a smaller share are one rate, written with other digits: 30 and 30.0003 Hz, not 29.97 Hz."""
 
 Mappings = Mapping[str, Mapping[Any, Table]]
 """Layouts of a study's own, and changes to known ones, as `resolve_layout` takes them."""
@@ -119,19 +117,6 @@ def resolve_motion(
         except InputError as error:
             layout, why_not = None, str(error)
     return Resolution(layout, why_not, rate_hz, unit)
-
-
-def one_rate(rates_hz: Sequence[float | None]) -> list[float | None]:
-    """Return rates with those that differ in the last digits alone made one: the first of them.
-
-    >>> one_rate([30.0, 30.0003, 29.97, None])
-    [30.0, 30.0, 29.97, None]
-    """
-    kept: list[float | None] = []
-    for rate_hz in rates_hz:
-        near = (one for one in kept if one and rate_hz and abs(one - rate_hz) <= ONE_RATE * rate_hz)
-        kept.append(next(near, rate_hz))
-    return kept
 
 
 def resolve_up_axes(

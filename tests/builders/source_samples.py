@@ -446,7 +446,7 @@ GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
     "openpose": {f"w_{frame}_keypoints.json": openpose_text(people=2, seed=frame).encode() for frame in range(3)},
     "coco": {"c.json": coco_text().encode()},
     "image_results": {f"w_{frame}.json": image_text("mmpose", seed=frame).encode() for frame in range(3)},
-    "mediapipe": {"m.json": landmark_texts()["frames"].encode()},
+    "points": {"m.json": landmark_texts()["frames"].encode()},
     "cvat": {"c.xml": write_cvat(read_annotation_csv(csv_text())).encode()},
     "yolo": {f"clip_{frame}.txt": yolo_text(seed=frame).encode() for frame in range(3)},
     "annotation_csv": {"t.csv": csv_text().encode()},

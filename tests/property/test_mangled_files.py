@@ -51,7 +51,7 @@ def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
                 {first: data, **rest}, sequence_id="s"
             ),
         )
-    forms = {"coco": ("mmpose demo", "alphapose"), "mediapipe": ("by name", "rows", "columns by name")}
+    forms = {"coco": ("mmpose demo", "alphapose"), "points": ("by name", "rows", "columns by name")}
     readers["image_results, ultralytics"] = (
         image_text("ultralytics").encode(),
         lambda data: ANNOTATION_FORMATS["image_results"].read({"w_1.json": data}, sequence_id="s"),
@@ -138,7 +138,7 @@ def test_numbers_that_no_float_holds_raise_our_error(name: str, number: bytes) -
         read(damaged)
 
 
-@pytest.mark.parametrize("name", ["pair", "body", "coco", "mediapipe", "openpose"])
+@pytest.mark.parametrize("name", ["pair", "body", "coco", "points", "openpose"])
 def test_json_that_is_nested_too_deeply_raises_our_error(name: str) -> None:
     with pytest.raises(InputError, match="nested too deeply"):
         READERS[name][1](b"[" * 100_000)

@@ -14,8 +14,8 @@ from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.annotation_npz import read_annotation_npz
 from pasdedeux.formats.coco import read_coco
 from pasdedeux.formats.detections import Footage
-from pasdedeux.formats.mediapipe import read_mediapipe
 from pasdedeux.formats.openpose import OPENPOSE
+from pasdedeux.formats.points import read_points
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
@@ -228,7 +228,7 @@ def test_results_of_every_tool_are_the_same_people(tool: str) -> None:
 def test_landmarks_of_every_form_are_the_same_person(form: str) -> None:
     text = landmark_texts()[form].encode()
     kind = recognise_format(text)
-    assert kind is ANNOTATION_FORMATS["mediapipe"]
+    assert kind is ANNOTATION_FORMATS["points"]
     found = read_annotations(kind, {"m": text}, source_id="m", stated=Footage((400, 400)))
     assert (found.layout, found.rate_hz) == ("mediapipe33", 25.0 if form == "frames" else None)
     assert found.frame.tolist() == list(range(6))
@@ -240,7 +240,7 @@ def test_landmarks_of_every_form_are_the_same_person(form: str) -> None:
 def test_landmarks_of_several_people_are_all_read_and_state_the_image() -> None:
     content = json.loads(landmark_texts(people=2)["people"])
     text = json.dumps({"video": {"frame_rate": 50.0, "image_width": 400, "image_height": 400}, "frames": content})
-    found = read_mediapipe(text, sequence_id="m")
+    found = read_points(text, sequence_id="m")
     assert found.person_id.tolist() == [0, 1] * 6
     assert (found.rate_hz, found.image_size_px, found.has_identities) == (50.0, {"m": (400, 400)}, False)
 
@@ -265,7 +265,7 @@ def test_landmarks_of_several_people_are_all_read_and_state_the_image() -> None:
 )
 def test_a_fault_of_a_file_of_landmarks_is_named(text: str, says: str) -> None:
     with pytest.raises(FormatError, match=says):
-        read_mediapipe(text, sequence_id="m")
+        read_points(text, sequence_id="m")
 
 
 def test_whole_body_results_are_read_without_face_and_hands() -> None:

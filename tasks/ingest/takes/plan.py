@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pasdedeux.choreography.duet import MIN_DURATION_S
 from pasdedeux.choreography.duets import style_of
 from pasdedeux.errors import InputError, named
-from pasdedeux.formats.resolution import one_rate
+from pasdedeux.formats.rates import one_rate
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
 from pasdedeux.plain_text import counted
@@ -243,7 +243,7 @@ def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: floa
 
     `frames` are those of person A's file; of a file of another rate they are those of the same time.
     """
-    rates = [rate or 0.0 for rate in one_rate([person.parameters.rate_hz for person in people])]
+    rates = one_rate([person.parameters.rate_hz for person in people])
     stated = [person.over(take).offset_s or 0.0 for person in _options(take)]
     offsets = [offset - min(stated) for offset in stated]
     begins, lengths = [], []

@@ -67,7 +67,7 @@ _LISTS = re.compile(
 """How JSON of bare lists of numbers begins: lists of frames, or of objects of people with named joints."""
 
 
-def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
+def read_points(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
     """Read landmarks, whose coordinates may be shares of the image; what is missing or at (0, 0) is not detected.
 
     Without a number of its own, a frame is where it stands.  Points in order may be another detector's.
@@ -95,7 +95,7 @@ def read_mediapipe(data: bytes | str, sequence_id: str, layout: str | KeypointLa
     )
 
 
-def _is_mediapipe(start: FileStart) -> bool:
+def _is_points(start: FileStart) -> bool:
     """Tell whether the file is JSON of landmarks or of lists of points, or a table whose columns are theirs."""
     if start.is_json:
         if start.has_key("people") and not start.is_by_frame:
@@ -113,13 +113,13 @@ def _is_mediapipe(start: FileStart) -> bool:
     return is_by_landmark or any(len(points) >= MIN_NAMED for points in _columns_by_landmark(start.columns).values())
 
 
-MEDIAPIPE = AnnotationFormat(
-    name="mediapipe",
+POINTS = AnnotationFormat(
+    name="points",
     suffixes=(".json", ".csv"),
-    recognises=_is_mediapipe,
-    read_file=read_mediapipe,
+    recognises=_is_points,
+    read_file=read_points,
 )
-"""MediaPipe's landmarks; JSON may state rate and image size, which shares of the image need."""
+"""Points by frame; JSON may state rate and image size, which shares of the image need."""
 
 
 def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:

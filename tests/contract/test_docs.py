@@ -47,8 +47,8 @@ def commands_shown() -> dict[str, list[str]]:
 
 @pytest.mark.parametrize(("where", "lines"), commands_shown().items(), ids=list(commands_shown()))
 def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[str]) -> None:
-    for one in COMMANDS.values():
-        importlib.import_module(f"flows.console.{one.module}")
+    for name in COMMANDS:
+        importlib.import_module(f"flows.console.{name}")
     commands = typer.main.get_command(app)
     for line in lines:
         words = line.split("#  ")[0].split(" # ")[0].split()[1:]

@@ -12,7 +12,6 @@ from flows.console.context import StoreOption, WorkersOption, app, echo, open_st
 from flows.console.curate import CURATION, CurationOption
 from flows.console.inputs import UnitOption, find_take
 from flows.viewing.editing import Editor
-from flows.viewing.saving import offer_saving
 from flows.viewing.shelf import Shelf, open_shelf
 from flows.viewing.viewer import Viewer
 from tasks.curation import Choosing
@@ -55,7 +54,6 @@ def view(
             shelf = open_shelf(open_store(store), words[0] if words else None)
             at = words[0] if words and "#" in words[0] else None
         viewer = Viewer(shelf, port=port, at=at, choosing=Choosing(curation))
-        offer_saving(viewer)
         Editor(viewer, Path("restarts"), workers)
         echo(f"{viewer.url} shows it; Ctrl-C ends it")
         with contextlib.suppress(KeyboardInterrupt):

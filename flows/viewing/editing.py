@@ -240,7 +240,8 @@ class Editor:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "flows.console", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
-        threading.Thread(target=self._follow, args=(self.process, seed.name), daemon=True).start()
+        follow = viewer.panel.safely(lambda process: self._follow(process, seed.name), is_alone=False)
+        threading.Thread(target=follow, args=(self.process,), daemon=True).start()
 
     def _follow(self, process: subprocess.Popen[str], seed: str) -> None:
         """Say what the process says, line by line, and offer new draws while they come."""

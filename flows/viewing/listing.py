@@ -27,10 +27,11 @@ class Listing:
         panel: The panel.
         shelf: What can be looked at.
         curation: What was chosen.
+        offered: The widget in which the listed items are offered.
     """
 
-    def __init__(self, panel: Panel, shelf: Shelf, curation: Curation) -> None:
-        self._panel, self._shelf, self._curation = panel, shelf, curation
+    def __init__(self, panel: Panel, shelf: Shelf, curation: Curation, offered: Any) -> None:
+        self._shelf, self._curation, self._offered = shelf, curation, offered
         with panel.gui.add_folder("Filter and sort", expand_by_default=False):
             self.only = panel.gui.add_dropdown("only", ONLY)
             self.by = panel.gui.add_dropdown("largest first", (STORED_ORDER,))
@@ -57,7 +58,7 @@ class Listing:
         self.order = [at for at, words in enumerate(shown) if at == kept or only in words]
         if by != STORED_ORDER:
             self.order.sort(key=lambda at: -_number(rows[at].get(self._names[by])))
-        self._panel.put["item"].options = tuple(map(self.label, self.order)) or ("none",)
+        self._offered.options = tuple(map(self.label, self.order)) or ("none",)
 
     def after(self, index: int, by: int) -> int | None:
         """Return the item some places after one; None where none is listed."""

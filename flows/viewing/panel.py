@@ -1,4 +1,4 @@
-"""The panel of the viewer: its widgets by name, and callbacks that say in it what went wrong."""
+"""The panel of the viewer: adds widgets to it, and shows in it whatever goes wrong in a callback."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from storage_schema import StorageError
 
 
 class Panel:
-    """What people see and change beside the room; `put` has its widgets.
+    """What people see and change beside the room; panes of the viewer add their widgets to it.
 
     Args:
         server: Server of the viewer.
@@ -21,19 +21,20 @@ class Panel:
 
     def __init__(self, server: Any, lock: threading.RLock) -> None:
         self.server, self.gui, self._lock = server, server.gui, lock
-        self.put: dict[str, Any] = {}
+        self.message: Any = None
+        """The widget with messages; None until a pane has added it."""
 
-    def set(self, name: str, value: Any) -> None:
-        """Give a widget a value, if it has another one: browsers need not hear of it."""
-        if self.put[name].value != value:
-            self.put[name].value = value
+    def add_message(self) -> None:
+        """Add the widget with messages."""
+        self.message = self.gui.add_text("message", "", multiline=True, disabled=True)
 
     def tell(self, text: str) -> None:
-        """Say something in one line."""
-        self.put["said"].value = text
+        """Show a message of one line."""
+        if self.message is not None:
+            self.message.value = text
 
     def bind(self, label: str, key: str, action: Callable[..., None]) -> None:
-        """Have a key do something."""
+        """Bind a key to an action."""
         self.gui.add_command(label, hotkey=key).on_trigger(self.safely(action))
 
     def button(self, label: str, action: Callable[..., None], key: str = "", *, is_alone: bool = True) -> Any:
@@ -44,18 +45,32 @@ class Panel:
             self.bind(label, key, action)
         return button
 
-    def safely(self, action: Callable[[Any], None], *, is_alone: bool = True) -> Callable[[Any], None]:
-        """Return a callback that says what went wrong; others wait for its end where it is alone."""
+    def safely(self, action: Callable[[Any], object], *, is_alone: bool = True) -> Callable[[Any], bool]:
+        """Return a callback that shows any exception of an action and goes on; it tells whether there was none.
 
-        def run(event: Any) -> None:
+        Args:
+            action: Called with the event.
+            is_alone: Whether other callbacks wait until it is done.
+        """
+
+        def run(event: Any) -> bool:
             try:
                 with self._lock if is_alone else nullcontext():
                     action(event)
-            except (PasdedeuxError, StorageError, OSError, RuntimeError, TimeoutError) as error:
-                self.tell(str(error) or type(error).__name__)
+            except Exception as error:  # noqa: BLE001 - a thread that ends would freeze the panel
+                is_expected = isinstance(error, PasdedeuxError | StorageError | OSError) and str(error)
+                self.tell(str(error) if is_expected else f"{type(error).__name__}: {error}".removesuffix(": "))
+                return False
+            return True
 
         return run
 
-    def on_change(self, widget: Any, change: Callable[[Any], None]) -> None:
-        """Have something done with what somebody chose in a browser; what the program sets is passed over."""
+    def on_change(self, widget: Any, change: Callable[[Any], object]) -> None:
+        """Call a function with a value chosen in a browser; values that the program sets are passed over."""
         widget.on_update(self.safely(lambda event: change(event.target.value) if event.client is not None else None))
+
+
+def set_value(widget: Any, value: Any) -> None:
+    """Give a widget a value if it has another one; browsers need not hear of the same one again."""
+    if widget.value != value:
+        widget.value = value

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
+from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
@@ -37,11 +38,11 @@ class Room:
     """What a scene looks like.
 
     Args:
-        server: Server of the viewer.
+        panel: The panel, with the server of the viewer.
     """
 
-    def __init__(self, server: Any) -> None:
-        self._server = server
+    def __init__(self, panel: Panel) -> None:
+        self._server = server = panel.server
         self._nodes: dict[str, Any] = {}
         self._groups: set[str] = set()
         # A rod along z, of radius and length 1; its ends are in balls.
@@ -53,7 +54,7 @@ class Room:
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.add_light_ambient("/light", intensity=_AMBIENT)
-        server.on_client_connect(self._aim)
+        server.on_client_connect(panel.safely(self._aim, is_alone=False))
 
     def show(self, shown: Scene, where: str) -> None:
         """Put floor, bodies and camera of a scene into the room, and what it is compared with over or beside it."""

@@ -1,24 +1,46 @@
-"""Pictures and clips of what a browser shows, saved there."""
+"""The folder of the panel with a link to the moment, and pictures and clips that a browser saves."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import quote
 
-from flows.viewing.viewer import STILLS_HZ, Viewer
+import cv2
+
+from flows.viewing.panel import Panel, set_value
+from flows.viewing.playing import STILLS_HZ
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+
+if TYPE_CHECKING:
+    from flows.viewing.viewer import Viewer
 
 _CLIP_S = 4.0
 _CLIP_HZ = 10.0
 _LIMIT_S = 60.0
 
 
-def offer_saving(viewer: Viewer) -> None:
-    """Put the buttons that save into the panel of a viewer; nobody waits for what they do."""
-    with viewer.link_folder:
-        for label, save in (("Save picture", save_picture), ("Save clip", save_clip)):
-            viewer.panel.button(label, lambda event, save=save: save(viewer, event.client), is_alone=False)
+@dataclass(frozen=True)
+class LinkPane:
+    """Its widget."""
+
+    link: Any
+
+    @classmethod
+    def build(cls, panel: Panel, viewer: Viewer) -> Self:
+        """Add the widgets to the panel; nobody waits for what is being saved."""
+        with panel.gui.add_folder("Link and save", expand_by_default=False):
+            pane = cls(panel.gui.add_text("moment", "", hint="Copy it, or paste another one"))
+            for label, save in (("Save picture", save_picture), ("Save clip", save_clip)):
+                panel.button(label, lambda event, save=save: save(viewer, event.client), is_alone=False)
+        panel.on_change(pane.link, viewer.visit)
+        return pane
+
+    def show(self, viewer: Viewer) -> None:
+        """Show the link to the moment."""
+        set_value(self.link, f"{viewer.url}?at={quote(viewer.moment.reference, safe='@')}")
 
 
 def save_picture(viewer: Viewer, client: Any) -> None:
@@ -60,15 +82,11 @@ def _name(viewer: Viewer) -> str:
 
 def encode(image: Array, suffix: str) -> bytes:
     """Return an image (height, width, 3 or 4), RGB, as the bytes of a file of this kind."""
-    import cv2
-
     return cv2.imencode(suffix, cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGR))[1].tobytes()
 
 
 def encode_clip(images: Sequence[Array], rate_hz: float) -> bytes:
     """Return images (height, width, 3), RGB, as an animated WebP that repeats."""
-    import cv2
-
     animation = cv2.Animation()
     animation.frames = [cv2.cvtColor(one[..., :3], cv2.COLOR_RGB2BGRA) for one in images]
     animation.durations = [round(1000.0 / rate_hz)] * len(images)

@@ -5,39 +5,35 @@ from __future__ import annotations
 import queue
 import secrets
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
-from urllib.parse import quote
 
 import numpy as np
 import pyarrow
 
+from flows.viewing.choices import ChoicesPane
 from flows.viewing.curating import Curation, Moment
 from flows.viewing.curves import Curves
 from flows.viewing.kinds import KINDS
 from flows.viewing.listing import FAILS, PASSES, WARNS, Listing
-from flows.viewing.panel import Panel
-from flows.viewing.room import COMPARE, Room
+from flows.viewing.panel import Panel, set_value
+from flows.viewing.playing import PlayingPane
+from flows.viewing.room import Room
+from flows.viewing.saving import LinkPane
 from flows.viewing.scales import Scales
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, moment_in
-from flows.viewing.side import Pointer, SidePicture
+from flows.viewing.shown import ShownPane, part_label
+from flows.viewing.side import Pointer
 from pasdedeux.arrays import Array
-from pasdedeux.errors import PasdedeuxError
 from pasdedeux.evaluation.shown_figures import figure_words
 from pasdedeux.skeletons import PAIR17
-from storage_schema import StorageError
-from tasks.curation import CLIPPED, Choosing, Decision
+from tasks.curation import Choosing
 
 TICK_S = 1.0 / 30.0
-STILLS_HZ = 10.0
-"""Frames that do not follow each other in time are played at this rate."""
-SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
 class Viewer:
@@ -64,7 +60,6 @@ class Viewer:
         self.on_moment: list[Callable[[], None]] = []
         self.wants_flat = False
         """Whether 2D poses are shown as such, where they could be shown as what was captured."""
-        self._started = (0.0, 0)
         self._token = secrets.token_urlsafe(24)
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
@@ -73,8 +68,9 @@ class Viewer:
         first = shelf.find(at) if at is not None else (self.part, 0, None)
         with self.lock:  # who visits early waits
             self.server = start_server(port, self._token, self.visit, self._pointers.put, "pasdedeux")
-            self.room = Room(self.server)
-            self._build(Panel(self.server, self.lock))
+            self.panel = Panel(self.server, self.lock)
+            self.room = Room(self.panel)
+            self._build()
             self.show_part(*first)
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._play, self._look, self._point)]
         for thread in self._threads:
@@ -110,31 +106,31 @@ class Viewer:
     def visit(self, text: str) -> None:
         """Go to the moment that a reference, or a link to one, points to; says so where it points to nothing."""
         with self.lock:
-            try:
-                part, index, row = self.shelf.find(moment_in(text))
-            except (PasdedeuxError, StorageError) as error:
-                self.panel.tell(str(error))
-                return
-            self.show_part(part, index, row)
+            self.panel.safely(lambda _: self.show_part(*self.shelf.find(moment_in(text))))(None)
 
     def show_part(self, part: Part, index: int = 0, row: int | None = None) -> None:
-        """Show an item of a part at one of its rows."""
+        """Show an item of a part at one of its rows; what cannot be read leaves everything as it is."""
         with self.lock:
+            scene = self._read(part, index)
             self.part = part
-            self.panel.set("part", _label(part))
+            set_value(self.shown.part, part_label(part))
             self.listing.show(part, index)
-            self.show_item(index, row)
+            self._show_item(index, scene, row)
 
     def show_item(self, index: int, row: int | None = None) -> None:
-        """Read an item, and show it from its beginning or at one of its rows."""
+        """Show another item of the part from its beginning or at one of its rows."""
         with self.lock:
-            self.index, self.pose, self.image_px = index, None, None
-            self.panel.set("said", "")  # what was said is of something else
-            scene = KINDS[self.part.table].scene(self.shelf, self.part, self.item)
-            if self.wants_flat and scene.flat is not None:
-                scene = replace(scene, people=scene.flat, camera=None)
-            self._show_scene(scene, row)
-            pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
+            self._show_item(index, self._read(self.part, index), row)
+
+    def _show_item(self, index: int, scene: Scene, row: int | None) -> None:
+        self.index, self.pose, self.image_px = index, None, None
+        set_value(self.panel.message, "")  # what was said is of something else
+        self._show_scene(scene, row)
+        pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
+
+    def _read(self, part: Part, index: int) -> Scene:
+        scene = KINDS[part.table].scene(self.shelf, part, self.shelf.items(part)[index])
+        return replace(scene, people=scene.flat, camera=None) if self.wants_flat and scene.flat else scene
 
     def show_beside(self, pair_m: Array, before_m: Array) -> None:
         """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
@@ -150,18 +146,13 @@ class Viewer:
             self.scene: Scene = scene
             self.side.flats = ()  # what it shows yet is of something else
             self.curation.begin()
-            put = self.panel.put
-            self.panel.set("item", self.listing.label(self.index))
-            self.room.show(scene, str(put["compare"].value))
+            set_value(self.shown.item, self.listing.label(self.index))
+            self.room.show(scene, str(self.shown.compare.value))
             self.curves.show(scene)
-            known = {"compare": scene.behind, "through": scene.camera, "failing": scene.levels, "film": scene.film}
-            for name, needed in {**known, "nearest": scene.nearest}.items():
-                put[name].visible = needed is not None
-            put["start"].visible = put["end"].visible = self.part.table in CLIPPED
-            put["compare"].label = scene.behind_name or "compare"
+            self.shown.show(scene)
+            self.choices.show(self.part.table)
             scales = {at: self.listing.figures(item).get("bone_scale") for at, item in enumerate(self.listing.items)}
             self.scales.offer({at: one for at, one in scales.items() if one is not None}, self.index)
-            put["timeline"].max = max(scene.num_frames - 1, 1)
             self.seek(0 if row is None else int(scene.frame_of_row[row]))
 
     def step_item(self, by: int) -> None:
@@ -174,7 +165,7 @@ class Viewer:
         """Show a frame; the clock goes on from there."""
         with self.lock:
             self.frame = int(np.clip(frame, 0, self.scene.num_frames - 1))
-            self._started = (time.monotonic(), self.frame)
+            self.playing.start(self.frame)
             self.pose = self.image_px = None
             self.show_frame()
             self.look()
@@ -190,10 +181,10 @@ class Viewer:
         """Play, or stop; the other one of both where nothing is said."""
         with self.lock:
             self.is_playing = not self.is_playing if is_playing is None else is_playing
-            self.panel.put["play"].label = "Stop (space)" if self.is_playing else "Play (space)"
+            self.shown.play.label = "Stop (space)" if self.is_playing else "Play (space)"
             if self.is_playing and self.frame == self.scene.num_frames - 1:
                 self.frame = 0
-            self._started = (time.monotonic(), self.frame)
+            self.playing.start(self.frame)
             self.look()
 
     def next_failing(self) -> None:
@@ -208,84 +199,31 @@ class Viewer:
             self.play(False)
             self.seek(int(bad[bad > self.frame][0] if (bad > self.frame).any() else bad[0]))
 
-    def decide(self, decision: Decision | Literal["undo"]) -> None:
-        """Accept or reject what is shown, for the reason that stands in the panel, and go on to the next thing."""
-        with self.lock:
-            moment = self.moment
-            self.panel.tell(self.curation.decide(decision, moment, str(self.panel.put["reason"].value)))
-            self.panel.set("reason", "")
-            self.listing.sort(self.index)
-            self.panel.set("item", self.listing.label(self.index))
-            self.step(1 if moment.is_thing and decision != "undo" else 0)
-
-    def mark_clip(self, edge: Literal["start", "end"]) -> None:
-        """Let the clip that choices are about start or end at this frame."""
-        with self.lock:
-            self.curation.mark(edge, self.moment)
-            self.look()
-
     def show_frame(self) -> None:
         """Send the bodies of this frame, what touches and what passes through, and what they are compared with."""
         with self.server.atomic():
-            self._num_marks = self.room.show_frame(self.frame, self.pose, has_marks=bool(self.panel.put["marks"].value))
-            self.panel.set("timeline", self.frame)
+            self._num_marks = self.room.show_frame(self.frame, self.pose, has_marks=bool(self.playing.marks.value))
+            set_value(self.shown.timeline, self.frame)
 
-    def _build(self, panel: Panel) -> None:
-        """Lay out the panel and the keys."""
-        self.panel, gui, put = panel, panel.gui, panel.put
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        put["part"] = gui.add_dropdown("show", tuple(map(_label, self.shelf.parts)))
-        put["item"] = gui.add_dropdown("item", ("none",))
-        put["play"] = panel.button("Play", lambda _: self.play(), "space")
-        put["timeline"] = gui.add_slider("frame", 0, 1, 1, initial_value=0)
-        put["facts"] = gui.add_text("about", "", multiline=True, disabled=True)
-        self.side = SidePicture(gui)
-        put["compare"] = gui.add_dropdown("compare", COMPARE)
-        put["failing"] = panel.button("Next failing frame", lambda _: self.next_failing(), "F")
-        put["through"] = panel.button("Look through its camera", lambda event: self.room.look_through(event.client))
-        put["nearest"] = gui.add_checkbox("nearest poses of the database", initial_value=False)
-        put["film"] = gui.add_checkbox("film behind people", initial_value=True)
-        put["said"] = gui.add_text("message", "", multiline=True, disabled=True)
-        with gui.add_folder("Playing", expand_by_default=False):
-            put["speed"] = gui.add_dropdown("speed", SPEEDS, initial_value="1")
-            put["loop"] = gui.add_checkbox("loop", initial_value=True)
-            put["marks"] = gui.add_checkbox("contacts (green), penetration (red)", initial_value=True)
-        self.listing = Listing(panel, self.shelf, self.curation)
+    def _build(self) -> None:
+        """Lay out the panel and the keys, a pane after the other."""
+        panel = self.panel
+        panel.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        self.shown = ShownPane.build(panel, self)
+        self.side = self.shown.side
+        self.playing = PlayingPane.build(panel, self)
+        self.listing = Listing(panel, self.shelf, self.curation, self.shown.item)
         self.curves = Curves(panel)
         self.scales = Scales(panel, lambda index: self.show_item(index, self.moment.row))
-        with gui.add_folder("Accept or reject", expand_by_default=False):
-            put["reason"] = gui.add_text("reason", "")
-            panel.button("Accept", lambda _: self.decide("accept"), "K")
-            panel.button("Reject", lambda _: self.decide("reject"), "X")
-            panel.button("Undo", lambda _: self.decide("undo"), "U")
-            put["start"] = panel.button("Clip starts here", lambda _: self.mark_clip("start"), "I")
-            put["end"] = panel.button("Clip ends here", lambda _: self.mark_clip("end"), "O")
-        self.link_folder = gui.add_folder("Link and save", expand_by_default=False)
-        with self.link_folder:
-            put["link"] = gui.add_text("moment", "", hint="Copy it, or paste another one")
-        change = panel.on_change
-        change(put["part"], lambda value: self.show_part(self.shelf.parts[put["part"].options.index(value)]))
-        change(put["item"], lambda value: self.show_item(self.listing.order[put["item"].options.index(value)]))
-        change(put["timeline"], lambda value: self.step(int(value) - self.frame))
-        change(put["compare"], lambda _: self.show_item(self.index, self.moment.row))
-        change(put["speed"], lambda _: self.play(self.is_playing))
-        change(put["marks"], lambda _: self.show_frame())
-        change(put["film"], lambda _: self.look())
-        change(put["nearest"], lambda _: self.look())
-        change(put["link"], self.visit)
-        change(self.curves.chosen, lambda _: self._change_curve())
-        change(self.listing.only, lambda _: self.list_anew())
-        change(self.listing.by, lambda _: self.list_anew())
-        steps = {"arrowleft": ("One frame back", -1), "arrowright": ("One frame on", 1)}
-        steps |= {"home": ("First frame", -(10**9)), "end": ("Last frame", 10**9)}
-        for key, (label, by) in steps.items():
-            panel.bind(label, key, lambda _, by=by: self.step(by))
-        panel.bind("Item before", "arrowup", lambda _: self.step_item(-1))
-        panel.bind("Next item", "arrowdown", lambda _: self.step_item(1))
+        self.choices = ChoicesPane.build(panel, self)
+        self.link = LinkPane.build(panel, self)
+        panel.on_change(self.curves.chosen, lambda _: self._change_curve())
+        for widget in (self.listing.only, self.listing.by):
+            panel.on_change(widget, lambda _: self.list_anew())
 
     def offer_parts(self) -> None:
         """Offer the parts that the shelf has now."""
-        self.panel.put["part"].options = tuple(map(_label, self.shelf.parts))
+        self.shown.offer_parts(self.shelf.parts, self.part)
 
     def list_anew(self) -> None:
         """List the items as it is asked for now, and show one that is listed."""
@@ -305,29 +243,29 @@ class Viewer:
 
     def _look(self) -> None:
         """Bring the words, the curve and the pictures after the bodies, at most ten times a second."""
+        describe = self.panel.safely(lambda _: self.describe_frame(), is_alone=False)
         while not self.ended.is_set():
             self._looked.wait()
             self._looked.clear()
             if self.ended.is_set():
                 return
-            with suppress(PasdedeuxError, StorageError):
-                self.describe_frame()
+            describe(None)
             self.ended.wait(0.1 if not self.is_playing else 0.3)
 
     def describe_frame(self) -> None:
         """Say what is known of the frame that is shown: words, curve, pictures, its link."""
         with self.lock:
-            scene, frame, moment, put = self.scene, self.frame, self.moment, self.panel.put
+            scene, frame, moment = self.scene, self.frame, self.moment
             time_s = "" if scene.rate_hz is None else f", {frame / scene.rate_hz:.2f} s"
             level = "" if scene.levels is None else f", {(PASSES, WARNS, FAILS)[scene.levels[frame]]}"
             said = scene.say(frame)
             lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *said]
             lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
-            if not scene.is_flat and put["marks"].value:
+            if not scene.is_flat and self.playing.marks.value:
                 lines.append("{} contacts, {} penetrations".format(*self._num_marks))
             lines += [*self.curation.lines(moment), *self.listing.lines(moment.item, scene.facts)]
-            self.panel.set("facts", "\n".join(lines))
-            self.panel.set("link", f"{self.url}?at={quote(moment.reference, safe='@')}")
+            set_value(self.shown.facts, "\n".join(lines))
+            self.link.show(self)
             self.curves.draw(frame)
             is_skipped = self.is_playing and scene.rate_hz is None
         flats = [] if is_skipped else self.flats()  # without the lock: a key need not wait for them
@@ -337,7 +275,7 @@ class Viewer:
             self.side.flats = flats
         self.side.draw(flats)
         if scene.film is not None and scene.camera is not None:
-            image = scene.film(frame) if put["film"].value else None
+            image = scene.film(frame) if self.shown.film.value else None
             with self.lock:
                 if scene is self.scene:
                     self.room.show_film(image)
@@ -349,7 +287,7 @@ class Viewer:
         with self.lock:
             scene, frame, changed = self.scene, self.frame, self.image_px
         flats = scene.images(frame)
-        if scene.nearest is not None and self.panel.put["nearest"].value:
+        if scene.nearest is not None and self.shown.nearest.value:
             flats = [*flats, *scene.nearest(frame)]
         return flats if changed is None or not flats else [replace(flats[0], points_px=changed), *flats[1:]]
 
@@ -360,24 +298,18 @@ class Viewer:
                 self.panel.safely(self.side.point)(pointer)
 
     def _play(self) -> None:
-        """Follow the clock while it plays: what is too slow leaves frames out, and time is kept."""
+        """Follow the clock while it plays; whatever goes wrong stops it, and is shown."""
+        tick, stop = (self.panel.safely(action) for action in (self._tick, lambda _: self.play(False)))
         while not self.ended.wait(TICK_S):
-            if not self.is_playing:
-                continue
-            with self.lock:
-                scene = self.scene
-                began, first = self._started
-                rate = (scene.rate_hz or STILLS_HZ) * float(self.panel.put["speed"].value)
-                frame = first + int((time.monotonic() - began) * rate)
-                if frame >= scene.num_frames and not self.panel.put["loop"].value:
-                    self.frame = scene.num_frames - 1
-                    self.show_frame()
-                    self.play(False)
-                elif frame % scene.num_frames != self.frame:
-                    self.frame, self.pose, self.image_px = frame % scene.num_frames, None, None
-                    self.show_frame()
-                    self.look()
+            if self.is_playing and not tick(None):
+                stop(None)
 
-
-def _label(part: Part) -> str:
-    return f"{part.table.replace('_', ' ')}: {part.name}"
+    def _tick(self, _: object) -> None:
+        """Show the frame that the clock is at."""
+        frame, is_over = self.playing.frame(self.scene)
+        if frame != self.frame or is_over:
+            self.frame, self.pose, self.image_px = frame, None, None
+            self.show_frame()
+            self.look()
+        if is_over:
+            self.play(False)

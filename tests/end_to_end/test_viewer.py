@@ -55,7 +55,7 @@ def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
         for frame in {0, viewer.scene.num_frames - 1}:
             viewer.seek(frame)
             viewer.describe_frame()
-            assert viewer.panel.put["facts"].value.startswith(f"frame {frame} of "), table
+            assert viewer.shown.facts.value.startswith(f"frame {frame} of "), table
             viewer.visit(viewer.moment.reference)
             assert (viewer.part.table, viewer.frame) == (table, frame), "a link leads back"
 
@@ -94,16 +94,16 @@ def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Edi
     name, first = "/".join(viewer.item.names), viewer.scene.number_of(0)
     for frame, edge in ((3, "start"), (6, "end")):
         viewer.seek(frame)
-        viewer.mark_clip(edge)  # type: ignore[arg-type]
-    viewer.decide("reject")
+        viewer.choices.mark_clip(edge)  # type: ignore[arg-type]
+    viewer.choices.decide("reject")
     ((frames, choice),) = viewer.curation.choosing.clips("motions", name).items()
     assert (choice.decision, frames) == ("reject", (first + 3, first + 6))
     viewer.show_item(viewer.index)
     viewer.seek(5)
     viewer.describe_frame()
-    assert "frames 3 to 6 rejected" in viewer.panel.put["facts"].value
+    assert "frames 3 to 6 rejected" in viewer.shown.facts.value
     assert viewer.curation.choosing.about("motions", name) is None
-    viewer.decide("undo")
+    viewer.choices.decide("undo")
     assert not viewer.curation.choosing.clips("motions", name)
 
 

@@ -797,7 +797,7 @@ def test_of_a_store_in_a_bucket_the_viewer_fetches_what_is_looked_at(
         assert len(fetched) == 1, fetched
         viewer.show_part(viewer.shelf.parts[1])
         viewer.describe_frame()
-        assert viewer.panel.put["facts"].value.startswith("frame 0 of 20")
+        assert viewer.shown.facts.value.startswith("frame 0 of 20")
     finally:
         viewer.stop()
     assert {one.split()[0] for one in server.requests} <= {"GET", "HEAD"}, "looking writes nothing there"

@@ -29,7 +29,7 @@ from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
 from flows.viewing.kinds import KINDS
 from flows.viewing.listing import qualities
-from flows.viewing.saving import encode, encode_clip, offer_saving, save_clip
+from flows.viewing.saving import LinkPane, encode, encode_clip, save_clip
 from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.seen import LIMBS17, LIMBS22, Seen
 from flows.viewing.shelf import Part, Shelf, moment_reference, open_shelf
@@ -124,12 +124,12 @@ def test_a_reference_to_a_row_leads_to_its_moment_and_back(store: Store, viewer:
     part, index, number = viewer.shelf.find(link)
     assert moment_reference(part, viewer.shelf.items(part)[index], number) == link
     viewer.visit("poses:short#999999")
-    assert (viewer.frame, viewer.panel.put["said"].value[:20]) == (7, "'poses:short#999999'")
+    assert (viewer.frame, viewer.panel.message.value[:20]) == (7, "'poses:short#999999'")
 
 
 def test_what_is_no_address_is_said(viewer: Viewer) -> None:
     viewer.visit("http://[")
-    assert viewer.panel.put["said"].value == "'http://[' is no address of a moment"
+    assert viewer.panel.message.value == "'http://[' is no address of a moment"
 
 
 def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
@@ -137,7 +137,7 @@ def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then
     with viewer.lock, closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=10.0)) as asked:
         asked.request("GET", f"{path_of(viewer)}?at=poses:short%23200000")
         assert asked.getresponse().status == 200
-    wait_until(lambda: "200000" in viewer.panel.put["said"].value, "the visit", limit_s=20.0)
+    wait_until(lambda: "200000" in viewer.panel.message.value, "the visit", limit_s=20.0)
 
 
 def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) -> None:
@@ -234,11 +234,92 @@ def test_keys_step_by_one_frame_or_item_forth_and_back(store: Store, monkeypatch
     assert steps == [-1, 1, ("item", -1), ("item", 1)]
 
 
+class Broken:
+    """An event of which nothing can be read, and a function that fails."""
+
+    def __call__(self, *_: object, **__: object) -> None:
+        raise IndexError("broken")
+
+    def __getattr__(self, name: str) -> None:
+        raise IndexError("broken")
+
+
+def callbacks_of(viewer: Viewer) -> list[Callable[[Any], object]]:
+    """Return everything that viser calls for this viewer, of widgets, keys, handles in the room, and visitors."""
+    gui, scene = viewer.server.gui, viewer.server.scene
+    found = [one for handle in gui._gui_input_handle_from_uuid.values() for one in handle._impl.update_cb]
+    found += [one for command in gui._command_handle_from_uuid.values() for one in command._impl.trigger_cb]
+    found += [
+        one for handle in scene._handle_from_transform_controls_name.values() for one in handle._impl_aux.update_cb
+    ]
+    return [*found, *viewer.server._client_connect_cb]
+
+
+def test_no_callback_lets_an_exception_out_and_each_shows_it(store: Store, tmp_path: Path) -> None:
+    viewer = Viewer(open_shelf(store, None))
+    try:
+        editor = Editor(viewer, tmp_path)
+        callbacks = callbacks_of(viewer)
+        assert len(callbacks) > 40
+        for thing in (viewer, editor, viewer.choices, viewer.room):
+            for name in dir(type(thing)):
+                if not name.startswith("__") and callable(getattr(type(thing), name)):
+                    object.__setattr__(thing, name, Broken())
+        for callback in callbacks:
+            viewer.panel.message.value = ""
+            callback(Broken())
+            assert viewer.panel.message.value == "IndexError: broken", callback
+    finally:
+        vars(viewer).pop("stop", None)
+        viewer.stop()
+
+
+def test_what_fails_while_playing_stops_it_is_shown_and_can_be_played_again(viewer: Viewer) -> None:
+    viewer.seek(0)
+    plain = viewer.room.show_frame
+    viewer.room.show_frame = Broken()  # type: ignore[method-assign, assignment]
+    try:
+        viewer.play(True)
+        wait_until(lambda: not viewer.is_playing, "the stop", limit_s=20.0)
+    finally:
+        viewer.room.show_frame = plain  # type: ignore[method-assign]
+    assert viewer.panel.message.value == "IndexError: broken"
+    viewer.seek(0)
+    viewer.play(True)
+    wait_until(lambda: viewer.frame > 0, "the next frame", limit_s=20.0)
+    viewer.play(False)
+
+
+def test_what_fails_while_a_frame_is_described_or_pointed_at_is_shown_and_the_next_one_is(viewer: Viewer) -> None:
+    whole = viewer.scene
+    viewer.scene = replace(whole, say=Broken())
+    viewer.look()
+    wait_until(lambda: viewer.panel.message.value == "IndexError: broken", "the message", limit_s=20.0)
+    viewer.scene = whole
+    viewer.seek(3)
+    wait_until(lambda: viewer.shown.facts.value.startswith("frame 3 of"), "the next frame", limit_s=20.0)
+    viewer.panel.tell("")
+    plain, viewer.side._held = viewer.side.flats, None
+    viewer.side.on_drag, viewer.side.flats = Broken(), [Flat(PAIR17, np.zeros((2, 17)), (640, 460), "of no axes")]
+    viewer._pointers.put(Pointer("down", 0.5, 0.5))
+    wait_until(lambda: bool(viewer.panel.message.value), "the message", limit_s=20.0)
+    assert viewer._threads[-1].is_alive()
+    viewer.side.on_drag, viewer.side.flats = None, plain
+
+
+def test_an_item_that_cannot_be_read_leaves_what_is_shown(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = viewer.part, viewer.index, viewer.scene
+    monkeypatch.setitem(KINDS, viewer.part.table, replace(KINDS[viewer.part.table], scene=Broken()))  # type: ignore[arg-type]
+    viewer.visit("poses:short/waltz#0")
+    assert viewer.panel.message.value == "IndexError: broken"
+    assert (viewer.part, viewer.index, viewer.scene) == shown
+
+
 def test_what_was_said_of_one_item_does_not_stand_beside_the_next(viewer: Viewer) -> None:
     viewer.show_part(viewer.part)
     viewer.panel.tell("no frame of this item fails or is a warning")
     viewer.show_part(viewer.part)
-    assert viewer.panel.put["said"].value == ""
+    assert viewer.panel.message.value == ""
 
 
 def test_pictures_are_of_the_frame_of_their_scene_while_another_is_put_in_place(viewer: Viewer) -> None:
@@ -276,7 +357,7 @@ def test_film_that_is_read_too_late_is_not_shown_behind_what_came_meanwhile(
 
 def test_clips_are_chosen_of_reconstructions_alone(viewer: Viewer) -> None:
     with pytest.raises(InputError, match="clips are chosen of motions, not of poses"):
-        viewer.mark_clip("start")
+        viewer.choices.mark_clip("start")
     assert viewer.curation.clip is None
 
 
@@ -428,7 +509,7 @@ def test_the_nearest_joint_follows_the_pointer_until_it_is_let_go(viewer: Viewer
 
 def test_the_nearest_poses_stand_beside_where_they_are_known_and_asked_for(viewer: Viewer) -> None:
     near = Flat(PAIR17, np.zeros((2, 17, 2)), (640, 460), "near")
-    asked, shown = viewer.panel.put["nearest"], viewer.scene
+    asked, shown = viewer.shown.nearest, viewer.scene
     try:
         for known, is_asked in product((None, lambda frame: [near]), (False, True)):
             viewer.scene, asked.value = replace(shown, nearest=known), is_asked
@@ -634,7 +715,7 @@ def test_looking_and_choosing_write_nothing_into_the_store(store: Store, tmp_pat
     try:
         Editor(shown, tmp_path / "restarts")
         shown.step(3)
-        shown.decide("reject")
+        shown.choices.decide("reject")
         shown.describe_frame()
     finally:
         shown.stop()
@@ -676,7 +757,7 @@ def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> Non
 def test_one_button_saves_a_picture_and_the_other_a_clip(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     pressed: dict[str, Callable[[SimpleNamespace], None]] = {}
     monkeypatch.setattr(viewer.panel, "button", lambda label, action, is_alone: pressed.update({label: action}))
-    offer_saving(viewer)
+    LinkPane.build(viewer.panel, viewer)
     viewer.seek(viewer.scene.num_frames - 2)
     browser = Browser()
     for label in ("Save picture", "Save clip"):
@@ -695,5 +776,5 @@ def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer:
 
     browser = Browser(step_elsewhere)
     viewer.panel.safely(lambda _: save_clip(viewer, browser), is_alone=False)(None)
-    assert viewer.panel.put["said"].value == "the clip was not saved: something else was shown meanwhile"
+    assert viewer.panel.message.value == "the clip was not saved: something else was shown meanwhile"
     assert (viewer.frame, browser.downloads) == (4, {})

@@ -1,63 +1,41 @@
-"""The driver of a run: plans a stage when what it reads is committed, and gives its shards to tasks.
+"""The driver of a run: plans a stage when what it reads is committed, submits its shards, and records it when complete.
 
-A task is a partition of a stage, done in a thread: it submits the shards that it is given, and collects them.  Only the
-driver plans and records.
+A task is a stage, from its first shard to its record; it shows what the driver does and does nothing itself.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from graphlib import TopologicalSorter
 from itertools import islice
 from queue import Empty, SimpleQueue
-from threading import Thread
-from typing import Any
+from threading import Event
 
 from flows.outcomes import Run, StageOutcome
 from flows.planning import Plan, StagePlan, State, plan_stage, stage_inputs
-from flows.progress import Tally
+from flows.progress import PartitionCount, Tally
 from flows.records import record_stage
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from tasks.graph import Graph
 from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, joined
-from tasks.stage import EarlyPlan, Shard, Stage, StageInputs
+from tasks.stage import EarlyPlan, Shard, StageInputs
 
-MAX_TASKS = 200
-"""Of a stage; where it has more partitions, a task has several."""
 _STAGE_FIRST = 1_000_000
 """By which the priority of a stage counts more than that of a shard that has as many shards after it."""
 _POLL_S = 0.2
+_SHOWN_S = 60.0
+"""While a stage is in work, its partitions are shown this often."""
 _NAMED = 5
 """Of what was not run, so many are named."""
 
-StartTask = Callable[[str, str, Callable[[], None]], Any]
-"""Starts a task in a thread: its stage, its name, and what it does; returns a future."""
-
-
-@dataclass(eq=False)
-class _Task:
-    """Partitions of a stage in work.
-
-    Args:
-        stage: The stage.
-        inbox: Gets shards to submit with their priorities, each shard again when it has ended, and None: no more.
-        waiting: Shards that wait for those of other tasks, with their priorities, each after those that it follows.
-        given: Keys of shards that were handed over.
-        num_left: Shards that have not ended.
-        is_begun: A thread does it.
-    """
-
-    stage: Stage
-    inbox: SimpleQueue[tuple[Shard, int] | Shard | None] = field(default_factory=SimpleQueue)
-    waiting: list[tuple[Shard, int]] = field(default_factory=list)
-    given: set[str] = field(default_factory=set)
-    num_left: int = 0
-    is_begun: bool = False
+ShowPartitions = Callable[[Sequence[PartitionCount]], None]
+StartTask = Callable[[str, Callable[[ShowPartitions], None]], object]
+"""Starts the task of a stage in a thread: gives what it does a function that shows the partitions."""
 
 
 @dataclass(eq=False)
@@ -68,24 +46,26 @@ class _StageWork:
         plan: The plan made beforehand; when all that it reads is there, what the stage consists of (`is_planned`).
         urgency: Its place among the stages, the least urgent is 0.
         early: Its early plans, each with the number of artifacts of the run that it has seen.
-        partitions: Numbers of its partitions.
-        tasks: Tasks that can still get shards or have some left, by number.
+        made: Its artifacts; None before all are there.
+        num_left: Its shards in work.
         failed: Its shards that failed, or were not tried because one before them failed.
         refusal: Why it cannot be planned.
         is_skipped: A stage that it needs failed.
-        made: Its artifacts; None before all are there.
+        is_begun: It has a task.
+        ended: Nothing more is done for it.
     """
 
     plan: StagePlan
     urgency: int
     early: dict[EarlyPlan, int]
     made: tuple[Manifest, ...] | None
-    partitions: dict[str, int] = field(default_factory=dict)
-    tasks: dict[int, _Task] = field(default_factory=dict)
+    num_left: int = 0
     failed: list[ShardFailed] = field(default_factory=list)
     refusal: InputError | None = None
     is_planned: bool = False
     is_skipped: bool = False
+    is_begun: bool = False
+    ended: Event = field(default_factory=Event)
     started: float = 0.0
     outcome: StageOutcome | None = None
 
@@ -105,11 +85,6 @@ class _StageWork:
         """Return whether it waits for what it reads."""
         return self.made is None and self.refusal is None and not (self.is_planned or self.is_skipped)
 
-    def task_of(self, partition: str) -> _Task:
-        """Return the task of a partition: its own, or where there are many one that others have too."""
-        number = self.partitions.setdefault(partition, len(self.partitions)) % MAX_TASKS
-        return self.tasks.setdefault(number, _Task(self.plan.stage))
-
 
 class Build:
     """Brings the stages of a plan up to date.
@@ -119,10 +94,10 @@ class Build:
         run_id: Name of the run, for the record.
         plan: The plan made beforehand.
         pool: Computes shards.
-        start_task: Starts tasks.
+        start_task: Starts the task of a stage; there are no tasks where it is not given.
     """
 
-    def __init__(self, run: Run, run_id: str, plan: Plan, pool: Pool, start_task: StartTask) -> None:
+    def __init__(self, run: Run, run_id: str, plan: Plan, pool: Pool, start_task: StartTask | None = None) -> None:
         self._run, self._run_id, self._pool, self._start_task = run, run_id, pool, start_task
         urgency = {name: place for place, name in enumerate(by_urgency(run.graph))}
         self._work: dict[str, _StageWork] = {}
@@ -130,12 +105,12 @@ class Build:
             name, made = first.stage.name, None if first.is_selected else first.manifests
             early = () if made is not None or name in run.selection.force else first.stage.early
             self._work[name] = _StageWork(first, urgency[name], dict.fromkeys(early, 0), made)
-        self._begun, self._flying = set[str](), set[str]()
+        self._begun = set[str]()
+        self._priority: dict[str, int] = {}  # of shards in work
         self._made: dict[str, Manifest] = {}
         self.done: list[ShardDone] = []
         self._tally = Tally(run.store, run.study.name)
-        self._messages: SimpleQueue[ShardDone | ShardFailed | Exception | None] = SimpleQueue()
-        self._is_over = False
+        self._ended: SimpleQueue[Shard] = SimpleQueue()
 
     @property
     def outcomes(self) -> tuple[StageOutcome, ...]:
@@ -151,7 +126,7 @@ class Build:
             KeyboardInterrupt: `is_interrupted` said so.
         """
         self._advance()
-        while self._flying:
+        while self._priority:
             if is_interrupted():
                 raise KeyboardInterrupt
             if (ended := self._next()) is not None:
@@ -159,53 +134,37 @@ class Build:
                 self._advance()
         self._raise_failures()
 
-    def end_tasks(self) -> None:
+    def end(self) -> None:
         """End the tasks, and cancel shards that have not ended."""
-        self._is_over = True
-        for task in self._tasks():
-            task.inbox.put(None)
         self._pool.give_up()
+        for work in self._work.values():
+            work.ended.set()
 
-    def _tasks(self) -> list[_Task]:
-        return [task for work in self._work.values() for task in work.tasks.values()]
-
-    def _do_task(self, task: _Task) -> None:
-        """Run a task: submit its shards, collect them."""
-        task.is_begun = True
-        failures: list[ShardError] = []
-        try:
-            while (message := task.inbox.get()) is not None:
-                if isinstance(message, tuple):
-                    self._pool.submit(task.stage.run_shard, *message, task.inbox.put)
-                    self._messages.put(None)
-                elif (ended := self._pool.ended(message)) is None:
-                    task.inbox.put(message)
-                else:
-                    failures += [ended.error] if isinstance(ended, ShardFailed) and not ended.is_behind else []
-                    self._messages.put(ended)
-        except Exception as error:
-            self._messages.put(error)
-            raise
-        if failures:
-            raise joined(failures)
-        if task.num_left:
+    def _follow(self, work: _StageWork, show: ShowPartitions) -> None:
+        """Do the task of a stage: show its partitions until it has ended, and fail as it failed."""
+        is_over = False
+        while not is_over:
+            is_over = work.ended.wait(_SHOWN_S)
+            show(self._tally.partitions(work.plan.stage.name))
+        if work.error is not None:
+            raise work.error
+        if work.num_left:
             raise Stopped("given up")
 
     def _next(self) -> ShardDone | ShardFailed | None:
-        """Return a shard that ended, None where none has within a moment; raise errors of tasks and pool."""
-        is_computed = self._pool.work()
+        """Return how a shard ended, None where none has within a moment."""
+        self._pool.work()
         with suppress(Empty):
-            while (message := self._messages.get(timeout=_POLL_S)) is None and is_computed:
-                pass
-            if isinstance(message, Exception):
-                raise message
-            return message
+            shard = self._ended.get(timeout=_POLL_S)
+            if (ended := self._pool.ended(shard)) is None:
+                self._ended.put(shard)  # it is computed again
+            return ended
         return None
 
     def _settle(self, ended: ShardDone | ShardFailed) -> None:
         """Note the end of a shard."""
         shard, work = ended.shard, self._work[ended.shard.stage]
-        self._flying.discard(shard.key)
+        del self._priority[shard.key]
         self._tally.end(ended)
         if isinstance(ended, ShardDone):
             self._made[shard.key] = self._run.store.manifest(ended.ref)
@@ -215,8 +174,7 @@ class Build:
             raise ended.error
         else:
             work.failed.append(ended)
-        work.task_of(shard.partition).num_left -= 1
-        self._release()
+        work.num_left -= 1
         self._close(work)
 
     def _advance(self) -> None:
@@ -284,52 +242,31 @@ class Build:
         for key in reversed(order):
             for other in before[key]:
                 behind[other] = max(behind[other], behind[key] + 1)
-        self._begun.update(order)
-        self._flying.update(order)
+        if order and not work.is_begun and self._start_task is not None:
+            work.is_begun = True
+            self._start_task(work.plan.stage.name, partial(self._follow, work))
         for key in order:
-            item = new[key], work.urgency * _STAGE_FIRST + behind[key]
-            self._tally.add(*item)
-            task = work.task_of(new[key].partition)
-            task.num_left += 1
-            task.waiting.append(item)
-        self._release()
-
-    def _release(self) -> None:
-        """Hand over shards that wait for no other task; begin tasks with their first ones."""
-        for task in self._tasks():
-            is_new, waiting, task.waiting = not task.given, task.waiting, []
-            for item in waiting:
-                if any(key in self._flying and key not in task.given for key in item[0].after):
-                    task.waiting.append(item)
-                else:
-                    task.given.add(item[0].key)
-                    task.inbox.put(item)
-            if is_new and task.given:
-                first, *more = dict.fromkeys(shard.partition for shard, _ in waiting if shard.key in task.given)
-                name = f"{first} and {len(more)} more" if more else first
-                future = self._start_task(task.stage.name, name, partial(self._do_task, task))
-                future.add_done_callback(partial(self._do_if_left, task))
-
-    def _do_if_left(self, task: _Task, _: object) -> None:
-        """Run a task that Prefect could not start: Prefect shows less then, and is not needed."""
-        if not (task.is_begun or self._is_over):
-            Thread(target=self._do_task, args=[task], daemon=True).start()
+            shard = new[key]
+            # A shard has no higher priority than one in work that it comes after.
+            ahead = (self._priority[other] for other in shard.after if other in self._priority)
+            self._priority[key] = min([work.urgency * _STAGE_FIRST + behind[key], *ahead])
+            self._begun.add(key)
+            self._tally.add(shard, self._priority[key])
+            work.num_left += 1
+            self._pool.submit(work.plan.stage.run_shard, shard, self._priority[key], self._ended.put)
 
     def _close(self, work: _StageWork) -> None:
-        """End tasks of a planned stage that have nothing left; record the stage when it is complete."""
-        if not work.is_planned:
+        """Record a planned stage when it is complete, and end its task when nothing of it is left."""
+        if not work.is_planned or work.num_left:
             return
-        for number, task in list(work.tasks.items()):
-            if not task.num_left:
-                work.tasks.pop(number).inbox.put(None)
-        if work.tasks or work.failed:
-            return
-        run, stage = self._run, work.plan.stage
-        found = tuple(self._made[item.shard.key] for item in work.plan.shards)
-        record_stage(run.store, run.study.name, self._run_id, stage.name, found)
-        seconds = time.perf_counter() - work.started
-        work.made, work.outcome = found, StageOutcome.of(work.plan, found, seconds)
-        run.listener.stage_finished(work.plan, seconds, work.outcome.verdict)
+        if not work.failed:
+            run, stage = self._run, work.plan.stage
+            found = tuple(self._made[item.shard.key] for item in work.plan.shards)
+            record_stage(run.store, run.study.name, self._run_id, stage.name, found)
+            seconds = time.perf_counter() - work.started
+            work.made, work.outcome = found, StageOutcome.of(work.plan, found, seconds)
+            run.listener.stage_finished(work.plan, seconds, work.outcome.verdict)
+        work.ended.set()
 
     def _raise_failures(self) -> None:
         """Raise one error for all failures, stage by stage, and note what was skipped because of them."""
@@ -354,7 +291,7 @@ class Build:
 def by_urgency(graph: Graph) -> list[str]:
     """Return the stages, the least urgent first.
 
-    Of two that as many wait for one is done before the other: shards of a stage share what they make ready.
+    Ties are broken by stage, because the shards of one stage share caches.
     """
     behind = stages_behind(graph)  # the last stage first
     return sorted(behind, key=behind.__getitem__)

@@ -1,4 +1,4 @@
-"""The Prefect flow: its body plans, its tasks are partitions of stages, and Dask computes their shards.
+"""The Prefect flow: its body plans and submits, its tasks are stages, and Dask computes their shards.
 
 Importing this module imports Prefect, so nothing above it does so before there is work.
 """
@@ -8,17 +8,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from httpx import HTTPError
 
-from flows.building import MAX_TASKS
+from flows.building import ShowPartitions
 from flows.execution import begin, execute, open_pool, outcome_of_fresh
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, make_plan, refuse_nothing
 from flows.prefect_server import LocalServer, check_server, signed_in, telemetry_off
+from flows.progress import PartitionCount
 from flows.publishing import Published, publish, refuse_unpublished
 from flows.study import load_study
 from pasdedeux.evaluation.verdicts import figure_words
@@ -46,8 +48,8 @@ from prefect.settings import (  # noqa: E402
 from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
 from prefect.utilities.annotations import quote  # noqa: E402
 
-# They wait; one that a task had to wait for would hold up what is urgent.
-_THREADS: Any = ThreadPoolTaskRunner(max_workers=20 * MAX_TASKS)
+_THREADS: Any = ThreadPoolTaskRunner(max_workers=100)
+"""A thread for each stage, which waits."""
 
 
 def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) -> Outcome:
@@ -79,7 +81,7 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
     @flow(name=dataset.name, flow_run_name=folder.run_id, retries=0, persist_result=False, task_runner=_THREADS)
     def build(study: str, run_id: str) -> None:
         try:
-            results.append(execute(run, folder, plan, pool, _submit_task))
+            results.append(execute(run, folder, plan, pool, _start_task))
         except Exception as error:
             results.append(error)
             raise
@@ -125,7 +127,7 @@ def dataset(
             with in_use(run.store), open_pool(run, where) as pool:
                 record = begin(run, plan)
                 _name_flow_run(record.run_id)
-                outcome = execute(run, record, plan, pool, _submit_task)
+                outcome = execute(run, record, plan, pool, _start_task)
         published = publish(run, outcome)
     _show(run, outcome, published)
     refuse_nothing(outcome.missing)
@@ -146,7 +148,7 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
         for one in outcome.stages
     ]
     where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
-    key = re.sub("[^a-z0-9]", "-", f"pasdedeux-{run.study.name}".lower())
+    key = _key(run.study.name)
     create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
     if published is not None:
         words = "\n- ".join(map(markdown_text, (published.words, *published.failures)))
@@ -164,13 +166,25 @@ def _name_flow_run(run_id: str) -> None:
         client.update_flow_run(flow_run.id, name=run_id)
 
 
-@task(task_run_name="{name}", retries=0, cache_policy=NO_CACHE, persist_result=False)
-def _partition(name: str, work: Callable[[], None]) -> None:
-    """Compute shards of a stage, of one partition or of several: a task run of Prefect."""
-    work()
+@task(task_run_name="{stage}", retries=0, cache_policy=NO_CACHE, persist_result=False)
+def _stage(stage: str, follow: Callable[[ShowPartitions], None]) -> None:
+    """Show a stage while it is in work: a task run of Prefect, whose artifact has a row for each partition."""
+    key = _key("stage", stage)
+
+    def show(counts: Sequence[PartitionCount]) -> None:
+        rows = [{**asdict(count), "seconds": round(count.seconds, 1)} for count in counts]
+        with suppress(HTTPError):  # a build needs no server
+            create_table_artifact(rows, key=key, description=f"partitions of stage {stage}")
+
+    follow(show)
 
 
-def _submit_task(stage: str, name: str, work: Callable[[], None]) -> Any:
-    """Start a task in a thread of the flow in whose body this is called; its run is named `stage partition`."""
-    given: Any = quote(work)  # Prefect would look for futures in it, and gives the task what is quoted
-    return _partition.with_options(name=stage).submit(f"{stage} {name}", given, return_state=False)
+def _start_task(stage: str, follow: Callable[[ShowPartitions], None]) -> None:
+    """Start the task of a stage in a thread of the flow in whose body this is called."""
+    given: Any = quote(follow)  # Prefect would look for futures in it, and gives the task what is quoted
+    _stage.with_options(name=stage).submit(stage, given, return_state=False)
+
+
+def _key(*words: str) -> str:
+    """Return the key of an artifact."""
+    return re.sub("[^a-z0-9]", "-", "-".join(("pasdedeux", *words)).lower())

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 
-from flows.building import MAX_TASKS, Build, StartTask
+from flows.building import Build, StartTask
 from flows.machine import why_few
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
@@ -29,15 +28,14 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         folder: Where the run is recorded, from `begin`.
         plan: The plan made beforehand.
         pool: Computes shards.
-        start_task: Starts tasks; plain threads where it is not given.
+        start_task: Starts the task of a stage, which shows what is done.
 
     Raises:
         ShardError, InputError: Shards or stages failed; those that need nothing of them are up to date.
         ClusterError: There is nobody left to compute.
     """
     status, peak = "failed", None
-    threads = ThreadPoolExecutor(MAX_TASKS * len(plan.stages))
-    build = Build(run, folder.run_id, plan, pool, start_task or (lambda _stage, _name, work: threads.submit(work)))
+    build = Build(run, folder.run_id, plan, pool, start_task)
     try:
         with remembered_ctrl_c(is_passed_on=True) as is_interrupted:
             build.bring_up_to_date(is_interrupted)
@@ -46,8 +44,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         status = "interrupted"
         raise
     finally:
-        build.end_tasks()
-        threads.shutdown()
+        build.end()
         # On a disk that is full the record fails as well: what is said is what went wrong first.
         with nullcontext() if status == "finished" else suppress(StorageError):
             run.store.clear_leftovers()

@@ -40,6 +40,22 @@ class Progress:
     noun: str = "shard"
 
 
+@dataclass
+class PartitionCount:
+    """How far a partition of a stage is: shards, those computed, those that failed or were not tried, and seconds."""
+
+    partition: str
+    num_shards: int = 0
+    num_computed: int = 0
+    num_failed: int = 0
+    seconds: float = 0.0
+
+    @property
+    def num_ended(self) -> int:
+        """Return how many of its shards have ended."""
+        return self.num_computed + self.num_failed
+
+
 class Listener:
     """Receives the events of a run and does nothing; a console overrides what it shows.
 
@@ -81,7 +97,7 @@ class Tally:
         self._by_priority: dict[int, dict[str, Shard]] = {}
         self._priority: dict[str, int] = {}
         self._num_left, self._num_ended = Counter[str](), Counter[str]()
-        self._ended_of, self._all_of = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
+        self._partitions: dict[tuple[str, str], PartitionCount] = {}
         self._took: dict[str, tuple[float, int]] = {}
         self._last_mean_s = cache(partial(_last_mean_s, store, study))
 
@@ -90,18 +106,27 @@ class Tally:
         self._priority[shard.key] = priority
         self._by_priority.setdefault(priority, {})[shard.key] = shard
         self._num_left[shard.stage] += 1
-        self._all_of[shard.stage, shard.partition] += 1
+        count = self._partitions.setdefault((shard.stage, shard.partition), PartitionCount(shard.partition))
+        count.num_shards += 1
 
     def end(self, ended: ShardDone | ShardFailed) -> None:
         """Count a shard that has ended."""
         shard = ended.shard
         del self._by_priority[self._priority.pop(shard.key)][shard.key]
         self._num_left[shard.stage] -= 1
-        self._ended_of[shard.stage, shard.partition] += 1
         self._num_ended[shard.stage] += isinstance(ended, ShardDone) or not ended.is_behind
+        count = self._partitions[shard.stage, shard.partition]
         if isinstance(ended, ShardDone):
-            seconds, count = self._took.get(shard.stage, (0.0, 0))
-            self._took[shard.stage] = seconds + ended.seconds, count + 1
+            count.num_computed += 1
+            count.seconds += ended.seconds
+            seconds, num = self._took.get(shard.stage, (0.0, 0))
+            self._took[shard.stage] = seconds + ended.seconds, num + 1
+        else:
+            count.num_failed += 1
+
+    def partitions(self, stage: str) -> list[PartitionCount]:
+        """Return the partitions of a stage of which shards were begun, in that order; any thread may ask."""
+        return [count for (name, _), count in list(self._partitions.items()) if name == stage]
 
     def progress(self, waiting: Iterable[StagePlan], num_workers: int) -> Progress:
         """Return how far the run is, with stages that are not planned yet as large as they were last time."""
@@ -111,14 +136,14 @@ class Tally:
             num_left[name] = max(num_left.get(name, 0), had - self._num_ended[name])
         means = {name: self._mean_s(name) for name in num_left}
         running = self._running(num_workers)
-        named = {(one.stage, one.partition) for one in running}
+        named = {(one.stage, one.partition): self._partitions[one.stage, one.partition] for one in running}
         return Progress(
             num_done=self._num_ended.total(),
             num_shards=self._num_ended.total() + sum(num_left.values()),
             running=running,
             left_s=sum(count * (means[name] or 0.0) for name, count in num_left.items()) / num_workers,
             is_all=all(means.values()),
-            partitions={one: (self._ended_of[one], self._all_of[one]) for one in named},
+            partitions={place: (count.num_ended, count.num_shards) for place, count in named.items()},
         )
 
     def _running(self, num_workers: int) -> tuple[Shard, ...]:
@@ -129,8 +154,8 @@ class Tally:
 
     def _mean_s(self, name: str) -> float | None:
         """Return what a shard of a stage took, now or last time; None where that is not known."""
-        seconds, count = self._took.get(name, (0.0, 0))
-        return seconds / count if count else self._last_mean_s(name)
+        seconds, num = self._took.get(name, (0.0, 0))
+        return seconds / num if num else self._last_mean_s(name)
 
 
 def _last_mean_s(store: Store, study: str, stage: str) -> float | None:

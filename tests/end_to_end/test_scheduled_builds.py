@@ -129,8 +129,10 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     (first,) = [run for run in flow_runs() if run["name"] == built["run_id"]]
     body = {"flow_runs": {"id": {"any_": [first["id"]]}}}
     names = [one["name"] for one in _get(environment, "/task_runs/filter", body)]
-    assert names
-    assert all(name.startswith("ingest ") for name in names), "stage and partition"
+    assert names == ["ingest"], "a task is a stage"
+    (shown,) = [json.loads(one["data"]) for one in artifacts if one["key"] == "pasdedeux-stage-ingest"]
+    assert sum(row["num_computed"] for row in shown) == sum(row["num_shards"] for row in shown) > 0
+    assert len({row["partition"] for row in shown}) == len(shown), "a row is a partition"
     said_of_versions = [one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"][-2:]
     heartbeats = _get(environment, "/events/filter", {"filter": {"event": {"name": ["prefect.flow-run.heartbeat"]}}})
     flows = {(_flow(event), _is_watched(event)) for event in heartbeats["events"]}

@@ -12,19 +12,18 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
-from threading import Thread
 from typing import Any, Self
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.building import by_urgency, stages_behind
+from flows.building import ShowPartitions, by_urgency, stages_behind
 from flows.console.display import LineListener, progress_text
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
 from flows.planning import Selection, StagePlan, make_plan
-from flows.progress import Listener, Progress
+from flows.progress import Listener, PartitionCount, Progress
 from flows.records import describe_runs
 from flows.study import load_study
 from pasdedeux.errors import InputError
@@ -248,48 +247,59 @@ def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tm
     assert by_urgency(TOYS) == [*sorted(("aside", "judge"), key=TOYS.names.index, reverse=True), "bend", "grow"]
 
 
-@pytest.mark.parametrize("max_tasks", [200, 2])
-def test_a_task_is_a_partition_or_some_and_begins_when_what_others_compute_for_it_is_committed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, max_tasks: int
-) -> None:
+def execute_shown(
+    tmp_path: Path, graph: Graph, *settings: str, fail: frozenset[str] = frozenset()
+) -> tuple[ManyWorkers, dict[str, Future[None]], dict[str, list[PartitionCount]]]:
+    """Build up to the stage grow; gives the pool, the task of each stage, and the partitions that it showed last."""
+    tasks: dict[str, Future[None]] = {}
+    shown: dict[str, list[PartitionCount]] = {}
+    chosen, known = load_study(str(write_study(tmp_path)), graph, settings=settings, environment={})
+    run = Run(chosen, known, Store(tmp_path / "store"), Selection(until="grow"))
+    pool = ManyWorkers(tmp_path / "store", num_workers=2, fail=fail)
+    with ThreadPoolExecutor(9) as threads:
+
+        def start(stage: str, follow: Callable[[ShowPartitions], None]) -> None:
+            assert stage not in tasks
+            tasks[stage] = threads.submit(follow, lambda counts: shown.update({stage: list(counts)}))
+
+        plan = make_plan(chosen, known, run.store, run.selection)
+        with suppress(ShardError):
+            execute(run, begin(run, plan), plan, pool, start)
+    return pool, tasks, shown
+
+
+def test_a_task_is_a_stage_that_shows_its_partitions_one_of_which_may_follow_others(tmp_path: Path) -> None:
     def plan_linked(*given: Any) -> list[Shard]:
         shards = [replace(shard, after=()) for shard in TOYS.stage("grow").plan(*given)]
         last = replace(shards[0], partition="a-last", after=tuple(shard.key for shard in shards))
         return [last, *shards]
 
-    monkeypatch.setattr("flows.building.MAX_TASKS", max_tasks)
-    store, tasks = tmp_path / "store", {}
-    with ThreadPoolExecutor(9) as threads:
-
-        def carry(stage: str, name: str, work: Callable[[], None]) -> Future[None]:
-            tasks[f"{stage} {name}"] = set(names(store)) if Store(store).root.exists() else set()
-            return threads.submit(work)
-
-        stages = tuple(replace(one, plan=plan_linked) if one.name == "grow" else one for one in TOYS.stages)
-        settings = ["grow.num_takes=3", "grow.num_segments=2"]
-        chosen, graph = load_study(str(write_study(tmp_path)), Graph(stages), settings=settings, environment={})
-        run = Run(chosen, graph, Store(store), Selection(until="grow"))
-        plan = make_plan(chosen, graph, run.store, run.selection)
-        execute(run, begin(run, plan), plan, HerePool(str(store)), carry)
-    takes = {f"grow t{take} s{segment}" for take in range(3) for segment in range(2)}
-    assert set(names(store)) == {*takes, "grow a-last s0"}
-    if max_tasks == 2:
-        assert len(tasks) == 2
-    else:
-        assert set(tasks) == {"grow t0", "grow t1", "grow t2", "grow a-last"}
-        assert tasks["grow a-last"] == takes
+    stages = tuple(replace(one, plan=plan_linked) if one.name == "grow" else one for one in TOYS.stages)
+    pool, tasks, shown = execute_shown(tmp_path, Graph(stages), "grow.num_takes=3", "grow.num_segments=2")
+    assert list(tasks) == ["grow"]
+    assert tasks["grow"].exception() is None
+    assert pool.started[-1] == "grow a-last s0"
+    assert {count.partition: (count.num_shards, count.num_computed) for count in shown["grow"]} == {
+        "t0": (2, 2),
+        "t1": (2, 2),
+        "t2": (2, 2),
+        "a-last": (1, 1),
+    }
 
 
-def test_a_task_that_cannot_be_begun_is_done_all_the_same(undisturbed: Path, tmp_path: Path) -> None:
-    def carry(stage: str, name: str, work: Callable[[], None]) -> Future[None]:
-        future: Future[None] = Future()
-        Thread(target=future.set_exception, args=[RuntimeError("no server")], daemon=True).start()
-        return future
+def test_the_task_of_a_stage_fails_as_the_stage_does(tmp_path: Path) -> None:
+    settings, fail = ["grow.num_takes=2", "grow.num_segments=2"], frozenset({"grow t1 s0"})
+    _, tasks, shown = execute_shown(tmp_path, TOYS, *settings, fail=fail)
+    assert str(tasks["grow"].exception()).startswith("stage grow, t1, shard s0: ")
+    failed = {count.partition: (count.num_computed, count.num_failed) for count in shown["grow"]}
+    assert failed == {"t0": (2, 0), "t1": (0, 2)}, "the other one of t1 was not tried"
 
+
+def test_a_stage_whose_task_is_never_begun_is_built_all_the_same(undisturbed: Path, tmp_path: Path) -> None:
     chosen, graph = load_study(str(write_study(tmp_path)), TOYS, environment={})
     run = Run(chosen, graph, Store(tmp_path / "store"))
     plan = make_plan(chosen, graph, run.store)
-    execute(run, begin(run, plan), plan, HerePool(str(tmp_path / "store")), carry)
+    execute(run, begin(run, plan), plan, HerePool(str(tmp_path / "store")), lambda stage, follow: None)
     assert digests(tmp_path / "store") == digests(undisturbed)
 
 

@@ -60,7 +60,7 @@ class VariantRequest:
     def with_exact_bones(self, motion_m: Array, *, is_nearest: bool = False) -> Array:
         """Return a motion (T, 2, 22, 3), metres, with exactly the requested bones, placed by `project_to_bones`."""
         lengths = scaled_lengths(self.source, complete_scales(self.source, self.bone_scale[None]))
-        placed = project_to_bones(points_of(motion_m)[None], lengths, is_nearest=is_nearest)
+        placed = project_to_bones(points_of(motion_m)[None], lengths, self.source.skeleton, is_nearest=is_nearest)
         return np.asarray(placed[0].reshape(motion_m.shape))
 
 
@@ -89,6 +89,11 @@ Items = Callable[[], Iterator[TrainingItem]]
 VALIDATION_FALL = "validation_fall"
 """Quantity of the log: by how much a segment brought the smallest validation error down, percent."""
 
+ACTIVITY = "activity/"
+"""Prefix of quantities of the log: how much of what a rectifier gives is above 0, percent, and its name."""
+_MIN_ACTIVITY = 1.0
+"""Percent; with less a layer is dead, and what it should tell does not arrive."""
+
 
 @dataclass(frozen=True)
 class LogEntry:
@@ -97,6 +102,11 @@ class LogEntry:
     step: int
     quantity: str
     value: float
+
+    @property
+    def is_dead_layer(self) -> bool:
+        """It is the activity of a layer that is dead."""
+        return self.quantity.startswith(ACTIVITY) and not self.value >= _MIN_ACTIVITY
 
 
 class NoSettings(Settings):

@@ -5,6 +5,7 @@ What the papers of `paper_cvae` and of the models that it was compared with leav
 
 from __future__ import annotations
 
+import math
 from importlib.util import find_spec
 from typing import Literal
 
@@ -14,12 +15,19 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning.windows import RATE_HZ
 from pasdedeux.settings import Settings
 
+_WARM_UP = 0.05
+"""Share of the steps in which the learning rate rises."""
+
 
 class NetworkSettings(Settings):
     """How long a network is trained, and how fast."""
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
+
+    def rate(self, step: int) -> float:
+        """Return the learning rate of a step, which falls evenly to a twentieth."""
+        return self.learning_rate * max(1.0 - step / self.num_steps, 0.05)
 
 
 class ClassifierSettings(NetworkSettings):
@@ -41,6 +49,9 @@ class SegmentSettings(Settings):
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     segment_steps: int = Field(200, ge=1, description="Steps of a segment, the unit that is stored and resumed")
+    patience: int = Field(
+        4, ge=1, description="Segments without a smaller validation error after which training ends early"
+    )
 
     @property
     def num_segments(self) -> int:
@@ -51,7 +62,8 @@ class SegmentSettings(Settings):
 class WindowSettings(SegmentSettings, NetworkSettings):
     """Rate and windows of a step; no study sets them, but for the rate of `paper_cvae`."""
 
-    window_s: float = Field(2.0, gt=0, le=60.0, description="Length of a window, seconds")
+    learning_rate: float = Field(3e-3, gt=0, le=1, description="Largest learning rate of Adam")
+    window_s: float = Field(1.0, gt=0, le=60.0, description="Length of a window, seconds")
     windows_per_step: int = Field(16, ge=1, le=1000, description="Windows of a step, drawn from all takes")
 
     @property
@@ -59,33 +71,51 @@ class WindowSettings(SegmentSettings, NetworkSettings):
         """Frames of a window."""
         return round(self.window_s * RATE_HZ) + 1
 
+    def rate(self, step: int) -> float:
+        """Return the learning rate of a step: a warm-up, then half a cosine down to 0."""
+        warm, done = (step + 1) / max(_WARM_UP * self.num_steps, 1.0), step / self.num_steps
+        return self.learning_rate * min(warm, 0.5 + 0.5 * math.cos(math.pi * done))
+
 
 class PaperCvaeSettings(SegmentSettings):
     """What Li et al. (2024) leave to a supplement that is not with the text: all of it is assumed here.
 
-    Printed: equations 1 to 8, the layers of MLP1 (16-32-64-128-256) and MLP2 (256-128-64-32-bones), weights 0.75,
-    0.1, 0.05 and 0.1, Kullback-Leibler terms against the unit normal. Assumed beside the fields below: Adam; motion
-    at ten frames a second in windows, each in axes of its own (floor between the mid-hips, B along x); scales
-    standardised over training; MLP1 ends in another dense layer for mean and variance of z; encoders average over
-    time and keep joints; ST-GCN as Yan et al. (2018) with one partition, a residual, every second frame from the
-    second block on, no batch normalisation; G-GRU as Li et al. (2020), its state begun by a dense layer from what
-    it is given, its input the change so far and what it is given, its output added to it and 0 at the beginning of
-    training; G-GRU2 is given ST-GCN3's features of B's motion, the true one in training and else the predicted one;
-    velocities are differences of frames. The alternatives that section 5.5 names are in that supplement too: the other
-    architectures are those that the text gives reasons for (sections 3.1 and 3.2), one choice undone in each.
+    Printed: equations 1 to 8, the layers of MLP1 (16-32-64-128-256) and MLP2 (256-128-64-32-bones), weights 0.75, 0.1,
+    0.05 and 0.1, Kullback-Leibler terms against the unit normal. Assumed beside the fields below: Adam; motion at ten
+    frames a second in windows, each in axes of its own (floor between the mid-hips, B along x); scales standardised
+    over training; MLP1 ends in another dense layer for mean and variance of z; encoders average over time and keep
+    joints; ST-GCN as Yan et al. (2018) with one partition, a residual, every second frame from the second block on,
+    layer norm for batch norm; changes in units of 5 cm; G-GRU as Li et al. (2020), its state begun by a dense layer
+    from what it is given, its input the change so far and what it is given, its output added to it and 0 at the
+    beginning of training; all ends and scales (of A: ST-GCN3's features) reach each joint as 64 numbers beside its own
+    and which joint it is, since weights are shared over joints and eqs. 2 and 3 give the decoder all of them; G-GRU2 is
+    given ST-GCN3's features of B's motion, the true one in training and else the predicted one; velocities are
+    differences of frames. The alternatives that section 5.5 names are in that supplement too: the other architectures
+    are those that the text gives reasons for (sections 3.1 and 3.2), one choice undone in each.
     """
 
-    learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
+    learning_rate: float = Field(3e-3, gt=0, le=1, description="Largest learning rate of Adam")
     balance: Literal["summed", "averaged", "free_bits"] = Field(
         "summed",
         description="Norms of eqs. 6 and 8: summed over frames, joints and axes as printed, or their mean; free_bits "
         "takes the divergence as a mean over axes as well, of which each has some for nothing",
     )
-    architecture: Literal["published", "st_gcn_decoders", "without_ends", "whole_motion", "scales_for_a"] = Field(
+    architecture: Literal[
         "published",
-        description="As published, or with ST-GCNs that know the time for G-GRUs, without the template's first and "
-        "last frame, motion itself in place of its change, or A given B's scales in place of B's motion",
+        "change_for_a",
+        "over_kinematics",
+        "st_gcn_decoders",
+        "without_ends",
+        "whole_motion",
+        "scales_for_a",
+    ] = Field(
+        "published",
+        description="As published; change_for_a: ST-GCN3 sees B's change beside its motion; over_kinematics (ours): so "
+        "too, and decoders add to plain kinematics and are given template, near joints and kinematics in each frame; "
+        "or with ST-GCNs that know the time for G-GRUs, without the template's first and last frame, motion itself in "
+        "place of its change, or A given B's scales in place of B's motion",
     )
+    exact_bones: bool = Field(False, description="Joints are moved as little as gives exactly the requested bones")
 
 
 class PaperCvaeConfig(WindowSettings, PaperCvaeSettings):

@@ -198,7 +198,7 @@ class WindowVae(VariantModel):
         moved = np.zeros_like(request.source.positions_m)
         for person in scaled_persons(request):
             moved += self.moved(request.source, person, request.bone_scale[person], None)
-        return request.source.positions_m + moved
+        return self._finish(request, request.source.positions_m + moved)
 
     def generate(
         self,
@@ -211,15 +211,22 @@ class WindowVae(VariantModel):
         """Return scales (2, J), those of B drawn or given, and a motion (T, 2, J, 3), metres, drawn for them."""
         scale = self.draw_scale(generator) if scale is None else scale
         moved = self.moved(source, 1, scale, generator, key_frames)
-        return np.stack([np.ones_like(scale), scale]), source.positions_m + moved
+        request = VariantRequest(source.name, source, np.stack([np.ones_like(scale), scale]))
+        return request.bone_scale, self._finish(request, source.positions_m + moved)
+
+    def _finish(self, request: VariantRequest, motion_m: Array) -> Array:
+        """Return the motion that is given for what the network says."""
+        return motion_m
 
     def batch(self, windows: list[Window], variants: list[int]) -> dict[str, Narrow]:
         """Return windows of one length with one of their variants each, as the network sees them."""
         pairs = list(zip(windows, variants, strict=True))
+        scale = np.stack([window.bone_scale[variant] for window, variant in pairs])
         return {
             "template_m": np.stack([window.template_m for window in windows]),
             "motion_m": np.stack([window.variants_m[variant] for window, variant in pairs]),
-            "condition": self.condition(np.stack([window.bone_scale[variant] for window, variant in pairs])),
+            "condition": self.condition(scale),
+            "scale": scale,
         }
 
     def moved(
@@ -240,6 +247,7 @@ class WindowVae(VariantModel):
         batch = {
             "template_m": np.stack([window.template_m for window in windows]),
             "condition": np.repeat(self.condition(scale[None]), count, axis=0),
+            "scale": np.repeat(scale[None].astype(np.float32), count, axis=0),
         }
         batch |= {key: np.repeat(one, count, axis=0) for key, one in self._noise(1, num_frames, generator).items()}
         moved = blend(source, windows, iter(self.network.displacement(batch)))
@@ -298,6 +306,10 @@ class PaperCvaeModel(WindowVae):
         """Return standardised scales."""
         return ((bone_scale - self.known_scales[0]) / self.known_scales[1]).astype(np.float32)
 
+    def _finish(self, request: VariantRequest, motion_m: Array) -> Array:
+        exact = self.options.exact_bones
+        return request.with_exact_bones(motion_m, is_nearest=True) if exact else motion_m
+
     def draw_scale(self, generator: np.random.Generator) -> Array:
         """Return scales drawn from p(B_s)."""
         z = generator.standard_normal((1, *self.network.noise_shapes(1)["s"]), np.float32)
@@ -310,9 +322,9 @@ class PaperCvaeModel(WindowVae):
         There is no true motion; scales should vary as those of training do.
         """
         drawn = self.network.scales(batch["noise_s"])
-        moved = self.network.displacement({**batch, "condition": drawn})
-        template = batch["template_m"][:, :, 1].astype(np.float64)
         mean, deviation = self.known_scales
+        moved = self.network.displacement({**batch, "condition": drawn, "scale": mean + deviation * drawn})
+        template = batch["template_m"][:, :, 1].astype(np.float64)
         error = bone_lengths(self.skeleton, template + moved[:, :, 1])
         error -= (mean + deviation * drawn)[:, None] * bone_lengths(self.skeleton, template)
         return {

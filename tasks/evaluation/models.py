@@ -10,7 +10,7 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.models import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
-from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
@@ -234,9 +234,9 @@ def model_figure(
 
 
 def best_model(scores: Sequence[Score], *, split: str, baselines: Collection[str]) -> str | None:
-    """Return the model with the smallest E_r over the test variants of a split; a baseline where nothing else is."""
+    """Return the model with the smallest E_r over the test variants of a split; a baseline or bound if all are."""
     found = {s.method: s.value for s in scores if (s.metric, s.split, s.item) == ("E_r", split, "all")}
-    return min(found, key=lambda name: (name in baselines, found[name]), default=None)
+    return min(found, key=lambda name: (name in baselines or is_bound(name), found[name]), default=None)
 
 
 def extreme_cases(errors: Sequence[float]) -> dict[str, int]:

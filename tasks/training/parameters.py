@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, SerializeAsAny, model_validator
 
@@ -27,12 +27,13 @@ _SETTINGS_OF_MODELS = {
 
 
 class NamedModel(NamedTuple):
-    """A model to train: which one it is, its settings, the name of the one that it starts from, and the section."""
+    """A model to train: which one, its settings, the name of the one that it starts from, the section, the seed."""
 
     kind: str
     settings: Settings
     start: str | None
     section: TrainingParameters
+    seed: int
 
 
 @with_fields(_SETTINGS_OF_MODELS)
@@ -48,7 +49,12 @@ class TrainingParameters(CurationSettings, SweptParameters):
     skeleton: SkeletonName = Field(
         "body22", description="Skeleton of the models: body22, or 18 joints as in ExPI, which follow from it (expi18)"
     )
-    seed: int = Field(0, ge=0, description="Other first parameters and batches; 0: those of the study's seed")
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+        (0,),
+        min_length=1,
+        description="Each network is trained with each of these, which change first parameters and batches (0: those "
+        "of the study's seed); models of all but the first are kept as NAME_seedN",
+    )
     device: DeviceName = Field(
         "auto",
         description="Where networks are trained: auto is a GPU where there is one; what that computes is not the same "
@@ -76,11 +82,13 @@ class TrainingParameters(CurationSettings, SweptParameters):
             InputError: What a model starts from is not known or not trained on its splits, models start from each
                 other, or a model is not of the skeleton.
         """
-        known = {name: self._model(name) for name in MODELS}
+        wanted = {seeded: model for name in self.models for seeded, model in self._models(name, name).items()}
         for name, own in self.swept().items():
-            known |= {name if len(own.models) == 1 else f"{one}_{name}": own._model(one) for one in own.models}
+            for one in own.models:
+                wanted |= own._models(one, name if len(own.models) == 1 else f"{one}_{name}")
+        known = {seeded: model for name in MODELS for seeded, model in self._models(name, name).items()} | wanted
         found: dict[str, NamedModel] = {}
-        for name in sorted({*self.models, *(known.keys() - MODELS.keys())}):
+        for name in sorted(wanted):
             chain = [name]
             while (start := known[chain[-1]].start) is not None:
                 if start in chain:
@@ -101,9 +109,12 @@ class TrainingParameters(CurationSettings, SweptParameters):
                 )
         return found
 
-    def _model(self, kind: str) -> NamedModel:
+    def _models(self, kind: str, name: str) -> dict[str, NamedModel]:
+        """Return a model with each seed, by name; one that is no network has one."""
         settings: Settings = getattr(self, kind) if kind in type(self).model_fields else model_class(kind).settings()
-        return NamedModel(kind, settings, model_class(kind).start(settings), self)
+        start, seeds = model_class(kind).start(settings), self.seeds if model_class(kind).needs_torch else (0,)
+        names = [name, *(f"{name}_seed{seed}" for seed in seeds[1:])]
+        return {one: NamedModel(kind, settings, start, self, seed) for one, seed in zip(names, seeds, strict=True)}
 
 
 class SegmentParameters(Parameters):

@@ -16,7 +16,7 @@ from tasks.stage import Shard, StageInputs, StageName, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import SegmentParameters, TrainingParameters
 
-TRAINING = StageName("training", 12)
+TRAINING = StageName("training", 13)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
@@ -41,7 +41,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     for name in dict.fromkeys(split for model in models.values() for split in model.section.splits):
         split_variants(name, takes, variants, test_takes, inputs.seed)
         last: dict[str, str] = {}
-        for model, (kind, settings, start, section) in models.items():
+        for model, (kind, settings, start, section, seed) in models.items():
             if name not in section.splits or (start is not None and start not in last):
                 continue
             before: tuple[str, ...] = ()
@@ -59,7 +59,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
                         settings=settings,
                         segment=segment,
                         skeleton=section.skeleton,
-                        seed=section.seed,
+                        seed=seed,
                         device=section.device,
                         rejected=rejected,
                     ),

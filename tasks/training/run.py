@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import frame_errors_cm
 from pasdedeux.evaluation.verdicts import Items, compare
-from pasdedeux.learning.model import Arrays, LogEntry, Training, TrainingItem, VariantModel
+from pasdedeux.learning.model import Arrays, LogEntry, Trained, Training, TrainingItem, VariantModel
 from pasdedeux.learning.registry import BASELINES, ModelDescription, describe, load_model, model_arrays, model_class
 from pasdedeux.learning.settings import has_torch
 from pasdedeux.learning.splits import VariantKey
@@ -95,7 +95,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             validation=_by_take(validation),
             test=_by_take(split.test),
         ),
-        verdict=_judge(options.name, trained.model, _reader(variants, judged)) if is_last else None,
+        verdict=_judge(options.name, trained, _reader(variants, judged)) if is_last else None,
     )
 
 
@@ -135,14 +135,16 @@ def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[]
     return lambda: variants.items([(key.take_id, key.variant_id) for key in keys])
 
 
-def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[TrainingItem]]) -> Verdict:
+def _judge(name: str, trained: Trained, items: Callable[[], Iterator[TrainingItem]]) -> Verdict:
     """Return whether a model is better than every baseline over validation variants; the test set is not looked at.
 
-    A baseline is what others are judged by.
+    A baseline is what others are judged by.  A network with a dead layer fails, whatever it comes to.
     """
     if name in BASELINES:
         return Verdict(Level.PASS)
-    models = {name: model, **{baseline: load_model(ModelDescription(model=baseline), {}) for baseline in BASELINES}}
+    if dead := [f"{one.quantity} {one.value:.2g} %" for one in trained.log if one.is_dead_layer]:
+        return Verdict(Level.FAIL, f"{name} has dead layers, so part of it learned nothing: {', '.join(dead)}")
+    models = {name: trained.model} | {one: load_model(ModelDescription(model=one), {}) for one in BASELINES}
     parts: list[Items] = []
     for item in items():
         request = item.request

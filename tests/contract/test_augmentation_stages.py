@@ -237,8 +237,10 @@ def test_the_papers_layout_has_thirty_uniform_and_sixty_other_variants_a_take(st
     inputs = StageInputs({"poses": [put_take(store, "pair")]}, seed=1)
     shards = augmentation.plan(inputs, study.parameters["augmentation"])
     names = [name for shard in shards for name in shard.parameters.variants]
-    assert len(set(names)) == len(names) == 90
-    assert sum("uniform" in name for name in names) == 30
+    beyond = [name for name in names if name.endswith(("-0.65", "-1.30"))]  # for extrapolation alone
+    assert len(beyond) == 4
+    assert len(set(names)) == len(names) == 94
+    assert sum("uniform" in name for name in names) == 34
     assert not any(name.endswith("-1.00") for name in names)
 
 
@@ -426,10 +428,10 @@ def test_models_that_cannot_be_are_refused_whatever_the_takes() -> None:
         TRAINING.check_study({"training": wrong})
 
 
-def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_a_seed_of_its_own(store: Store) -> None:
+def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_seeds_of_its_own(store: Store) -> None:
     takes = [put_take(store, "one"), put_take(store, "two")]
     variants = augment(store, takes)
-    again = {"models": ["ridge_scale"], "seed": 2, "splits": ["cross_interaction"]}
+    again = {"models": ["actor_like"], "seeds": [0, 2], "splits": ["cross_interaction"], "actor_like": {"num_steps": 1}}
     other = {"models": ["copy", "ridge_scale"], "skeleton": "expi18", "splits": ["cross_interaction"]}
     shards = plan_training(
         takes, variants, models=("ridge_scale",), splits=("cross_scale",), sweep={"again": again, "on18": other}
@@ -437,14 +439,15 @@ def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_a_seed_of_its_own(st
     assert {(shard.partition, shard.name) for shard in shards} == {
         ("cross_scale", "ridge_scale"),
         ("cross_interaction", "again"),
+        ("cross_interaction", "again_seed2"),
         ("cross_interaction", "copy_on18"),
         ("cross_interaction", "ridge_scale_on18"),
     }
     made = train(store, shards)
-    assert [made[f"cross_interaction {name}"].facts["skeleton"] for name in ("again", "copy_on18")] == [
-        "body22",
-        "expi18",
-    ]
+    facts = {name: made[f"cross_interaction {name}"].facts for name in ("again", "again_seed2", "copy_on18")}
+    assert [one["skeleton"] for one in facts.values()] == ["body22", "body22", "expi18"]
+    one, other = (read_arrays(store, made[f"cross_interaction {name}"].ref) for name in ("again", "again_seed2"))
+    assert not np.array_equal(one["out.0.weight"], other["out.0.weight"])
 
 
 def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:

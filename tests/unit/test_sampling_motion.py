@@ -70,7 +70,7 @@ def test_b_goes_through_its_key_frames_has_their_bones_and_a_follows_b(model: Pa
     assert np.abs(found.motion_m[:, 0] - plain.motion_m[:, 0]).max() > 1e-6
     own = KeyFrames(frames, plain.motion_m[frames, 1])
     again = sample_motion(model, TAKE, np.random.default_rng(3), scale=found.bone_scale[1], key_frames=own)
-    np.testing.assert_allclose(again.motion_m, plain.motion_m, atol=1e-6)
+    np.testing.assert_allclose(again.motion_m, plain.motion_m, atol=1e-5)  # the network is in single precision
 
 
 def test_what_key_frames_add_fades_out_beyond_them() -> None:

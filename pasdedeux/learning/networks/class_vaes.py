@@ -28,12 +28,12 @@ class ActorNetwork(WindowNetwork):
         self.ends = nn.Linear(2 * pose, width)
         self.encoder = nn.Sequential(
             *(
-                nn.TransformerEncoderLayer(width, _NUM_HEADS, 2 * width, dropout=0.0, batch_first=True)
+                nn.TransformerEncoderLayer(width, _NUM_HEADS, 2 * width, 0.0, nn.ReLU(), batch_first=True)
                 for _ in range(settings.num_blocks)
             )
         )
         self.decoder = nn.ModuleList(
-            nn.TransformerDecoderLayer(width, _NUM_HEADS, 2 * width, dropout=0.0, batch_first=True)
+            nn.TransformerDecoderLayer(width, _NUM_HEADS, 2 * width, 0.0, nn.ReLU(), batch_first=True)
             for _ in range(settings.num_blocks)
         )
         self.out = mlp(width, width, pose)

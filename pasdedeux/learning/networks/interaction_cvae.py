@@ -33,6 +33,14 @@ _MLP1 = (16, 32, 64, 128, 256)
 _MLP2 = (256, 128, 64, 32)
 _W1, _W2, _W3 = 0.75, 0.1, 0.05
 _W4 = 1.0 - _W1 - _W2 - _W3
+_UNIT_M = 0.05
+"""Unit of changes inside the network, about what joints move by."""
+_NEAR_M = 0.1
+"""Joints of the partner nearer than this weigh alike."""
+_KNOWN = 64
+"""Numbers that tell each joint of all others: their ends, and what is seen of the scaled body or its motion."""
+_EACH = 13
+"""Numbers that a decoder over plain kinematics is given in each frame, a joint."""
 _FREE_NATS = 0.1
 """Divergence of an axis of z, mean over windows, below which it costs nothing [Kingma et al. 2016, free bits]."""
 
@@ -40,22 +48,30 @@ _FREE_NATS = 0.1
 class InteractionCvae(WindowNetwork):
     """The network for sizes that the settings say; the condition is standardised scales (W, 22)."""
 
+    chains: Tensor
+
     def __init__(self, settings: PaperCvaeConfig, skeleton: Skeleton = BODY22) -> None:
         super().__init__()
         self.settings, self.skeleton = settings, skeleton
         s, joints, size = settings, skeleton.num_joints, settings.latent_size
         self.bones = [child for _, child in skeleton.bones]
+        self.register_buffer("chains", _chains(skeleton), persistent=False)
         self.mlp1 = mlp(joints - 1, *_MLP1, 2 * _MLP2[0])
         self.mlp2 = mlp(*_MLP2, joints - 1)
         self.st_gcn1 = StGcn(skeleton, 4, s.width, s.num_blocks, s.kernel)
         self.st_gcn2 = StGcn(skeleton, 3, s.width, s.num_blocks, s.kernel)
+        self.is_residual = s.architecture == "over_kinematics"
+        self.sees_change = self.is_residual or s.architecture == "change_for_a"
         if s.architecture != "scales_for_a":
-            self.st_gcn3 = StGcn(skeleton, 3, s.width, s.num_blocks, s.kernel)
+            self.st_gcn3 = StGcn(skeleton, 6 if self.sees_change else 3, s.width, s.num_blocks, s.kernel)
         self.z_b = nn.Linear(joints * (s.width + 6), 2 * size)
         self.z_a = nn.Linear(joints * (2 * s.width + 6), 2 * size)
+        self.known_b = nn.Linear(joints * (6 + 1), _KNOWN)
+        self.known_a = nn.Linear(joints * (6 + s.width), _KNOWN)
         decoder = _TimedStGcn if s.architecture == "st_gcn_decoders" else _g_gru
-        self.g_gru1 = decoder(settings, skeleton, size + 6 + 1)
-        self.g_gru2 = decoder(settings, skeleton, size + 6 + s.width)
+        given = size + _KNOWN + joints + 6
+        self.g_gru1 = decoder(settings, skeleton, given + 1)
+        self.g_gru2 = decoder(settings, skeleton, given + s.width)
 
     def noise_shapes(self, num_frames: int) -> dict[str, tuple[int, ...]]:
         """Return the shapes of z of scales, of B and of A."""
@@ -69,10 +85,11 @@ class InteractionCvae(WindowNetwork):
         found = self.mlp1(scale)
         again = self.mlp2(draw_latent(found, batch["noise_s"]))
         of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(found)
-        seen = self._seen_by_a(batch, motion[:, :, 1])
+        moved_b = motion[:, :, 1] - template[:, :, 1]
+        seen = self._seen_by_a(batch, moved_b)
         found_b, found_a = self._encode(batch, seen)
         b = self._decode_b(batch, draw_latent(found_b, batch["noise_b"]))
-        a = self._decode(self.g_gru2, batch, 0, draw_latent(found_a, batch["noise_a"]), seen)
+        a = self._decode_a(batch, draw_latent(found_a, batch["noise_a"]), seen, moved_b)
         of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * self._divergence(found_b)
         of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * self._divergence(found_a)
         return of_scales + of_b + of_a
@@ -90,11 +107,10 @@ class InteractionCvae(WindowNetwork):
         """
         z_b, z_a = batch["noise_b"], batch["noise_a"]
         if is_posterior:
-            seen = self._seen_by_a(batch, batch["motion_m"][:, :, 1])
+            seen = self._seen_by_a(batch, (batch["motion_m"] - batch["template_m"])[:, :, 1])
             z_b, z_a = (found.chunk(2, -1)[0] for found in self._encode(batch, seen))
         b = batch["moved_b"] if "moved_b" in batch else self._decode_b(batch, z_b)
-        seen = self._seen_by_a(batch, batch["template_m"][:, :, 1] + b)
-        return torch.stack([self._decode(self.g_gru2, batch, 0, z_a, seen), b], 2)
+        return torch.stack([self._decode_a(batch, z_a, self._seen_by_a(batch, b), b), b], 2)
 
     def scales(self, z: Narrow) -> Narrow:
         """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
@@ -106,7 +122,7 @@ class InteractionCvae(WindowNetwork):
     def _encode(self, batch: Batch, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Return means and logarithms of variances of z of B, and of A, which sees B: eqs. 2 and 3, the first lines."""
         template, motion = batch["template_m"], batch["motion_m"]
-        change = motion if self.settings.architecture == "whole_motion" else motion - template
+        change = motion if self.settings.architecture == "whole_motion" else (motion - template) / _UNIT_M
         scale = batch["condition"][:, None, :, None].expand(-1, change.shape[1], -1, -1)
         b = self.st_gcn1(torch.cat([change[:, :, 1], scale], -1))
         a = self.st_gcn2(change[:, :, 0])
@@ -116,21 +132,68 @@ class InteractionCvae(WindowNetwork):
             self.z_a(torch.cat([a.flatten(1), ends[:, 0], seen.flatten(1)], -1)),
         )
 
-    def _seen_by_a(self, batch: Batch, b_m: Tensor) -> Tensor:
-        """Return what A knows of B (W, 22, width): its motion as ST-GCN3 sees it."""
+    def _seen_by_a(self, batch: Batch, moved_b: Tensor) -> Tensor:
+        """Return what A knows of B (W, 22, width): its motion as ST-GCN3 sees it, and its change where it is given."""
         if self.settings.architecture == "scales_for_a":
             return batch["condition"][..., None].expand(-1, -1, self.settings.width)
-        return self.st_gcn3(b_m)
+        b_m = batch["template_m"][:, :, 1] + moved_b
+        return self.st_gcn3(torch.cat([b_m, moved_b / _UNIT_M], -1) if self.sees_change else b_m)
 
     def _decode_b(self, batch: Batch, z: Tensor) -> Tensor:
-        return self._decode(self.g_gru1, batch, 1, z, batch["condition"][..., None])
+        """Return the change of B (W, T, 22, 3), that of plain kinematics included: equation 2, the second line."""
+        plain = self._plain(batch) if self.is_residual else None
+        found = self._decode(self.g_gru1, self.known_b, batch, 1, z, batch["condition"][..., None], plain)
+        return found if plain is None else found + plain
 
-    def _decode(self, decoder: nn.Module, batch: Batch, person: int, z: Tensor, seen: Tensor) -> Tensor:
-        """Return the change of one person (W, T, 22, 3): equations 2 and 3, the second lines."""
-        template = batch["template_m"]
-        latent = z[:, None].expand(-1, self.skeleton.num_joints, -1)
-        found = decoder(torch.cat([latent, self._ends(template)[:, person], seen], -1), template.shape[1])
+    def _decode_a(self, batch: Batch, z: Tensor, seen: Tensor, moved_b: Tensor) -> Tensor:
+        """Return the change of A (W, T, 22, 3): equation 3, the second line."""
+        moved = moved_b if self.is_residual else None
+        return self._decode(self.g_gru2, self.known_a, batch, 0, z, seen, moved)
+
+    def _decode(
+        self,
+        decoder: nn.Module,
+        known: nn.Module,
+        batch: Batch,
+        person: int,
+        z: Tensor,
+        seen: Tensor,
+        moved_b: Tensor | None,
+    ) -> Tensor:
+        """Return what a decoder makes of z, of all joints' ends and of what is seen, each joint knowing which it is."""
+        template, joints = batch["template_m"], self.skeleton.num_joints
+        own = torch.cat([self._ends(template)[:, person], seen], -1)
+        everybody = torch.cat([z, known(own.flatten(1))], -1)[:, None].expand(-1, joints, -1)
+        which = torch.eye(joints, device=z.device).expand(len(z), -1, -1)
+        given = torch.cat([everybody, which, own], -1)
+        if moved_b is not None:
+            return _UNIT_M * decoder(given, template.shape[1], self._each(template, person, moved_b))
+        found = _UNIT_M * decoder(given, template.shape[1])
         return found - template[:, :, person] if self.settings.architecture == "whole_motion" else found
+
+    def _plain(self, batch: Batch) -> Tensor:
+        """Return the change of B by plain kinematics (W, T, 22, 3): bones scaled, the root's height by its scale."""
+        b, scale = batch["template_m"][:, :, 1], batch["scale"][:, None, :, None]
+        bones = (scale - 1.0) * (b - b[:, :, list(self.skeleton.parents)])
+        height = b[:, :, self.skeleton.root, 1] * (scale[:, :, self.skeleton.root, 0] - 1.0)
+        root = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)], -1)
+        return self.chains @ bones + root[:, :, None]
+
+    def _each(self, template: Tensor, person: int, moved_b: Tensor) -> Tensor:
+        """Return what one's joints are given in each frame (W, T, 22, 13): where they are, and the partner's near ones.
+
+        These are the joint, where the partner's joints are from it and how near, weighted by 1 / d^2, and how far B's
+        move: B's same joint, and those of B near A's.
+        """
+        own, other = template[:, :, person], template[:, :, 1 - person]
+        apart = other[:, :, None] - own[:, :, :, None]
+        weights = 1.0 / ((apart**2).sum(-1) + _NEAR_M**2)
+        total = weights.sum(-1, keepdim=True)
+        offset = (weights[..., None] * apart).sum(-2) / total
+        near = _NEAR_M**2 * weights.amax(-1, keepdim=True)
+        b = moved_b / _UNIT_M
+        mixed = weights @ b / total if person == 0 else b
+        return torch.cat([own, offset, near, mixed, near * mixed], -1)
 
     def _ends(self, template: Tensor) -> Tensor:
         """Return the first and the last frame of each person's template (W, 2, 22, 6)."""
@@ -153,8 +216,17 @@ class InteractionCvae(WindowNetwork):
         return (motion_m[..., children, :] - motion_m[..., parents, :]).norm(dim=-1)
 
 
+def _chains(skeleton: Skeleton) -> Tensor:
+    """Return which bones, by the joints they end in, lie between the root and each joint (J, J), as 0 and 1."""
+    chains = torch.zeros(skeleton.num_joints, skeleton.num_joints)
+    for child in skeleton.order[1:]:
+        chains[child] = chains[skeleton.parents[child]]
+        chains[child, child] = 1.0
+    return chains
+
+
 def _g_gru(settings: PaperCvaeConfig, skeleton: Skeleton, inputs: int) -> GraphGru:
-    return GraphGru(skeleton, inputs, settings.hidden, 3)
+    return GraphGru(skeleton, inputs, settings.hidden, 3, _EACH if settings.architecture == "over_kinematics" else 0)
 
 
 class _TimedStGcn(nn.Module):

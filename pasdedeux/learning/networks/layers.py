@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 
@@ -63,12 +64,29 @@ def load_network(name: str, build: Callable[[], WindowNetwork], arrays: Arrays) 
     return network
 
 
-def mlp(*sizes: int) -> nn.Sequential:
+def mlp(*sizes: int, rectifier: type[nn.Module] = nn.ReLU) -> nn.Sequential:
     """Return dense layers from each size to the next, rectified between them."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [nn.ReLU(), nn.Linear(inputs, outputs)]
+        layers += [rectifier(), nn.Linear(inputs, outputs)]
     return nn.Sequential(*layers[1:])
+
+
+def activity(network: WindowNetwork, batch: Batch) -> dict[str, float]:
+    """Return how much of what each rectifier gives is above 0 while a loss is computed, percent, by its name."""
+    parts: dict[str, list[float]] = defaultdict(list)
+    hooks = [
+        layer.register_forward_hook(
+            lambda _, __, found, name=name: parts[name].append(float((found > 0.0).float().mean()))
+        )
+        for name, layer in network.named_modules()
+        if isinstance(layer, nn.ReLU | nn.GELU)
+    ]
+    with torch.no_grad():
+        network.loss(batch)
+    for hook in hooks:
+        hook.remove()
+    return {name: 100.0 * float(np.mean(own)) for name, own in parts.items()}
 
 
 def initialise(network: nn.Module, generator: np.random.Generator) -> None:
@@ -118,7 +136,10 @@ class _LearnedGraph(nn.Module):
 
 
 class _StGcnBlock(nn.Module):
-    """A graph convolution, a convolution over `kernel` frames, of which every `step`-th is kept, and a residual."""
+    """A graph convolution, a convolution over `kernel` frames, of which every `step`-th is kept, and a residual.
+
+    Layer norm stands for the batch norm of ST-GCN: it needs no running figures, and without either layers die.
+    """
 
     def __init__(self, skeleton: Skeleton, inputs: int, width: int, kernel: int, step: int) -> None:
         super().__init__()
@@ -127,13 +148,14 @@ class _StGcnBlock(nn.Module):
         self.space = nn.Linear(inputs, width)
         self.time = nn.Linear(kernel * width, width)
         self.past = nn.Linear(inputs, width)
+        self.spread, self.moved = (nn.Sequential(nn.LayerNorm(width), nn.ReLU()) for _ in range(2))
 
     def forward(self, x: Tensor) -> Tensor:
-        here = torch.relu(self.space(self.mix(x)))
+        here = self.spread(self.space(self.mix(x)))
         padded = pad(here, (0, 0, 0, 0, self.kernel // 2, self.kernel // 2))
         # Slices beside each other and not `unfold`, whose backward pass is a quarter of a training step.
         beside = torch.cat([padded[:, first : first + x.shape[1] : self.step] for first in range(self.kernel)], -1)
-        return torch.relu(self.time(beside) + self.past(x[:, :: self.step]))
+        return self.moved(self.time(beside) + self.past(x[:, :: self.step]))
 
 
 class StGcn(nn.Module):
@@ -168,22 +190,25 @@ class GraphGru(nn.Module):
     gates are in the order reset, update, candidate.
     """
 
-    def __init__(self, skeleton: Skeleton, inputs: int, hidden: int, outputs: int) -> None:
+    def __init__(self, skeleton: Skeleton, inputs: int, hidden: int, outputs: int, each: int = 0) -> None:
         super().__init__()
         self.mix = _LearnedGraph(skeleton)
         self.begin = nn.Linear(inputs, hidden)
         self.given = nn.Linear(inputs, 3 * hidden)
         self.hidden = nn.Linear(hidden, 3 * hidden)
         self.last = nn.Linear(outputs, 3 * hidden, bias=False)
-        self.out = mlp(hidden, hidden, outputs)
+        if each:
+            self.each = nn.Linear(each, 3 * hidden, bias=False)
+        self.out = mlp(hidden, hidden, outputs, rectifier=nn.GELU)
 
-    def forward(self, known: Tensor, num_frames: int) -> Tensor:
-        """Unroll over frames for what is given in each of them (W, J, inputs)."""
+    def forward(self, known: Tensor, num_frames: int, each: Tensor | None = None) -> Tensor:
+        """Unroll over frames for what is given in all (W, J, inputs), and in each of them (W, T, J, each)."""
         state, given = torch.tanh(self.begin(known)), self.given(known)
+        frames = [given] * num_frames if each is None else (given[:, None] + self.each(each)).unbind(1)
         last = known.new_zeros(*known.shape[:-1], self.last.in_features)
         outputs = []
-        for _ in range(num_frames):
-            state = _next_state(given + self.last(last), self.hidden(self.mix(state)), state)
+        for here in frames:
+            state = _next_state(here + self.last(last), self.hidden(self.mix(state)), state)
             last = last + self.out(state)
             outputs.append(last)
         return torch.stack(outputs, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,16 +12,14 @@ import torch
 from torch import Tensor, nn
 
 from pasdedeux.errors import InputError
-from pasdedeux.learning.model import VALIDATION_FALL, Arrays, LogEntry
-from pasdedeux.learning.networks.layers import Batch, WindowNetwork, initialise
+from pasdedeux.learning.model import ACTIVITY, VALIDATION_FALL, Arrays, LogEntry
+from pasdedeux.learning.networks.layers import Batch, WindowNetwork, activity, initialise
 from pasdedeux.learning.settings import NetworkSettings, WindowSettings
 
 Narrow = npt.NDArray[np.float32]
 Draw = Callable[[], tuple[Mapping[str, Narrow], str]]
 """Return the next batch, and where it is from in words, for when a step goes wrong."""
 
-_MIN_RATE = 0.05
-"""Learning rate at the end, as a share of that at the start, to which it falls evenly."""
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _CPU = torch.device("cpu")
 
@@ -54,7 +53,7 @@ def fit(
     """Take some of the steps of a training, on the network's device or one thread, and return the mean loss.
 
     Raises:
-        InputError: A loss or a gradient is not finite.
+        InputError: A loss is not finite, or the parameters after the last step are not.
     """
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(device == _CPU)  # on a GPU some sums have no fixed order
@@ -63,15 +62,19 @@ def fit(
     (group,) = optimiser.param_groups
     total = 0.0
     for step in steps:
-        group["lr"] = settings.learning_rate * max(1.0 - step / settings.num_steps, _MIN_RATE)
+        group["lr"] = settings.rate(step)
         batch, what = draw()
         value = loss({key: torch.tensor(values, device=device) for key, values in batch.items()})
-        optimiser.zero_grad()
-        value.backward()
-        if not all(bool(torch.isfinite(found).all()) for found in (value, *(one.grad for one in group["params"]))):
+        is_finite = math.isfinite(found := float(value.detach()))
+        total += found
+        if is_finite:
+            optimiser.zero_grad()
+            value.backward()
+            optimiser.step()
+        if is_finite and step == steps[-1]:  # before that, the next loss shows it
+            is_finite = all(bool(torch.isfinite(one).all()) for one in group["params"])
+        if not is_finite:
             raise InputError(f"{name}: step {step} came to a number that is not finite on {what}")
-        optimiser.step()
-        total += float(value.detach())
     return total / max(len(steps), 1)
 
 
@@ -88,6 +91,8 @@ def train_segment(
     device: torch.device = _CPU,
 ) -> tuple[list[LogEntry], dict[str, npt.NDArray[Any]]]:
     """Take the steps of one segment; the network is left with the best parameters by validation so far.
+
+    After `settings.patience` segments without a smaller validation error no more steps are taken.
 
     Args:
         name: Name of the model, for messages.
@@ -106,9 +111,13 @@ def train_segment(
     Raises:
         InputError: A loss is not finite, or the GPU runs out of memory; what the segment before left stands.
     """
-    optimiser = adam(network)
     first = segment * settings.segment_steps
     steps = range(first, min(first + settings.segment_steps, settings.num_steps))
+    num_worse = int(state["num_worse"][0]) if segment else 0
+    if num_worse >= settings.patience:
+        network.load_state_dict(_part(state, "best"))
+        return [LogEntry(steps.stop, VALIDATION_FALL, 0.0), *_activities(network, draw, steps.stop)], dict(state)
+    optimiser = torch.optim.Adam(network.parameters(), fused=True)
     kept_words = f"; what segment {segment - 1} left is kept" if segment else ""
     try:
         network.to(device)
@@ -117,7 +126,7 @@ def train_segment(
             moments = {moment: _part(state, moment) for moment in _MOMENTS}
             for key, parameter in network.named_parameters():
                 kept = {moment: moments[moment][key].to(device) for moment in _MOMENTS}
-                optimiser.state[parameter] = {"step": torch.tensor(float(first)), **kept}
+                optimiser.state[parameter] = {"step": torch.tensor(float(first), device=device), **kept}
         else:
             initialise(network, generator)
         log = [LogEntry(steps.stop, "train_loss", fit(name, network.loss, optimiser, settings, draw, steps, device))]
@@ -138,12 +147,21 @@ def train_segment(
     is_best = not before <= error
     now = {key: value.clone() for key, value in network.state_dict().items()}
     best = now if is_best else _part(state, "best")
-    left: dict[str, npt.NDArray[Any]] = {"best_error": np.array([error if is_best else before])}
+    left: dict[str, npt.NDArray[Any]] = {
+        "best_error": np.array([error if is_best else before]),
+        "num_worse": np.array([0.0 if is_best else num_worse + 1.0]),
+    }
     for key, parameter in network.named_parameters():
         left |= {f"now/{key}": now[key].numpy(), f"best/{key}": best[key].numpy()}
         left |= {f"{moment}/{key}": optimiser.state[parameter][moment].cpu().numpy() for moment in _MOMENTS}
     network.load_state_dict(best)
-    return log, left
+    return [*log, *_activities(network, draw, steps.stop)], left
+
+
+def _activities(network: WindowNetwork, draw: Draw, step: int) -> list[LogEntry]:
+    """Return the activity of each rectifier on a batch."""
+    found = activity(network, {key: torch.tensor(values) for key, values in draw()[0].items()})
+    return [LogEntry(step, f"{ACTIVITY}{name}", value) for name, value in found.items()]
 
 
 def _part(state: Arrays, name: str) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""Draws of chains, and grown pairs beside them, as `lifting` and the evaluation read them from the store."""
+"""Draws of chains, and grown and filled pairs beside them, as `lifting` and the evaluation read them from the store."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
 
-GROWN = "grown_seeds"
-"""Name under which grown pairs stand beside the densities."""
+GROWN, FILLED = "grown_seeds", "filled_seeds"
+"""Names under which grown pairs, and pairs filled in between, stand beside the densities."""
 
 
 @dataclass(frozen=True)
 class DrawSet:
-    """Draws of one density, or grown pairs.
+    """Draws of one density, or grown or filled pairs.
 
     Args:
-        name: The density, or `grown_seeds`.
+        name: The density, `grown_seeds` or `filled_seeds`.
         pairs_m: Pairs (draw, person=2, joint=17, 3), metres, single precision as stored.
         artifacts: Artifact of each draw, by index into `refs`, (draw,).
         rows: Row of each draw in its artifact, (draw,).
-        numbers: Index of each draw in its chain, of a grown pair in its artifact, (draw,).
+        numbers: Index of each draw in its chain, of other pairs in their artifact, (draw,).
         refs: References `draws@...` or `seeds@...` of the artifacts.
     """
 
@@ -51,22 +51,27 @@ def reference_to(table: str, ref: ArtifactRef) -> str:
 
 
 def density_of(manifest: Manifest) -> str:
-    """Return the name of the density of an artifact with draws; grown pairs have their own."""
-    return GROWN if "seeds" in manifest.tables else DrawFacts.of(manifest).density
+    """Return the name of the density of an artifact with draws; grown and filled pairs have their own."""
+    return SeedFacts.of(manifest).kind if "seeds" in manifest.tables else DrawFacts.of(manifest).density
+
+
+def is_set(manifest: Manifest) -> bool:
+    """Tell whether an artifact has pairs that count as draws although no chain drew them: grown or filled ones."""
+    return "seeds" in manifest.tables and SeedFacts.of(manifest).kind in (GROWN, FILLED)
 
 
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:
-    """Return the artifacts with draws, and those with grown pairs, which count as draws."""
-    return [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if SeedFacts.of(seed).kind == GROWN)]
+    """Return the artifacts with draws, and those with grown and filled pairs, which count as draws."""
+    return [*inputs.of("draws"), *filter(is_set, inputs.of("seeds"))]
 
 
 def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawSet]:
-    """Return the draws of each density, all seeds and chains, and the grown pairs, by name in order."""
+    """Return the draws of each density, all seeds and chains, and the grown and filled pairs, by name in order."""
     return {name: _join(name, parts) for name, parts in _read_parts(store, refs).items()}
 
 
 def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
-    """Return all draws of all densities, and the grown pairs, as one set."""
+    """Return all draws of all densities, and the grown and filled pairs, as one set."""
     return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
 
 
@@ -75,9 +80,8 @@ def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tup
     found: dict[str, list[tuple[str, int, np.ndarray]]] = {}
     for ref in refs:
         manifest = store.manifest(ref)
-        name = density_of(manifest)
-        start = 0 if name == GROWN else (facts := DrawFacts.of(manifest)).segment * facts.num_draws
-        table = "seeds" if name == GROWN else "draws"
+        name, table = density_of(manifest), "draws" if "draws" in manifest.tables else "seeds"
+        start = (facts := DrawFacts.of(manifest)).segment * facts.num_draws if table == "draws" else 0
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
             found.setdefault(name, []).append((reference_to(table, ref), start, pairs))

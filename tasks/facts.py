@@ -167,9 +167,9 @@ class ViewFacts(Facts):
 
 
 class SeedFacts(Facts):
-    """One seed, or many that were lifted or grown; `starts` are the indices of those that chains start from."""
+    """One seed, or many lifted, grown or filled in; `starts` are the indices of those that chains start from."""
 
-    kind: Literal["seed", "lifted_seeds", "grown_seeds"]
+    kind: Literal["seed", "lifted_seeds", "grown_seeds", "filled_seeds"]
     seed_index: int = 0
     take_id: str = ""
     take_frame: int = 0
@@ -282,6 +282,7 @@ _COUNTED: dict[str, type[Facts]] = {
     "variants": VariantFacts,
     "lifted_seeds": SeedFacts,
     "grown_seeds": SeedFacts,
+    "filled_seeds": SeedFacts,
     "draws": DrawFacts,
     "lifted_pairs": LiftedFacts,
     "model": ModelFacts,

@@ -381,16 +381,20 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
 
     Couples that share person A are one here: what was lifted from either is of the same person at the same moment.
     """
+    names = ["seed_index", "sequence_id", "sequence_frame", "sequence_person_id", "filled_from"]
+    tables = {reference_to("seeds", ref): ref for ref in refs if "seeds" in store.manifest(ref).tables}
+    read = {reference: store.read(ref, "seeds", columns=names) for reference, ref in tables.items()}
+    images: dict[int, tuple[str, int, int]] = {}
+    for table in read.values():
+        for seed, sequence, *numbers in zip(*(table[name] for name in names[:4]), strict=True):
+            if sequence is not None:
+                images[int(seed)] = str(sequence), int(numbers[0]), int(numbers[1])
     found: dict[tuple[str, int, int], list[int]] = {}
-    for ref in refs:
-        reference = reference_to("seeds", ref)
-        if reference in draws.refs:  # neither draws of chains nor seeds of which none has grown
-            names = ["sequence_id", "sequence_frame", "sequence_person_id"]
-            table = store.read(ref, "seeds", columns=names)
-            rows = np.flatnonzero(draws.artifacts == draws.refs.index(reference))
-            for draw, sequence, *numbers in zip(rows.tolist(), *(table[name] for name in names), strict=True):
-                if sequence is not None:
-                    found.setdefault((str(sequence), int(numbers[0]), int(numbers[1])), []).append(draw)
+    for reference in read.keys() & set(draws.refs):  # neither draws of chains nor seeds of which none has grown
+        rows, table = np.flatnonzero(draws.artifacts == draws.refs.index(reference)), read[reference]
+        for draw, seed, parents in zip(rows.tolist(), table["seed_index"], table["filled_from"], strict=True):
+            for image in {images[one] for one in (int(seed), *parents.tolist()) if one in images}:
+                found.setdefault(image, []).append(draw)
     return found
 
 

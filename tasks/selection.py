@@ -1,4 +1,4 @@
-"""The pairs of a study that differ most, of all draws of its chains and all grown pairs, and what is known of each."""
+"""The pairs of a study that differ most, of all draws and all grown and filled pairs, and what is known of each."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.draw_sets import GROWN, density_of, reference_to
-from tasks.facts import DrawFacts, SeedFacts
+from tasks.draw_sets import density_of, is_set, reference_to
+from tasks.facts import DrawFacts
 from tasks.priors import read_limits
 from tasks.stage import kept, verdict_of
 
@@ -35,10 +35,10 @@ class SelectedPairs:
         columns: Columns of the table `selected_pairs`; none where nothing is plausible.
         refs: Artifacts that they are in.
         num_draws: Draws of chains, but for those of the prior alone.
-        num_grown: Grown pairs.
+        num_grown: Grown and filled pairs.
         num_plausible: How many of both are plausible.
-        num_independent: Effective sample size of all chains, and number of grown pairs that differ, both of what is
-            plausible.
+        num_independent: Effective sample size of all chains, and number of grown and filled pairs that differ, both of
+            what is plausible.
         radius_m: D_C below which two pairs counted as one, metres.
     """
 
@@ -54,8 +54,8 @@ class SelectedPairs:
         """Say what was selected from what, and how many independent pairs there are."""
         return (
             f"{len(self.columns.get('rank', ())):,} pairs, at least {100 * self.radius_m:.0f} cm from each other, of "
-            f"{self.num_draws:,} draws and {self.num_grown:,} grown pairs, {self.num_plausible:,} of them plausible, "
-            f"which are worth {self.num_independent:,.0f} independent ones"
+            f"{self.num_draws:,} draws and {self.num_grown:,} grown and filled pairs, {self.num_plausible:,} of them "
+            f"plausible, which are worth {self.num_independent:,.0f} independent ones"
         )
 
 
@@ -88,7 +88,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
         InputError: Nobody knows how a chain went.
     """
     manifests = [store.manifest(ref) for ref in refs]
-    grown = [one for one in manifests if "seeds" in one.tables and SeedFacts.of(one).kind == GROWN]
+    grown = [one for one in manifests if is_set(one)]
     drawn = [one for one in manifests if "draws" in one.tables and density_of(one) != PRIOR_ONLY]
     limits = read_limits(store, refs)
     chains = _read_chains(store, manifests)
@@ -174,7 +174,7 @@ def _origins(
                 "verdict": Level.NOT_JUDGED.value,
                 "reason": "",
                 **thought,
-                "origin": "draw" if name == "draws" else "grown",
+                "origin": "draw" if name == "draws" else density_of(part.manifest).removesuffix("_seeds"),
                 "reference": f"{reference_to(name, part.manifest.ref)}#{row}",
                 **dict.fromkeys(column for own in _OWN.values() for column in own),
                 **{column: table[column][row] for column in table},

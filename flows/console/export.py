@@ -22,7 +22,8 @@ def export(
     rest_pose: Annotated[RestPose, Option(help="Of poses and variants: the source's, or a T-pose.")] = "source",
     units: Annotated[Units, Option(help="Lengths of their BVH files; `source`: as in each source's file.")] = "cm",
     select: Annotated[
-        int | None, Option(min=1, metavar="N", help="Of draws:study, with its grown pairs: the N that differ most.")
+        int | None,
+        Option(min=1, metavar="N", help="Of draws:study, with its grown and filled pairs: the N that differ most."),
     ] = None,
     verdict: Annotated[
         Literal["pass", "warn"] | None,
@@ -56,7 +57,7 @@ def export(
       pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
       pasdedeux export contacts:duets --format csv --out contacts   # who touches whom where, frame by frame
-      pasdedeux export draws:duets --select 500 --out selected      # the most different of all draws and grown pairs
+      pasdedeux export draws:duets --select 500 --out selected      # the most different of its pairs
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
     options |= {} if footage is None else {"footage": footage}

@@ -105,7 +105,7 @@ def export_reference(
 def export_selection(
     store: Store, text: str, file_format: str, out: Path, *, count: int, **options: Any
 ) -> tuple[list[Path], str]:
-    """Write the pairs that differ most of all draws and grown pairs of a study; return files and what was selected.
+    """Write the pairs that differ most of a study, drawn, grown or filled in; return files and what was selected.
 
     Raises:
         InputError: The format is not known or holds no table, a study is not named as a whole, or nothing is plausible.

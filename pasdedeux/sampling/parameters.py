@@ -16,10 +16,20 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths
-from pasdedeux.kinematics.rotation_kernels import mix, put_row, put_unitquat, row_of, unitquat_of
+from pasdedeux.kinematics import align_rigid, best_rotation, bone_directions, bone_lengths
+from pasdedeux.kinematics.rotation_kernels import (
+    conjugate,
+    dot,
+    mix,
+    put_row,
+    put_unitquat,
+    row_of,
+    swing_between,
+    unitquat_of,
+)
 from pasdedeux.kinematics.rotation_kernels import multiply as turned_by
 from pasdedeux.kinematics.rotation_kernels import rotate as carried_by
+from pasdedeux.kinematics.rotation_kernels import rotvec_from_unitquat as rotvec_of_unitquat
 from pasdedeux.kinematics.rotation_kernels import unitquat_from_rotvec as unitquat_of_rotvec
 from pasdedeux.kinematics.rotations import (
     multiply,
@@ -46,6 +56,7 @@ MIRRORED_LENGTH = LENGTH_INDICES[:, [PAIR17.mirror[j] - 1 for j in range(1, NUM_
 _PELVIS = PAIR17.root
 _ORDER = np.array(PAIR17.order)
 _PARENTS = np.array(PAIR17.parents)
+_OF_ROOT = list(PAIR17.children(_PELVIS))
 
 
 @dataclass(frozen=True)
@@ -106,6 +117,26 @@ class PairChart:
         flat = np.ascontiguousarray(parameters).reshape(-1, NUM_PARAMETERS)
         _place(flat, self.directions, self.axes, self.lengths_m, positions.reshape(-1, 2, NUM_JOINTS, 3))
         return positions
+
+    def parameters_of(self, pairs_m: Array, *, length_tolerance: float = 0.05) -> Array:
+        """Return the parameters (*batch, 108) of pairs (*batch, person=2, joint=17, 3), metres: inverse of `positions`.
+
+        A root takes the rotation that fits its bones best, a bone the shortest turn, so bones never twist.  Lengths are
+        those of both sides of a body together and change by `length_tolerance` at most: a body with other proportions
+        keeps its directions and gets those of the seed.
+        """
+        flat = np.ascontiguousarray(pairs_m, dtype=np.float64).reshape(-1, 2, NUM_JOINTS, 3)
+        lengths, directions = bone_lengths(PAIR17, flat), bone_directions(PAIR17, flat)
+        seeds = np.broadcast_to(self.directions[:, _OF_ROOT], directions[:, :, _OF_ROOT].shape)
+        roots = unitquat_from_rotmat(best_rotation(seeds, directions[:, :, _OF_ROOT]))
+        parameters = np.zeros((len(flat), NUM_PARAMETERS))
+        parameters[:, ROTATION_INDICES] = rotvec_from_unitquat(roots)
+        parameters[:, POSITION_INDICES] = flat[:, :, _PELVIS]
+        _turn_bones(directions, self.directions, self.axes, roots, parameters)
+        parameters[:, LENGTH_INDICES] = lengths[..., 1:] / self.lengths_m[:, 1:] - 1.0
+        tied = 0.5 * (parameters[..., LENGTH_INDICES] + parameters[..., MIRRORED_LENGTH])
+        parameters[..., LENGTH_INDICES] = tied.clip(-length_tolerance, length_tolerance)
+        return parameters.reshape(*pairs_m.shape[:-3], NUM_PARAMETERS)
 
     @staticmethod
     def log_measure(parameters: Array) -> float:
@@ -171,6 +202,22 @@ def _place(parameters, directions, axes, lengths, positions):  # type: ignore[no
                 length = lengths[person, joint] * (1.0 + own[first + 2])
                 bone = carried_by(frame, row_of(directions[person], joint))
                 put_row(placed[person], joint, mix(1.0, row_of(placed[person], parent), length, bone))
+
+
+@compiled()
+def _turn_bones(directions, seed, axes, roots, parameters):  # type: ignore[no-untyped-def]
+    frames = np.empty((NUM_JOINTS, 4))
+    for row in range(parameters.shape[0]):
+        for person in range(2):
+            put_unitquat(frames, _PELVIS, unitquat_of(roots[row], person))
+            for joint in _ORDER[1:]:
+                first, frame = person * NUM_PER_PERSON + 3 + 3 * joint, unitquat_of(frames, _PARENTS[joint])
+                bone = carried_by(conjugate(frame), row_of(directions[row, person], joint))
+                turn = swing_between(row_of(seed[person], joint), bone)
+                put_unitquat(frames, joint, turned_by(frame, turn))
+                rotvec = rotvec_of_unitquat(turn)
+                for axis in range(2):
+                    parameters[row, first + axis] = dot(rotvec, row_of(axes[person, joint], axis))
 
 
 @compiled()

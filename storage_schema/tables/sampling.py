@@ -78,11 +78,15 @@ SEEDS = Table(
         SEED_INDEX,
         text(
             "origin",
-            "frame (of a take), file, draw (a file written by a restart), lifted (from 2D alone) or grown (from seeds)",
+            "frame (of a take), file, draw (a file written by a restart), lifted (from 2D alone), grown (from seeds), "
+            "filled (in between grown ones)",
         ),
         TAKE_ID.with_meaning("Take it came from, else null", is_nullable=True),
         TAKE_FRAME,
-        SEQUENCE_ID.with_meaning("Annotated sequence it was lifted from, else null", is_nullable=True),
+        SEQUENCE_ID.with_meaning(
+            "Annotated sequence it was lifted from, of a filled pair that of its first parent; else null",
+            is_nullable=True,
+        ),
         integer("sequence_frame", "Annotated frame of that sequence, else null", is_nullable=True),
         integer("sequence_person_id", "Person A of the annotated pair, else null", is_nullable=True),
         integer(
@@ -93,6 +97,10 @@ SEEDS = Table(
             "What a seed from a file was made from, as the file says, such as draws@key#row; else null",
             is_nullable=True,
         ),
+        array(
+            "filled_from", "Seeds that a filled pair is a mean of; -1 in others", axes={"parent": 7}, dtype=pa.int32()
+        ),
+        array("filled_weight", "What each of them counts in it; NaN in others", axes={"parent": 7}, dtype=pa.float64()),
         integer("generation", "Steps of growth from a seed that did not grow; 0 for those"),
         float64(
             "image_distance_m",
@@ -167,18 +175,18 @@ CHAIN_INFO = Table(
 
 SELECTED_PAIRS = Table(
     name="selected_pairs",
-    meaning="One row per pair that `export draws:STUDY --select N` chose of all draws and grown pairs; in no store.",
+    meaning="One row per pair that `export draws:STUDY --select N` chose of draws, grown, filled pairs; in no store.",
     sorted_by=("rank",),
     columns=(
         integer("rank", "Order of choice, from 0: the first n rows are the selection of n"),
         float64("distance_m", "Distance D_C to the nearest row before; null for the first", unit="m", is_nullable=True),
         float64("weight", "Independent pairs among all that are nearer to this row than to any other"),
-        text("origin", "draw (of a chain) or grown (from a seed)"),
+        text("origin", "draw (of a chain), grown (from a seed) or filled (in between grown ones)"),
         text("reference", "Reference of that draw or seed"),
-        text("density", "Density that the chain sampled; null for a grown pair", is_nullable=True),
-        SEED_INDEX.with_meaning("Seed the chain started from; the index of a grown pair itself"),
-        integer("chain", "Chain of that seed; null for a grown pair", is_nullable=True),
-        integer("draw", "Index of the draw in its chain; null for a grown pair", is_nullable=True),
+        text("density", "Density that the chain sampled; null for other pairs", is_nullable=True),
+        SEED_INDEX.with_meaning("Seed the chain started from; the index of another pair itself"),
+        integer("chain", "Chain of that seed; null for other pairs", is_nullable=True),
+        integer("draw", "Index of the draw in its chain; null for other pairs", is_nullable=True),
         integer("parent_seed_index", "Seed or pair that a grown pair was lifted from; else null", is_nullable=True),
         SEQUENCE_ID.with_meaning("Annotation nearest to a draw, or that was lifted; else null", is_nullable=True),
         integer("sequence_frame", "Frame of that annotation, else null", is_nullable=True),

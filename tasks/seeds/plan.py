@@ -1,4 +1,4 @@
-"""Which seeds there will be: one shard for each that stands alone, one for all lifted and one for all grown ones."""
+"""Which seeds there will be: a shard for each that stands alone, one each for all lifted, grown and filled ones."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from tasks.seeds.parameters import (
     NUM_CHOSEN,
     SEEDS,
     ChosenSeed,
+    FilledSeeds,
     FrameSeed,
     GrownSeeds,
     LiftedSeeds,
@@ -26,13 +27,13 @@ from tasks.stage import Shard, StageInputs, shares_takes
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
-    """Plan a shard per seed from takes that are not held out or from files, one for lifted seeds, one for grown pairs.
+    """Plan a shard per seed from takes that are not held out or from files, one each for lifted, grown and filled ones.
 
     Where there is none of the former, seeds are lifted from 2D alone, unless the study says how many.
 
     Raises:
         InputError: A named frame or file cannot be a seed, or seeds are asked of takes or of annotations and there are
-            none, or more starts than pairs that grow.
+            none, or more starts than pairs that grow, or pairs are to be filled in between none.
     """
     found = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
     takes = {take.take_id: one for take, one in found if not take.is_held_out and take.num_persons == 2}
@@ -51,6 +52,8 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         raise InputError(
             f"seeds.num_starts is {parameters.num_starts}, but {num_grown} are grown here: say seeds.num_grown"
         )
+    if parameters.num_filled and not num_grown:
+        raise InputError(f"seeds.num_filled is {parameters.num_filled}, but none are grown here: say seeds.num_grown")
     read = {"joint_limits": inputs.of("joint_limits"), "annotations": annotated, "views": views}
     if num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
@@ -61,6 +64,10 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         after = tuple(shard.key for shard in shards)
         grown = parameters.model_copy(update={"num_grown": num_grown}).part(GrownSeeds, first_index=first)
         shards.append(SEEDS.shard(inputs, "grown", "grown", grown, read, after=after))
+        if parameters.num_filled:
+            filled = parameters.part(FilledSeeds, first_index=first + num_grown)
+            limits, last = {"joint_limits": read["joint_limits"]}, (shards[-1].key,)
+            shards.append(SEEDS.shard(inputs, "filled", "filled", filled, limits, after=last))
     return shards
 
 

@@ -1,4 +1,4 @@
-"""Seeds made: frames read or chosen, files taken in, annotations lifted and grown over."""
+"""Seeds made: frames read or chosen, files taken in, annotations lifted, grown over and filled in between."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import FARTHEST_M, Growth, grow
+from pasdedeux.sampling.neighbourhoods import NUM_PARENTS, fill
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
@@ -20,7 +21,7 @@ from tasks.annotated_pairs import PlacedPairs, gather
 from tasks.facts import SeedFacts, TakeFacts
 from tasks.priors import read_limits, read_torso_basis
 from tasks.seeds.files import FileSeed, credits_of, read_seed
-from tasks.seeds.parameters import ChosenSeed, FrameSeed, GrownSeeds, LiftedSeeds
+from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeeds
 from tasks.stage import Shard, commit, followed, merge_takes, stream
 from tasks.takes import read_motion
 
@@ -31,7 +32,7 @@ _NUM_LOOKED_AT = 300
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Read or choose one seed, lift or grow many, and commit them, gauge-fixed."""
+    """Read or choose one seed, lift, grow or fill in many, and commit them, gauge-fixed."""
     match shard.parameters:
         case FrameSeed() as options:
             pair = read_motion(store, shard.ref("poses"), "pair17_m")["pair17_m"][options.frame]
@@ -42,6 +43,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return _take_in(shard, store, options)
         case LiftedSeeds() as options:
             return _lift(shard, store, options)
+        case FilledSeeds() as options:
+            return _fill(shard, store, options)
     return _grow(shard, store, shard.options(GrownSeeds))
 
 
@@ -105,6 +108,8 @@ def _columns(
         "generation": [0] * count,
         "log_prior": log_prior,
         "pair17_m": pairs_m,
+        "filled_from": np.full((count, NUM_PARENTS), -1),
+        "filled_weight": np.full((count, NUM_PARENTS), np.nan),
         **known,
     }
 
@@ -191,6 +196,49 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
         takes=merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
     )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=_growth_verdict(growth, options))
+
+
+def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
+    """Fill in pairs between the grown ones of the shard before this one."""
+    (before,) = followed(shard, store)
+    grown = store.read(before.ref, "seeds")
+    filling = fill(
+        np.asarray(grown["pair17_m"], dtype=np.float64),
+        options.num_filled,
+        stream(shard.seed, "seeds", "filled"),
+        read_limits(store, shard.refs("joint_limits")),
+        options.part(PriorSettings),
+    )
+    first, count = filling.parents[:, 0], len(filling.pairs_m)
+    columns = _columns(
+        "filled",
+        options.first_index + np.arange(count),
+        filling.pairs_m,
+        filling.log_prior,
+        filled_from=np.asarray(grown["seed_index"])[filling.parents],
+        filled_weight=filling.weights,
+        **{
+            name: [grown[name][row] for row in first]
+            for name in ("generation", "sequence_id", "sequence_frame", "sequence_person_id")
+        },
+    )
+    facts = SeedFacts(
+        kind="filled_seeds",
+        num_grown=count,
+        num_refused=filling.num_refused,
+        takes=merge_takes(before, *(store.manifest(ref) for ref in shard.all_inputs)),
+    )
+    is_short = count < options.num_filled
+    verdict = Verdict(
+        Level.WARN if is_short else Level.PASS,
+        "most means of grown pairs are not plausible, or like a pair that is there" if is_short else "",
+        figure="pairs filled in of those asked for",
+        value=100.0 * count / options.num_filled,
+        unit="%",
+        count=options.num_filled,
+        thing="pairs",
+    )
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
 
 def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:

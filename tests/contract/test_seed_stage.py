@@ -85,6 +85,33 @@ def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None
     assert (verdict.level, verdict.value, verdict.count) == (Level.PASS, 100.0 * table.num_rows / 30, 30)
 
 
+def test_pairs_are_filled_in_between_grown_ones_with_their_parents(inputs: Any) -> None:
+    store, tables = inputs
+    made = with_seeds(store, tables, num_seeds=2, num_grown=30, num_filled=40).of("seeds")
+    assert [manifest.facts["kind"] for manifest in made] == ["seed", "seed", "grown_seeds", "filled_seeds"]
+    grown, filled = (store.read(manifest.ref, "seeds") for manifest in made[-2:])
+    assert filled.num_rows == made[-1].facts["num_grown"] > 0
+    assert set(filled["origin"]) == {"filled"}
+    np.testing.assert_array_equal(np.asarray(filled["seed_index"]), 2 + 30 + np.arange(filled.num_rows))
+    parents, weights = np.asarray(filled["filled_from"]), np.asarray(filled["filled_weight"])
+    assert set(parents.ravel()) <= set(np.asarray(grown["seed_index"]).tolist())
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    own = np.asarray(grown["seed_index"]).tolist().index(parents[0, 0])
+    assert filled["sequence_id"][0] == grown["sequence_id"][own]
+    assert made[-1].facts["takes"] == made[-2].facts["takes"]
+    assert (np.asarray(grown["filled_from"]) == -1).all()
+    # Grown pairs stay as they were, and so do the first filled ones, however many are asked for.
+    again = with_seeds(store, tables, num_seeds=2, num_grown=30, num_filled=10).of("seeds")
+    assert again[-2].ref == made[-2].ref
+    np.testing.assert_array_equal(store.read(again[-1].ref, "seeds")["pair17_m"], filled["pair17_m"][:10])
+
+
+def test_pairs_are_not_filled_in_where_none_grow(inputs: Any) -> None:
+    store, tables = inputs
+    with pytest.raises(InputError, match=r"num_filled is 5, but none are grown here: say seeds\.num_grown"):
+        with_seeds(store, tables, num_seeds=1, num_filled=5)
+
+
 def _one_inside_the_other(store: Store, take: Manifest) -> Manifest:
     """Return a take whose second person stands where the first does."""
 

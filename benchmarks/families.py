@@ -32,10 +32,10 @@ from threadpoolctl import threadpool_limits
 
 from flows.console.app import run_command_line
 from pasdedeux.cameras.virtual_video import look_at_camera
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.people import SequenceOptions
 from pasdedeux.reconstruction.reconstruct import Method
 from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase, StatedCamera, reconstruct_sequence

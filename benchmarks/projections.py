@@ -21,7 +21,6 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from benchmarks.benchmark import BenchmarkResult, Rate, measure
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
 from pasdedeux.projections.camera import DatabaseCamera
@@ -30,6 +29,7 @@ from pasdedeux.projections.published import Clusters, PublishedIndex, box_images
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.projections.search import Neighbours, build_index, prepare_query
 from pasdedeux.reconstruction.bones import place_bone_rotations
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
 from pasdedeux.reconstruction.live.person import NUM_CANDIDATES, LivePose

@@ -12,7 +12,7 @@ import html
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError, check_whole
+from pasdedeux.evaluation.motion_players import links_of
 from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.report import render
 from pasdedeux.interaction.contacts import Contacts
@@ -33,6 +34,7 @@ from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows, find_contact_rows
 from tasks.curation import IDENTITY, choices_for, choices_in, content_columns, names_left_out, rows_without
 from tasks.facts import TakeFacts
+from tasks.shown_motions import read_shown_motion
 from tasks.takes import read_take, read_variants, take_of
 from tasks.training.items import interaction_of
 
@@ -40,8 +42,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNIT, UP_AXIS = "m", "Y"
-MAX_LINKS = 10
-"""Contacts drawn in a frame, at most."""
 LOOK = "look.html"
 """File of a player beside exported files."""
 _MAX_SHOWN = 60
@@ -57,20 +57,6 @@ _OF_PAIRS = ("draws", "seeds", "lifted_pairs", "in_betweens")
 def player_page(title: str, pictures: Sequence[Picture]) -> str:
     """Return moving people as one HTML file that needs no other."""
     return render("players.html", title=title, pictures=pictures)
-
-
-def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Return the points of the contacts that are held (frame, n, 2, 3), the first ten of each frame, NaN: no contact.
-
-    Args:
-        contacts: The contacts.
-        positions_m: The people (frame, person, joint, 3), metres, of these contacts or in another motion.
-    """
-    held = contacts.is_held
-    ends = contacts.ends(positions_m.reshape(len(positions_m), -1, 3))
-    ends[~held] = np.nan
-    first = np.argsort(~held, axis=1, kind="stable")[:, : min(MAX_LINKS, int(held.sum(axis=1).max(initial=0)))]
-    return np.asarray(np.take_along_axis(ends, first[:, :, None, None], axis=1))
 
 
 @dataclass(frozen=True)
@@ -279,11 +265,9 @@ class Data:
         if table in _OF_PAIRS:
             return [self.pairs(reference, count=_MAX_SHOWN).picture]
         if table == "motions":
-            from tasks.evaluation.reconstruction import motion_pictures  # here: topics of the evaluation import this
-
-            refs, left_out = resolve(reference, self.store), self.left_out(reference)
-            shown = (motion_pictures(self.store, ref, left_out) for ref in refs)
-            return [*islice(chain.from_iterable(shown), _MAX_PLAYERS)]
+            left_out = self.left_out(reference)
+            motions = (read_shown_motion(self.store, ref, left_out) for ref in resolve(reference, self.store))
+            return [motion.picture for motion in islice(filter(None, motions), _MAX_PLAYERS)]
         of_table = {"poses": self._takes, "variants": self.all_variants}
         clips = of_table[table](reference) if table in of_table else ()
         return [one.picture for one in islice(self._kept(reference, clips), _MAX_PLAYERS)]

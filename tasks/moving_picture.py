@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from pasdedeux.evaluation.motion_players import links_of
 from pasdedeux.evaluation.moving import MovingPeople, moving_picture
 from pasdedeux.evaluation.pictures import shown_frames
-from tasks.data import Clip, Data, links_of
+from tasks.data import Clip, Data
 
 _MAX_FRAMES = 45
 """Frames of the picture, at most: more of them than a page should load first."""

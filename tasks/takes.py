@@ -24,6 +24,12 @@ class TakeMotion:
     time_s: np.ndarray
 
 
+def rate_of(times_s: np.ndarray) -> float:
+    """Return the frames per second of times (row,), rising; 25 of a single one."""
+    times = np.unique(times_s)
+    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
+
+
 def takes_of(inputs: StageInputs, num_persons: int, *, or_more: bool = False) -> list[Manifest]:
     """Return the takes of so many people, or of more too."""
     counts = [(take, TakeFacts.of(take).num_persons) for take in inputs.of("poses")]

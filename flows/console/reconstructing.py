@@ -21,6 +21,7 @@ from flows.exports.export_format import FileNames, write_text
 from flows.signals import remembered_ctrl_c
 from flows.study_files import toml_value
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.motion_players import reconstruction_player
 from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.humanoid import units_text, write_npz
@@ -35,7 +36,6 @@ from pasdedeux.settings import first_problem
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.data import player_page
-from tasks.evaluation.reconstruction import reconstruction_player
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import find_videos
 from tasks.ingest.poses2d.parameters import AnnotationOptions

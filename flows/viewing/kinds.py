@@ -26,11 +26,10 @@ from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, place_of, read_seen_pairs
-from tasks.evaluation.ground_truth import rate_of
 from tasks.facts import MotionFacts
 from tasks.projections import read_database
 from tasks.stage import verdicts_of_parts
-from tasks.takes import read_motion, read_objects, take_of
+from tasks.takes import rate_of, read_motion, read_objects, take_of
 
 IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, points_of, reference_motion
 from pasdedeux.augmentation.variations import Variation
+from pasdedeux.evaluation.motion_players import links_of
 from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
@@ -24,7 +25,6 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.augmentation import batch_of, solver_variants
-from tasks.data import links_of
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
@@ -54,10 +54,21 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return found
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score the variants of one take and draw the extremes beside the source."""
+class _Shown(NamedTuple):
+    """What is drawn of a take: motions (T, P, 22, 3), metres, by name, and scale and quality of all variants."""
+
+    take_id: str
+    source: Source
+    motions_m: Mapping[str, Array]
+    scale: Array
+    columns: Mapping[str, Array]
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Score the variants of one take, and choose the extremes to be shown."""
     take, parts = shard.ref("take"), shard.refs("variants")
-    take_id = TakeFacts.of(store.manifest(take)).take_id
+    facts = TakeFacts.of(store.manifest(take))
+    take_id = facts.take_id
     tables = [store.read(ref, "variant_quality") for ref in parts]
     names = ("variant_id", "verdict", "reason", "uniform_scale", "bone_scale", _FK_DRIFT, *QUALITY_COLUMNS)
     columns = {name: np.concatenate([table[name] for table in tables]) for name in names}
@@ -67,16 +78,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if len(failed):
         first = f"{variant_ids[failed[0]]}, {columns['reason'][failed[0]]}"
         notes = [f"{take_id}: {len(failed)} of {len(variant_ids)} variants fail, such as {first}."]
-    has_contacts = bool(np.isfinite(columns["contact_drift_m"]).any())
-    if not has_contacts:
+    if not np.isfinite(columns["contact_drift_m"]).any():
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source, solved = read_take(store, take).source, batch_of(store.manifest(parts[0]))
     held = tuple(contact for contact in solved.contacts if contact.weight > 0 and not contact.is_of_floor)
     contacts, whose = source.contacts(solved.contacts), "found in the source"
     if held:
         contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
-        is_known = solved.contacts == TakeFacts.of(store.manifest(take)).contacts
-        whose = "known of the take" if is_known else "stated by the study"
+        whose = "known of the take" if solved.contacts == facts.contacts else "stated by the study"
     if contacts.weights.size:
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
     scale = np.array([_furthest_from_1(scales) for scales in columns["uniform_scale"]])
@@ -96,18 +105,23 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         *quality_scores(columns, item=take_id),
         *gap_scores(source, scales, solved, solved.contacts, item=take_id),
     ]
+    times_s = np.tile(drifts.frames / source.rate_hz, len(variant_ids))
+    values = {method: drift_m.ravel() for method, drift_m in drifts.found_m.items()}
+    items = {"": Items(values, [take_id] * len(times_s), times_s, len(variant_ids))} if len(drifts.frames) else {}
+    return TopicResult(scores, notes, items, (_PLAIN,), _Shown(take_id, source, shown, scale, columns))
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Show the extremes beside the source, and drift over scale where anything is in contact."""
+    take_id = shown.take_id
     caption = (
         f"{take_id}: the source, its variants of the smallest and greatest size, and that whose contacts moved most; "
         "contacts of the source are green. Better: green lines stay short."
     )
-    pictures = [Picture(f"variants-{take_id}.player.json", caption, variant_player(source, shown))]
-    if has_contacts:
+    yield Picture(f"variants-{take_id}.player.json", caption, variant_player(shown.source, shown.motions_m))
+    if np.isfinite(shown.columns["contact_drift_m"]).any():
         caption = f"{take_id}: contact drift over scale, beside plain forward kinematics (dashed). Better: nearer to 0."
-        pictures.append(Picture(f"drift-{take_id}.svg", caption, drift_figure(take_id, scale, columns)))
-    times_s = np.tile(drifts.frames / source.rate_hz, len(variant_ids))
-    values = {method: found.ravel() for method, found in drifts.found_m.items()}
-    items = {"": Items(values, [take_id] * len(times_s), times_s, len(variant_ids))} if len(drifts.frames) else {}
-    return TopicResult(scores, notes, items, (_PLAIN,), pictures=pictures)
+        yield Picture(f"drift-{take_id}.svg", caption, drift_figure(take_id, shown.scale, shown.columns))
 
 
 def _furthest_from_1(scales: np.ndarray) -> float:
@@ -274,6 +288,7 @@ TOPIC = Topic(
     "angles on the new bones, so that hands miss each other.",
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     criteria=(Criterion("contact_drift_mean", "drift of contacts (known, else found)", "m", "variants", (_OURS,)),),
 )

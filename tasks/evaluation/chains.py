@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,9 +47,42 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return shards
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+class _Shown(NamedTuple):
+    """What is drawn of a shard.
+
+    Args:
+        states: By density, states of its chain (state, 2, 17, 3), metres, and the reference of each.
+        neighbours: By density, states in words, each with the images in its row: itself, then annotations.
+    """
+
+    states: Mapping[str, tuple[np.ndarray, Sequence[str]]] = {}
+    neighbours: Mapping[str, Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]] = {}
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Summarise the chains, or show draws."""
-    return {"draws": _shown, "nearest": _nearest, "summary": _summarised}[shard.name](shard, store)
+    return {"draws": _states, "nearest": _nearest, "summary": _summarised}[shard.name](shard, store)
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Show a chain of each density from its seed on, as in Yin et al. 2018, figs. 6 and 7, and beside annotations."""
+    for density, (states_m, labels) in shown.states.items():
+        panel = people_panel(in_words(density), PAIR17, states_m + np.array([0.0, _STANDING_M, 0.0]))
+        caption = (
+            f"States of one chain of {in_words(density)}, from its seed on (Yin et al. 2018, figs. 6, 7). Better: it "
+            "soon leaves the seed and returns to poses like earlier ones; a chain that does not mix stays near its "
+            "seed. Bodies are not tied to the floor. `pasdedeux restart` continues from the draw whose name is shown, "
+            "with the name of the study for STUDY."
+        )
+        player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
+        yield Picture(f"draws-{density}.player.json", caption, player)
+    for density, rows in shown.neighbours.items():
+        caption = (
+            f"States of one chain of {in_words(density)}, evenly spread, each as the nearest annotation saw it, beside "
+            "the three annotations most like it with their distance (Yin et al. 2018, figs. 6, 7 and 11). Better: "
+            "draws look like annotations and differ from each other."
+        )
+        yield Picture(f"draws-nearest-{density}.svg", caption, rows_figure(rows))
 
 
 def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
@@ -63,64 +97,47 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
     return found
 
 
-def _shown(shard: Shard, store: Store) -> TopicResult:
-    """Show a chain of each density from its seed on, as in Yin et al. 2018, figs. 6 and 7; score the draws' prior."""
-    chains: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    places: dict[str, str] = {}
-    for ref in shard.refs("chains"):
-        table = store.read(ref, "draws", columns=["pair17_m", "log_prior"])
-        parts = (np.asarray(table["pair17_m"], dtype=np.float64), np.asarray(table["log_prior"]))
-        manifest = store.manifest(ref)
-        density = DrawFacts.of(manifest).density
-        chains.setdefault(density, []).append(parts)
-        places[density] = f"draws:STUDY/{manifest.partition}"
-    scores, pictures = [], []
-    for density, parts_of in sorted(chains.items()):
-        pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))
+def _read_chains(store: Store, shard: Shard) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+    """Yield density, partition, pairs (draw, 2, 17, 3), metres, and log priors (draw,) of each density's chain."""
+    chains: dict[str, list[Manifest]] = {}
+    for manifest in map(store.manifest, shard.refs("chains")):
+        chains.setdefault(DrawFacts.of(manifest).density, []).append(manifest)
+    for density, parts in sorted(chains.items()):
+        tables = [store.read(manifest.ref, "draws", columns=["pair17_m", "log_prior"]) for manifest in parts]
+        pairs, log_prior = (np.concatenate([table[name] for table in tables]) for name in ("pair17_m", "log_prior"))
+        yield density, parts[-1].partition, pairs.astype(np.float64), log_prior
+
+
+def _states(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Show states of the chain of each density; score the prior of its draws."""
+    scores, states = [], {}
+    for density, partition, pairs, log_prior in _read_chains(store, shard):
         at = evenly_spread(len(pairs), _NUM_SHOWN)
-        panel = people_panel(in_words(density), PAIR17, pairs[at] + np.array([0.0, _STANDING_M, 0.0]))
-        labels = [f"{places[density]}#{index}" for index in at]  # the first chain is the first in its partition
-        caption = (
-            f"States of one chain of {in_words(density)}, from its seed on (Yin et al. 2018, figs. 6, 7). Better: it "
-            "soon leaves the seed and returns to poses like earlier ones; a chain that does not mix stays near its "
-            "seed. Bodies are not tied to the floor. `pasdedeux restart` continues from the draw whose name is shown, "
-            "with the name of the study for STUDY."
-        )
-        player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
-        pictures.append(Picture(f"draws-{density}.player.json", caption, player))
+        # The first chain is the first in its partition.
+        states[density] = pairs[at], [f"draws:STUDY/{partition}#{index}" for index in at]
         scores += summarise({density: log_prior}, "log_prior", item="first chain")
-    return TopicResult(scores, pictures=pictures, baselines=(PRIOR_ONLY,))
+    return TopicResult(scores, baselines=(PRIOR_ONLY,), shown=_Shown(states))
 
 
-def _nearest(shard: Shard, store: Store) -> TopicResult:
+def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Show states of a chain of each density beside the annotations most like them (Yin et al. 2018, fig. 11)."""
     seen = [pair for pairs in read_all_seen(store, shard, num_hypotheses=1) for pair in pairs.values()]
     known = some_of([pair for pair in seen if not pair.is_left_out], _MAX_KNOWN)
     if not known:
         return TopicResult()
-    images, directions = np.stack([one.image_m for one in known]), np.stack([one.directions[0] for one in known])
-    chains: dict[str, list[np.ndarray]] = {}
-    for ref in shard.refs("chains"):
-        pairs = np.asarray(store.read(ref, "draws", columns=["pair17_m"])["pair17_m"], dtype=np.float64)
-        chains.setdefault(DrawFacts.of(store.manifest(ref)).density, []).append(pairs)
-    pictures = []
-    for density, parts in sorted(chains.items()):
-        pairs, rows = np.concatenate(parts), []
+    images, directions = np.stack([pair.image_m for pair in known]), np.stack([pair.directions[0] for pair in known])
+    neighbours: dict[str, list[tuple[str, list[tuple[str, np.ndarray]]]]] = {}
+    for density, _, pairs, _ in _read_chains(store, shard):
+        neighbours[density] = []
         for at in evenly_spread(len(pairs), _NUM_STATES, has_ends=False):
-            found, distance = nearest_images(pairs[at], images, directions, count=_NUM_NEAREST)
-            row = [("draw", project_pair(pairs[at], directions[found[:1]])[0])]
-            row += [(f"annotation, {100 * far:.0f} cm", images[one]) for one, far in zip(found, distance, strict=True)]
-            rows.append((f"draw {at + 1:,}", row))
-        caption = (
-            f"States of one chain of {in_words(density)}, evenly spread, each as the nearest annotation saw it, beside "
-            "the three annotations most like it with their distance (Yin et al. 2018, figs. 6, 7 and 11). Better: "
-            "draws look like annotations and differ from each other."
-        )
-        pictures.append(Picture(f"draws-nearest-{density}.svg", caption, rows_figure(rows)))
-    return TopicResult(pictures=pictures)
+            nearest, distance = nearest_images(pairs[at], images, directions, count=_NUM_NEAREST)
+            row = [("draw", project_pair(pairs[at], directions[nearest[:1]])[0])]
+            row += [(f"annotation, {100 * far:.0f} cm", images[n]) for n, far in zip(nearest, distance, strict=True)]
+            neighbours[density].append((f"draw {at + 1:,}", row))
+    return TopicResult(shown=_Shown(neighbours=neighbours))
 
 
-def _summarised(shard: Shard, store: Store) -> TopicResult:
+def _summarised(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Summarise the chains of each density and seed."""
     scores = []
     notable: dict[str, list[str]] = {}
@@ -128,12 +145,12 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
     for ref in shard.refs("chains"):
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
-        for name, one in FIGURES.items():
-            if one.kind == "int" or (name == "sigma_l" and np.isnan(table[name]).all()):
+        for name, measured in FIGURES.items():
+            if measured.kind == "int" or (name == "sigma_l" and np.isnan(table[name]).all()):
                 continue
             kind = name.rpartition("_")[2] if name.endswith(("_min", "_max")) else "mean"
-            figure = {f"{one.metric.removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
-            scores += scores_of(figure, density, one.unit, item=f"seed {seed}", count=table.num_rows)
+            figure = {f"{measured.metric.removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
+            scores += scores_of(figure, density, measured.unit, item=f"seed {seed}", count=table.num_rows)
         totals[density] += table.num_rows
         for row in np.flatnonzero(table["verdict"] != "pass"):
             reason = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"
@@ -152,7 +169,8 @@ TOPIC = Topic(
     "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1).",
     reads=("chain_info", "draws", "annotations", "views"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     cautions=(
         (
             "draws",

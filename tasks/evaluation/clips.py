@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 
 from pasdedeux.evaluation.pictures import Picture, image_panel, pack_player
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
-from tasks.evaluation.ground_truth import rate_of
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import SequenceFacts
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.takes import rate_of
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20
 _CLIP_S = 4.0
@@ -34,10 +37,18 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     ]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Draw the first seconds of one sequence."""
-    options = shard.options(ClipParameters)
-    sequence_id, annotations = options.sequence_id, shard.ref("annotations")
+class _Shown(NamedTuple):
+    """The first seconds of a sequence: keypoints (drawn frame, person, 14, 2), pixels, all times, the image's size."""
+
+    sequence_id: str
+    keypoints_px: np.ndarray
+    times_s: np.ndarray
+    size_px: tuple[int, int]
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Read the first seconds of one sequence."""
+    sequence_id, annotations = shard.options(ClipParameters).sequence_id, shard.ref("annotations")
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "image_width_px", "image_height_px"]
     data = store.read(annotations, "annotations", columns=columns)
     is_here = data["sequence_id"] == sequence_id
@@ -45,14 +56,20 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     keypoints, times = _by_frame(data, is_here)
     step = max(1, round(rate_of(times) / _RATE_HZ))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    panel = image_panel(sequence_id, OP14, keypoints, size)
-    labels = [f"{time:.1f} s" for time in times[::step]]
+    return TopicResult(shown=_Shown(sequence_id, keypoints, times, size))
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Show the clip."""
+    step = max(1, round(rate_of(shown.times_s) / _RATE_HZ))
+    panel = image_panel(shown.sequence_id, OP14, shown.keypoints_px, shown.size_px)
+    labels = [f"{time:.1f} s" for time in shown.times_s[::step]]
     caption = (
-        f"Sequence {sequence_id}: its first seconds of 2D poses as given. A limb that is missing or jumps was detected "
-        "badly."
+        f"Sequence {shown.sequence_id}: its first seconds of 2D poses as given. A limb that is missing or jumps was "
+        "detected badly."
     )
-    player = pack_player([panel], rate_hz=rate_of(times) / step, labels=labels)
-    return TopicResult(pictures=[Picture(f"clip-{sequence_id.replace('/', '-')}.player.json", caption, player)])
+    player = pack_player([panel], rate_hz=rate_of(shown.times_s) / step, labels=labels)
+    yield Picture(f"clip-{shown.sequence_id.replace('/', '-')}.player.json", caption, player)
 
 
 def _by_frame(data: TableData, is_here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,6 +101,7 @@ TOPIC = Topic(
     introduction="The 2D poses of each sequence as its camera saw them.",
     reads=("annotations", "cameras"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     cautions=(("cameras", "Virtual video is made from motion capture: its 2D noise is simulated."),),
 )

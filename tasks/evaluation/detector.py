@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.evaluation.scores import scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from storage_schema import Store
 from tasks.evaluation.reconstruction import read_reconstructed
 from tasks.evaluation.topic import Topic, TopicResult
@@ -35,7 +35,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return found
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     """Score one sequence: who is who, and the error of each person by the last method."""
     annotations, takes = shard.refs("annotations"), shard.refs("takes")
     facts = SequenceFacts.of(store.manifest(annotations[0]))
@@ -68,7 +68,7 @@ TOPIC = Topic(
     "mid-hip) of each person of the take, beside that of the same video with the same noise alone.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
     criteria=(
         Criterion("identity_switches_per_minute", "identity switches a minute", "", "sequences", limit=_MAX_SWITCHES),
     ),

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.models import GENERATED, SOLVER
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.score_tables import TextTable, pivot_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, clips_of, joint_errors
+from pasdedeux.learning.meter import GENERATED, SOLVER
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.takes import takes_of
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import refuse_without_torch
 
@@ -54,9 +55,9 @@ class OneTraining(Parameters):
     seen: tuple[str, ...] = ()
 
 
-def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
+def _plan(topic: Topic[None], shares: Sequence[str], inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     """Plan a shard for each repetition; interactions of one take cannot be split by take and are skipped."""
-    takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
+    takes = takes_of(inputs, 2)
     kinds = [interaction_of(take) for take in takes]
     used = [take for take, kind in zip(takes, kinds, strict=True) if kinds.count(kind) > 1]
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
@@ -111,7 +112,7 @@ def _plan_prediction(inputs: StageInputs, settings: LearnedSettings) -> list[Sha
     return _plan(PREDICTION, tuple(_SHARES)[:1], inputs, settings)
 
 
-def _recognise(shard: Shard, store: Store) -> TopicResult:
+def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
     """Train a classifier on each training set and test it on clips of other takes; ask one what variants of these are.
 
     That one learned from real clips alone (table 6 of the paper).
@@ -136,7 +137,7 @@ def _recognise(shard: Shard, store: Store) -> TopicResult:
     return one.result(scores, Items(values, [one.name], [0.0], _count(tested)))
 
 
-def _predict(shard: Shard, store: Store) -> TopicResult:
+def _predict(shard: Shard, store: Store) -> TopicResult[None]:
     """Train a predictor on each training set, and test it on clips of other takes."""
     # A take that is shorter than a clip has none: what is held still there would be a motion to predict.
     one = _Repetition(shard, store, num_frames=HISTORY + HORIZON, frame=HISTORY - 1, is_held=False)
@@ -205,7 +206,7 @@ class _Repetition:
         """The real clips with as many variants of solver and of model, and alone."""
         return {by: self.clips(self.train, by) for by in (*self._variants, WITHOUT)}
 
-    def result(self, scores: Sequence[Score], items: Items) -> TopicResult:
+    def result(self, scores: Sequence[Score], items: Items) -> TopicResult[None]:
         """Return what a topic found, with what it was found on in words."""
         real, augmented = (_count(self.training_sets[by]) for by in (WITHOUT, BY_SOLVER))
         note = (
@@ -258,7 +259,7 @@ def prediction_scores(jme: Array, ame: Array, method: str, *, split: str, item: 
     return scores
 
 
-def recognition_table(scores: Sequence[Score]) -> list[TextTable]:
+def recognition_tables(scores: Sequence[Score]) -> list[TextTable]:
     """Return accuracy of each training set with its effect over seeds, and what is recognised of variants."""
     captions = {
         "accuracy": "As table 5 of the paper: accuracy of recognition, %",
@@ -271,7 +272,7 @@ def recognition_table(scores: Sequence[Score]) -> list[TextTable]:
     ]
 
 
-def prediction_table(scores: Sequence[Score]) -> list[TextTable]:
+def prediction_tables(scores: Sequence[Score]) -> list[TextTable]:
     """Return mean errors of each training set with its effect over seeds, and JME and AME of every motion and horizon.
 
     Motions of one seed share what was trained, so their mean is taken first.
@@ -354,7 +355,7 @@ RECOGNITION = Topic(
         Criterion("accuracy", "accuracy of recognition", "%", "clips", (method,), name, is_larger_better=True)
         for method, name in _JUDGED.items()
     ),
-    tabulate=lambda scores: recognition_table(scores["recognition"]),
+    tabulate=lambda scores: recognition_tables(scores["recognition"]),
 )
 
 PREDICTION = Topic(
@@ -373,5 +374,5 @@ PREDICTION = Topic(
         for method, name in _JUDGED.items()
     ),
     has_means_first=True,
-    tabulate=lambda scores: prediction_table(scores["prediction"]),
+    tabulate=lambda scores: prediction_tables(scores["prediction"]),
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pasdedeux.evaluation.pictures import Picture
@@ -15,20 +17,22 @@ from tasks.stage import Parameters, Shard, StageInputs
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan a shard for each shot of a film."""
-    films = [one for one in inputs.of("annotations") if SHEET_NAME in one.attachments]
-    return [TOPIC.shard(inputs, one.partition, film=[one]) for one in films]
+    films = [manifest for manifest in inputs.of("annotations") if SHEET_NAME in manifest.attachments]
+    return [TOPIC.shard(inputs, film.partition, film=[film]) for film in films]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Show a shot, and say where its keypoints come from and what was left out."""
+def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[Picture]]:
+    """Show what was drawn as a shot was read; say where its keypoints come from and what was left out."""
     ref = shard.ref("film")
     name = store.manifest(ref).partition
     frames = read_annotation_csv(store.attachment(ref, ANNOTATIONS_NAME))
     assert frames.status is not None
     shares = np.bincount(frames.status.reshape(-1), minlength=len(KeypointStatus)) / frames.status.size
-    words = ", ".join(f"{shares[one]:.0%} {one.name.lower()}" for one in reversed(KeypointStatus) if shares[one] > 0)
+    words = ", ".join(
+        f"{shares[kind]:.0%} {kind.name.lower()}" for kind in reversed(KeypointStatus) if shares[kind] > 0
+    )
     kept = store.read(ref, "annotations", columns=["keypoint_confidence"])["keypoint_confidence"]
-    num_kept, num_known = sum(int((np.asarray(one) > 0).sum()) for one in kept), int((frames.confidence > 0).sum())
+    num_kept, num_known = sum(int((np.asarray(row) > 0).sum()) for row in kept), int((frames.confidence > 0).sum())
     note = (
         f"{name}: frames {frames.frame.min()} to {frames.frame.max()}, {len(np.unique(frames.person_id))} people; "
         f"keypoints: {words}; {max(num_known - num_kept, 0)} of {num_known} left out as faults."
@@ -37,7 +41,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     pictures = [
         Picture(f"{name}-{file}", f"{name}: {says}.", store.attachment(ref, file)) for file, says in captions.items()
     ]
-    return TopicResult(pictures=pictures, notes=[note])
+    return TopicResult(notes=[note], shown=pictures)
 
 
 TOPIC = Topic(
@@ -47,5 +51,6 @@ TOPIC = Topic(
     "blurred. Keypoints that are missing are hidden, or were lost on the way from one known place to the next.",
     reads=("annotations",),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=lambda pictures: pictures,
 )

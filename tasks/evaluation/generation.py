@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pasdedeux.arrays import Array
+from pasdedeux.augmentation import Source
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval, mean_distance
-from pasdedeux.evaluation.models import SOLVER, ModelMeter
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.clips import CLIP_FRAMES, clips_of, pair_frame
+from pasdedeux.learning.meter import SOLVER, ModelMeter
 from pasdedeux.plain_text import counted
-from pasdedeux.spread import evenly_spread
+from pasdedeux.spread import some_of
 from storage_schema import Manifest, Store
 from tasks.evaluation.augmentation import contact_drifts, variant_player
 from tasks.evaluation.realism import LearnedSettings, train_on_real
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, stream
+from tasks.takes import takes_of
 from tasks.training.items import StoredVariants, interaction_of
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ Clips = Mapping[str, Sequence[Array]]
 
 def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     """Plan one shard for each model that motion was generated from."""
-    takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
+    takes = takes_of(inputs, 2)
     shards = []
     for model in inputs.of("models"):
         facts = ModelFacts.of(model)
@@ -54,7 +56,15 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     return shards
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+class _Shown(NamedTuple):
+    """A test take and motions (T, 2, 22, 3), metres, that were generated for it."""
+
+    take_id: str
+    source: Source
+    motions_m: Mapping[str, Array]
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     """Score what was generated for every test take; as a distribution where the study asks for these."""
     facts, settings = ModelFacts.of(store.manifest(shard.ref("model"))), shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
@@ -62,7 +72,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     clips: dict[str, dict[str, list[Array]]] = {facts.model: {}, SOLVER: {}}
     errors_mm: dict[str, list[Array]] = {}
     parts: list[Items] = []
-    pictures: list[Picture] = []
+    shown = None
     for method, take_id, wanted in _wanted(store, shard, facts.model):
         source, items = variants.takes[take_id].source, list(variants.items(wanted))
         clips[method][take_id] = [clips_of(item.motion_m, source.rate_hz) for item in items]
@@ -75,10 +85,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         errors_mm.setdefault(_PLAIN, []).append(plain_mm)
         times_s = np.tile(drifts.frames / source.rate_hz, len(items))
         parts.append(Items({method: ours_mm, _PLAIN: plain_mm}, [take_id] * len(times_s), times_s, len(items)))
-        if not pictures:
-            shown = {"take": source.positions_m} | {one.variant_id: one.motion_m for one in items[:_SHOWN]}
-            caption = f"{take_id}, and what was generated for it; contacts of the take are green."
-            pictures = [Picture(f"generated-{take_id}.player.json", caption, variant_player(source, shown))]
+        if shown is None:
+            shown = _Shown(take_id, source, {item.variant_id: item.motion_m for item in items[:_SHOWN]})
     more = {"split": f"{facts.split} test"}
     scores = [
         score
@@ -100,7 +108,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             }
             generator = stream(shard.seed, "evaluation", "generation", facts.model, facts.split)
             scores += distribution_scores(classifier, real, kinds, clips, generator, **more)
-    return TopicResult(scores, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS), pictures=pictures)
+    return TopicResult(scores, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS), shown)
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Show the first take beside what was generated for it."""
+    caption = f"{shown.take_id}, and what was generated for it; contacts of the take are green."
+    player = variant_player(shown.source, {"take": shown.source.positions_m, **shown.motions_m})
+    yield Picture(f"generated-{shown.take_id}.player.json", caption, player)
 
 
 def _wanted(store: Store, shard: Shard, model: str) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
@@ -112,7 +127,7 @@ def _wanted(store: Store, shard: Shard, model: str) -> Iterator[tuple[str, str, 
     for take_id, made in sorted(found["generated"].items()):
         yield model, take_id, made
         if solved := found["solved"].get(take_id):
-            yield SOLVER, take_id, [solved[at] for at in evenly_spread(len(solved), len(made))]
+            yield SOLVER, take_id, some_of(solved, len(made))
 
 
 def distribution_scores(
@@ -174,7 +189,7 @@ def distribution_scores(
     return scores
 
 
-def _tables(scores: ScoresOf) -> list[TextTable]:
+def _tabulate(scores: ScoresOf) -> list[TextTable]:
     """Return one row a method, of every split."""
     columns = ("FID", "KID", "diversity", "multimodality", "contact_error")
     return [
@@ -202,8 +217,9 @@ TOPIC = Topic(
     "unbiased, so of few clips it can be strongly negative, and then says nothing.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     settings=LearnedSettings,
     criteria=(Criterion("contact_error", "contact error", "mm", "motions", ()),),
-    tabulate=_tables,
+    tabulate=_tabulate,
 )

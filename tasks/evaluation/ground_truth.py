@@ -82,12 +82,6 @@ class GroundTruth:
         return TruePair(take_id, self.time_s(take_id, frame), take[frame][[place.person_id, place.partner_id]])
 
 
-def rate_of(times_s: np.ndarray) -> float:
-    """Return the frames per second of times (row,), rising; 25 of a single one."""
-    times = np.unique(times_s)
-    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
-
-
 def _read_cameras(store: Store, ref: ArtifactRef) -> dict[str, PinholeCamera]:
     if "cameras" not in store.manifest(ref).tables:
         return {}

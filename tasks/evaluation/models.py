@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.models import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
 from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.learning.meter import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
 from pasdedeux.learning.model import VALIDATION_FALL as FALL
 from pasdedeux.learning.model import TrainingItem
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, EXPI18
-from pasdedeux.spread import evenly_spread
+from pasdedeux.spread import some_of
 from storage_schema import Manifest, Store, TableData
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
@@ -69,8 +70,28 @@ def _split_name(facts: ModelFacts) -> str:
     return facts.split if facts.skeleton == BODY22.name else f"{facts.split}_{facts.skeleton}"
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score every model of a split on its test variants, and show the best, a middling and the worst of them."""
+class _Shown(NamedTuple):
+    """What is drawn of a split.
+
+    Args:
+        split: Name of the split.
+        caption: What its curves show.
+        keys: Its test variants.
+        errors: Errors of each model on them.
+        baselines: Models that are dashed.
+        cases: Caption of the best, a middling and the worst, and the prediction for each; empty without a model.
+    """
+
+    split: str
+    caption: str
+    keys: Sequence[VariantKey]
+    errors: Mapping[str, Sequence[Errors]]
+    baselines: Collection[str]
+    cases: tuple[str, Mapping[str, tuple[TrainingItem, Array]]]
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Score every model of a split on its test variants, and choose the best, a middling and the worst of them."""
     stored = [store.manifest(ref) for ref in shard.refs("models")]
     facts = ModelFacts.of(stored[0])
     split_name, skeleton = _split_name(facts), facts.skeleton
@@ -82,7 +103,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     parts: list[Items] = []
     test = [(take_id, name) for take_id, names in facts.test.items() for name in names]
     count = shard.options(ModelsSettings).num_test_variants or len(test)
-    for item in variants.items([test[at] for at in evenly_spread(len(test), count)]):
+    for item in variants.items(some_of(test, count)):
         request = item.request
         take_id = request.take_id
         tested.append(VariantKey(take_id, item.variant_id, request.bone_scale))
@@ -128,12 +149,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         f"Error of each model on the {len(tested)} test variants of split {split_name}; lower is better, baselines "
         f"are dashed.{shared}"
     )
-    scales = [key.furthest_scale for key in tested]
-    drawn_scales = model_figure(scales, distances, baselines=baselines, split=split_name)
-    pictures = [Picture(f"models-{split_name}.svg", caption, drawn_scales)]
+    said, shown = "", {}
     best = best_model(scores, split=split, baselines=baselines)
     if best is not None:
-        cases = extreme_cases([found["E_r"] for found in errors[best]])
+        cases = extreme_cases([error["E_r"] for error in errors[best]])
         wanted = [(tested[row].take_id, tested[row].variant_id) for row in cases.values()]
         items = {(item.request.take_id, item.variant_id): item for item in variants.items(list(dict.fromkeys(wanted)))}
         shown = {
@@ -144,8 +163,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[best][row]['E_r']:.2f} cm"
             for what, row in cases.items()
         )
-        caption = f"{in_words(best)}, on split {split_name}; the true variant is grey. Better: no grey shows. {listed}."
-        pictures.append(Picture(f"cases-{split_name}.player.json", caption, case_player(shown)))
+        said = f"{in_words(best)}, on split {split_name}; the true variant is grey. Better: no grey shows. {listed}."
     learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
         *([f"Models and figures are of {skeleton}; surfaces are not measured."] * (skeleton != BODY22.name)),
@@ -162,7 +180,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             if (pairs := one.key_names())
         ),
     ]
-    return TopicResult(scores, notes, {split_name.replace("_", " "): Items.joined(parts)}, baselines, pictures=pictures)
+    judged = {split_name.replace("_", " "): Items.joined(parts)}
+    drawing = _Shown(split_name, caption, tested, distances, baselines, (said, shown))
+    return TopicResult(scores, notes, judged, baselines, drawing)
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Draw errors against scales, and show cases of the best model."""
+    scales = [key.furthest_scale for key in shown.keys]
+    drawn = model_figure(scales, shown.errors, baselines=shown.baselines, split=shown.split)
+    yield Picture(f"models-{shown.split}.svg", shown.caption, drawn)
+    caption, cases = shown.cases
+    if cases:
+        yield Picture(f"cases-{shown.split}.player.json", caption, case_player(cases))
 
 
 def model_scores(
@@ -340,7 +370,8 @@ TOPIC = Topic(
     "describes each figure and model.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     settings=ModelsSettings,
     criteria=tuple(
         Criterion("E_r", "joint error E_r", "cm", "variants", name=split.replace("_", " ")) for split in SPLIT_NAMES

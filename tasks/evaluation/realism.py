@@ -11,19 +11,19 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval
-from pasdedeux.evaluation.models import GENERATED, SOLVER, generated
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.learning.clips import clips_of
+from pasdedeux.learning.meter import GENERATED, SOLVER, generated
 from pasdedeux.learning.registry import BASELINES
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
 from pasdedeux.skeletons import BODY22
-from pasdedeux.spread import evenly_spread
+from pasdedeux.spread import some_of
 from storage_schema import Manifest, Store
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs, stream
-from tasks.takes import read_take
+from tasks.takes import read_take, takes_of
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored, refuse_without_torch
 
@@ -53,7 +53,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     that splits across these test, and features of two classifiers have no distances in common.
     """
     models = inputs.of("models")
-    takes = [take for take in inputs.of("poses") if TakeFacts.of(take).num_persons == 2]
+    takes = takes_of(inputs, 2)
     if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
         return []
     models = [model for model in models if ModelFacts.of(model).skeleton == BODY22.name]
@@ -63,7 +63,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     return [TOPIC.shard(inputs, "all", settings.part(LearnedSettings), models=models, takes=takes, variants=variants)]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     """Train the classifier on real clips, and look with it at what every model predicts."""
     if shard.name == OTHER_SKELETON:
         return TopicResult(
@@ -83,7 +83,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     scores = []
     for split, manifests in splits.items():
         test = [(take_id, name) for take_id, names in ModelFacts.of(manifests[0]).test.items() for name in names]
-        chosen = [test[at] for at in evenly_spread(len(test), settings.num_realism_variants)]
+        chosen = some_of(test, settings.num_realism_variants)
         models = {ModelFacts.of(manifest).model: load_stored(store, manifest) for manifest in manifests}
         is_of_takes = not ModelFacts.of(manifests[0]).shares_takes
         predicted: dict[str, list[_Clips]] = {}
@@ -202,6 +202,6 @@ TOPIC = Topic(
     "predicted clips whose interaction is recognised.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
     settings=LearnedSettings,
 )

@@ -2,41 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers, merge_axes
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.film_alignment import FilmAlignment, align_film
+from pasdedeux.evaluation.motion_players import turn_to_camera
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.reconstruction_metrics import (
+from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.errors import (
     jitter_m,
     root_centred_error_m,
     root_removed_error_m,
     scale_free_error_m,
 )
-from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.kinematics.rotations import rotate, swing_between
-from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.skeletons import OP14
+from pasdedeux.reconstruction.film_alignment import FilmAlignment, align_film
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.curation import without
-from tasks.evaluation.ground_truth import GroundTruth, rate_of
+from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.reconstruction import LEVEL, read_tracks
+from tasks.shown_motions import ShownMotion, read_motion_rows, read_shown_motion
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.takes import rate_of
 
 BASELINES = ("nearest", LEVEL, "standing_still", "truth", "equal_depth")
 """Methods that others are compared with, bounds among them."""
-_MIN_DISTANCE_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -79,34 +77,30 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return found
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score and show one sequence."""
+def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
+    """Score one sequence; one without ground truth is only shown."""
     motions, annotations = shard.ref("motions"), shard.refs("annotations")
     facts = MotionFacts.of(store.manifest(motions))
     refuse_overlap(f"the projection database of sequence {shard.name}", facts.database_takes, facts.sequence_takes)
-    if not annotations:
-        note = f"{shard.name}: a video without ground truth; no scores."
-        return TopicResult(pictures=motion_pictures(store, motions), notes=[note])
     try:
+        if not annotations:
+            raise InputError("a video without ground truth")
         people, truth, film = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     except InputError as error:
-        return TopicResult(pictures=motion_pictures(store, motions), notes=[f"{shard.name}: {error}; no scores."])
-    split = "held_out" if any(one.is_held_out for one in SequenceFacts.read(store, annotations)) else "annotated"
-    scores = [score for person in people for score in reconstruction_scores(person, split=split)]
-    for one, other in combinations(people, 2):
-        scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
-    scores += _camera_scores(facts, truth.cameras[shard.name], people, film, split=split, item=shard.name)
-    caption = (
-        f"{shard.name}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}), first as the "
-        "camera sees it; turn it, as one camera does not see depth. Better: it lies on the grey ground truth. Beside "
-        "the time: the mean error of that frame."
+        return TopicResult(notes=[f"{shard.name}: {error}; no scores."], shown=read_shown_motion(store, motions))
+    split = (
+        "held_out" if any(sequence.is_held_out for sequence in SequenceFacts.read(store, annotations)) else "annotated"
     )
-    rate_hz = rate_of(_read_motions(store, motions)["time_s"])
-    player = _shown(people, _read_keypoints(store, annotations, shard.name), truth, rate_hz=rate_hz)
+    scores = [score for person in people for score in reconstruction_scores(person, split=split)]
+    for first, second in combinations(people, 2):
+        scores += pair_scores(first, second, split=split, item=f"{first.item} with {second.item.split()[-1]}")
+    camera = truth.cameras[shard.name]
+    scores += _camera_scores(facts, camera, people, film, split=split, item=shard.name)
     # The database has not seen the take, or this would have been refused: all of it is held out.
     items = {"": reconstruction_items(people)}
-    pictures = [Picture(_picture_name(shard.name), caption, player)]
-    return TopicResult(scores, [] if film is None else [film.in_words()], items, BASELINES, pictures=pictures)
+    rate_hz = rate_of(read_motion_rows(store, motions)["time_s"])
+    shown = _shown(shard.name, people, _read_keypoints(store, annotations, shard.name), camera, rate_hz=rate_hz)
+    return TopicResult(scores, [] if film is None else [film.in_words()], items, BASELINES, shown)
 
 
 def read_reconstructed(
@@ -118,7 +112,7 @@ def read_reconstructed(
         InputError: A film does not show what its take is said to be.
     """
     truth = GroundTruth.read(store, takes, annotations, column="op14_m")
-    table = _read_motions(store, motions)
+    table = read_motion_rows(store, motions)
     sequence_id = str(table["sequence_id"][0])
     if sequence_id not in truth.cameras:
         return _read_film(store, annotations, table, truth)
@@ -199,10 +193,6 @@ def _camera_scores(
     return scores
 
 
-def _read_motions(store: Store, motions: ArtifactRef) -> TableData:
-    return store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "time_s", "method", "op14_m"])
-
-
 def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_id: str) -> dict[tuple[int, int], Any]:
     """Return the keypoints (14, 2) of a sequence by person and frame."""
     keypoints = {}
@@ -271,15 +261,15 @@ def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item
     return scores
 
 
-def _picture_name(sequence_id: str) -> str:
-    return f"reconstruction-{sequence_id.replace('/', '-')}.player.json"
-
-
 def _shown(
-    people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], Any], truth: GroundTruth, *, rate_hz: float
-) -> bytes:
-    """Show what the last method made of everybody beside the image."""
-    camera = truth.cameras[people[0].item.rpartition(" person ")[0]]
+    sequence_id: str,
+    people: Sequence[Reconstructed],
+    keypoints: Mapping[tuple[int, int], Any],
+    camera: PinholeCamera,
+    *,
+    rate_hz: float,
+) -> ShownMotion:
+    """Return what the last method made of everybody beside the image."""
     frames = np.unique(np.concatenate([person.frames for person in people]))
     px = np.full((len(frames), len(people), 14, 2), np.nan)
     found, true = np.full((2, len(frames), len(people), 14, 3), np.nan)
@@ -291,110 +281,12 @@ def _shown(
             px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
     places = true - camera.camera_from_world_rotmat @ camera.position_m
     found, true = (turn_to_camera(motion, places) for motion in (found, true))
-    return reconstruction_player(found, rate_hz=rate_hz, keypoints_px=px, truth_m=true)
-
-
-def reconstruction_player(
-    found_m: Array,
-    *,
-    rate_hz: float,
-    keypoints_px: Array | None = None,
-    truth_m: Array | None = None,
-    projected_px: Array | None = None,
-) -> bytes:
-    """Show people as they were reconstructed over the ground truth, and the image that they were found in.
-
-    The middle of all people stays in the middle, so their places to each other show.
-
-    Args:
-        found_m: The reconstruction (frame, person, 14, 3), y up, metres; NaN where a person is not there.
-        rate_hz: Frames per second.
-        keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
-        truth_m: The true motion (frame, person, 14, 3), the same axes, where it is known.
-        projected_px: Where the reconstruction is in the image (frame, person, 14, 2), drawn over its keypoints.
-    """
-    frames, shown_hz = shown_frames(len(found_m), rate_hz)
-    found = about_hips(found_m[frames])
-    panels, labels = [], []
-    if keypoints_px is not None:
-        seen = keypoints_px[frames] * [1.0, -1.0]
-        size = _height(found) / max(_height(seen), 1e-9)
-        middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
-        image = np.insert((seen - middle) * size, 2, 0.0, -1)
-        if projected_px is None:
-            panel = people_panel("image", OP14, image)
-        else:
-            over = np.insert((projected_px[frames] * [1.0, -1.0] - middle) * size, 2, 0.0, -1)
-            panel = people_panel("over its 2D poses (grey)", OP14, over, truth_m=image)
-        panels.append(replace(panel, is_flat=True))
-    truth = None if truth_m is None else about_hips(truth_m[frames])
-    if truth is not None:
-        for frame, error in zip(frames, 100.0 * np.linalg.norm(found - truth, axis=-1), strict=True):
-            known = error[np.isfinite(error)]
-            labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
-    title = "reconstruction" if truth is None else "reconstruction, ground truth in grey"
-    panels.append(people_panel(title, OP14, found, truth_m=truth))
-    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=False)
-
-
-def about_hips(positions_m: Array) -> Array:
-    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
-    return np.asarray(positions_m - _mean_there(mid_hip(positions_m))[:, None, None])
-
-
-def _mean_there(points: Array) -> Array:
-    """Return the mean (frame, 3) of those points (frame, n, 3) that are there; the origin without any."""
-    is_there = np.isfinite(points).all(axis=-1, keepdims=True)
-    return np.asarray(np.where(is_there, points, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1))
-
-
-def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
-    """Turn a motion in camera axes so that it is seen along the ray to where people are, as their image shows them.
-
-    A camera sees somebody at the edge of its image from another side than somebody in the middle.
-
-    Args:
-        motion_m: What is turned (frame, person, 14, 3), camera axes, metres.
-        place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
-            is nearer than half a metre, as without a known place, are left as they are.
-    """
-    middle = _mean_there(merge_axes(place_m, 1, -1))
-    distance = np.linalg.norm(middle, axis=-1, keepdims=True)
-    to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
-    turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
-    return np.asarray(rotate(turn[:, None, None], motion_m))
-
-
-def _height(points: Array) -> float:
-    """Return the height that all people of a frame take, its median over the frames with anybody; 1 without any."""
-    height = merge_axes(points[..., 1], 1)
-    known = [row[np.isfinite(row)] for row in height if np.isfinite(row).any()]
-    return float(np.median([np.ptp(row) for row in known])) if known else 1.0
-
-
-def _middle(points: Array) -> Array:
-    """Return the middle (2,) of those points (n, 2) that are there."""
-    known = points[np.isfinite(points).all(axis=-1)]
-    return np.median(known, axis=0) if len(known) else np.zeros(2)
-
-
-def motion_pictures(store: Store, motions: ArtifactRef, left_out: Collection[str] = ()) -> list[Picture]:
-    """Show what the last method made of a sequence, but for what is left out (`tasks.curation`); one or none."""
-    table = without(_read_motions(store, motions), left_out)
-    if not table.num_rows:
-        return []
-    method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
-    is_shown = table["method"] == method
-    frames, rows = np.unique(table["frame"][is_shown], return_inverse=True)
-    persons, columns = np.unique(table["person_id"][is_shown], return_inverse=True)
-    found = np.full((len(frames), len(persons), 14, 3), np.nan)
-    found[rows, columns] = table["op14_m"][is_shown]
     caption = (
-        f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs that are too "
-        "short or bent wrongly show from the side."
+        f"{sequence_id}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}), first as the "
+        "camera sees it; turn it, as one camera does not see depth. Better: it lies on the grey ground truth. Beside "
+        "the time: the mean error of that frame."
     )
-    player = reconstruction_player(found, rate_hz=rate_of(table["time_s"]))
-    return [Picture(_picture_name(sequence_id), caption, player)]
+    return ShownMotion(sequence_id, caption, found, rate_hz, px, true)
 
 
 TOPIC = Topic(
@@ -407,7 +299,8 @@ TOPIC = Topic(
     "says what each figure and method is.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=lambda shown: [shown.picture],
     criteria=(
         Criterion(
             "error_root_kept",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import cycle
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,23 +30,34 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return [TOPIC.shard(inputs, TakeFacts.of(take).take_id, take=[take]) for take in inputs.of("poses")]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Describe and draw one take."""
+class _Shown(NamedTuple):
+    """A take: its facts, and its people (frame, person, 22, 3), metres."""
+
+    facts: TakeFacts
+    people_m: Array
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Describe one take."""
     manifest = store.manifest(shard.ref("take"))
     facts, verdict = TakeFacts.of(manifest), verdict_of(manifest)
-    take_id, rate_hz = facts.take_id, facts.rate_hz
     notes = []
     if verdict is not None and verdict.level is not Level.PASS:
-        notes = [f"Take {take_id}: {verdict.level}: {verdict.reason}."]
+        notes = [f"Take {facts.take_id}: {verdict.level}: {verdict.reason}."]
     people = read_motion(store, shard.ref("take"), "body22_m")["body22_m"]
-    frames, shown_hz = shown_frames(len(people), rate_hz)
+    return TopicResult(take_scores(facts.take_id, people, facts.rate_hz), notes, shown=_Shown(facts, people))
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Show the take."""
+    take_id, people = shown.facts.take_id, shown.people_m
+    frames, shown_hz = shown_frames(len(people), shown.facts.rate_hz)
     player = pack_player([people_panel(take_id, BODY22, people[frames])], rate_hz=shown_hz)
-    held_out = ", held out" if facts.is_held_out else ""
+    held_out = ", held out" if shown.facts.is_held_out else ""
     coloured = zip(person_names(people.shape[1]), cycle(COLOUR_NAMES), strict=False)
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
     caption = f"Take {take_id}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
-    picture = Picture(f"take-{take_id}.player.json", caption, player)
-    return TopicResult(take_scores(take_id, people, rate_hz), notes, pictures=[picture])
+    yield Picture(f"take-{take_id}.player.json", caption, player)
 
 
 def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
@@ -72,5 +85,6 @@ TOPIC = Topic(
     introduction="The captured 3D motion at the frame rate of the study, and the result of the capture check.",
     reads=("poses",),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
 )

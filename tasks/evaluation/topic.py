@@ -33,7 +33,6 @@ class TopicResult(Generic[D]):
         items: By name of a criterion, what it judges: items that nothing was learned from; empty where there is none.
         baselines: Methods that others are compared with, in scores and items.
         shown: What the topic draws; None where there is nothing to draw.
-        pictures: Figures (.svg) and moving people (.player.json).
     """
 
     scores: Sequence[Score] = ()
@@ -41,7 +40,6 @@ class TopicResult(Generic[D]):
     items: Mapping[str, Items] = field(default_factory=dict)
     baselines: Collection[str] = ()
     shown: D | None = None
-    pictures: Sequence[Picture] = ()
 
 
 @dataclass(frozen=True)
@@ -80,6 +78,10 @@ class Topic(Generic[D]):
     has_means_first: bool = False
     cautions: tuple[tuple[str, str], ...] = ()
 
+    def pictures(self, result: TopicResult[D]) -> list[Picture]:
+        """Draw a result."""
+        return [] if result.shown is None else list(self.draw(result.shown))
+
     def shard(
         self, inputs: StageInputs, name: str, parameters: Parameters | None = None, /, **named: Sequence[Manifest]
     ) -> Shard:
@@ -90,7 +92,7 @@ class Topic(Generic[D]):
 def run_topic(topic: Topic[Any], shard: Shard, store: Store) -> ArtifactRef:
     """Compute, draw and commit one shard of a topic, with the verdict of each of its criteria that has items."""
     result = topic.compute(shard, store)
-    pictures = [*result.pictures, *(() if result.shown is None else topic.draw(result.shown))]
+    pictures = topic.pictures(result)
     parts = {
         criterion.name: verdict
         for criterion in topic.criteria

@@ -2,40 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.arrays import Array
+from pasdedeux.evaluation.motion_players import reconstruction_player
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture
-from pasdedeux.evaluation.reconstruction_metrics import (
+from pasdedeux.evaluation.score_tables import TextTable, format_value
+from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.projections.sources import resample_positions
+from pasdedeux.reconstruction.errors import (
     foot_slide_m,
     jitter_m,
     root_centred_error_m,
     root_removed_error_m,
 )
-from pasdedeux.evaluation.score_tables import TextTable, format_value
-from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.evaluation.unseen_views import (
+from pasdedeux.reconstruction.reconstruct import Method, Searcher
+from pasdedeux.reconstruction.unseen_views import (
     BEST,
     CONDITIONS,
     STILL,
     Condition,
     UnseenMotion,
+    ViewedMotion,
     reconstruct_seen,
     see,
 )
-from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.projections.sources import resample_positions
-from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Store
-from tasks.evaluation.reconstruction import reconstruction_player
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import Facts, TakeFacts
 from tasks.projections import clusters_of, read_clusters, read_database
@@ -51,6 +53,7 @@ _STATED = {
     "135 degrees apart": ("12.6 cm", "16.4 cm"),
 }
 """What Yiannakides et al. 2019, section 6.2, state of their method and of VNect, by the end of an item."""
+_SHOWN_S = 4.0
 _COMPARED = ("published", "published_clean", "nearest", "window", "viterbi", "fit", "fit_clean", "live", STILL)
 
 
@@ -95,14 +98,24 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
     return shards
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
+class _Shown(NamedTuple):
+    """A motion in words, and what a camera saw and a fit made of its first seconds, (frame, 14, 3) in camera axes."""
+
+    item: str
+    condition: str
+    rate_hz: float
+    seen: ViewedMotion
+    found_m: Array
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_Shown]]:
     """Score one take in one condition."""
     options = shard.options(TakeParameters)
     searcher = _database(shard, store)
     condition = CONDITIONS[options.condition]
     scores: list[Score] = []
     parts: list[Items] = []
-    pictures: list[Picture] = []
+    shown: list[_Shown] = []
     for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
@@ -110,14 +123,29 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += found
         parts.append(replace(errors, takes=[options.take_id] * len(errors.takes)))
         if options.condition == 0:
-            name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
-            caption = f"{motion.item}, {condition.name}: the image and the fit, first as the camera sees it."
-            pictures.append(Picture(name, caption, _clip(searcher, motion, condition, draw(0))))
+            start = replace(motion, world_m=motion.world_m[: round(_SHOWN_S * motion.rate_hz)])
+            seen = see(start, condition, motion.yaws_deg[0], draw(0))
+            fit = reconstruct_seen(searcher, seen, has_clean_up=False)[Method.FIT.value]
+            shown.append(_Shown(motion.item, condition.name, motion.rate_hz, seen, fit))
     note = (
         f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is a bound that "
         "knows the ground truth."
     )
-    return TopicResult(scores, [note], {"": Items.joined(parts)}, _BASELINES, pictures=pictures)
+    return TopicResult(scores, [note], {"": Items.joined(parts)}, _BASELINES, shown)
+
+
+def _draw(shown: Sequence[_Shown]) -> Iterator[Picture]:
+    """Show the fit beside its image."""
+    for motion in shown:
+        name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
+        caption = f"{motion.item}, {motion.condition}: the image and the fit, first as the camera sees it."
+        player = reconstruction_player(
+            motion.found_m[:, None],
+            rate_hz=motion.rate_hz,
+            keypoints_px=motion.seen.track.keypoints_px[:, None],
+            truth_m=motion.seen.truth_m[:, None],
+        )
+        yield Picture(name, caption, player)
 
 
 def unseen_view_scores(
@@ -227,18 +255,6 @@ def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
     ]
 
 
-def _clip(searcher: Searcher, motion: UnseenMotion, condition: Condition, rng: np.random.Generator) -> bytes:
-    start = replace(motion, world_m=motion.world_m[: round(4.0 * motion.rate_hz)])
-    seen = see(start, condition, motion.yaws_deg[0], rng)
-    made = reconstruct_seen(searcher, seen, has_clean_up=False)
-    return reconstruction_player(
-        made[Method.FIT.value][:, None],
-        rate_hz=motion.rate_hz,
-        keypoints_px=seen.track.keypoints_px[:, None],
-        truth_m=seen.truth_m[:, None],
-    )
-
-
 PARALLEL_VIEWS = Topic(
     name="parallel_views",
     heading="Unseen motion, parallel rays",
@@ -248,7 +264,8 @@ PARALLEL_VIEWS = Topic(
     "image.",
     reads=("poses", "projections", "projection_clusters"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     settings=UnseenViewsSettings,
     tabulate=lambda scores: paper_table(scores.get("parallel_views", ())),
     criteria=(Criterion("error_root_kept", "mean joint error", "m", "poses", (Method.FIT.value,)),),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,16 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return [TOPIC.shard(inputs, "accuracy", views=estimated, annotations=annotations, takes=inputs.of("poses"))]
 
 
-def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score and draw the views."""
+class _Shown(NamedTuple):
+    """Hypotheses of all views (hypothesis,): angles and weights."""
+
+    psi_rad: Array
+    phi_rad: Array
+    weight: Array
+
+
+def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+    """Score the views."""
     truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
     tables = [store.read(ref, "views") for ref in shard.refs("views")]
     known: dict[str, list[tuple[TruePair, Array, tuple[Array, Array]]]] = {}
@@ -50,20 +59,20 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += summarise(errors, "view_error", "degrees", split=split)
         if split == "held_out":
             items = Items(errors, [pair.take_id for pair in pairs], [pair.time_s for pair in pairs])
+    skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
+    notes = [*skipped, *([] if scores else ["No true camera is known, so views have no error."])]
+    shown = _Shown(*(np.concatenate([table[name] for table in tables]) for name in _Shown._fields))
+    return TopicResult(scores, notes, {"": items} if scores else {}, ("mean_view",), shown)
+
+
+def _draw(shown: _Shown) -> Iterator[Picture]:
+    """Draw all hypotheses."""
     caption = (
         "Estimated view directions: round the pair, and from straight above (0) over level (90 degrees) to straight "
         "below (180). Each dot is a hypothesis, larger where its weight is (Yin et al. 2018, "
         "fig. 4b). Better: a few tight clusters for each camera."
     )
-    skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
-    columns = [np.concatenate([table[name] for table in tables]) for name in ("psi_rad", "phi_rad", "weight")]
-    return TopicResult(
-        scores,
-        [*skipped, *([] if scores else ["No true camera is known, so views have no error."])],
-        {"": items} if scores else {},
-        baselines=("mean_view",),
-        pictures=[Picture("views.svg", caption, view_figure(*columns))],
-    )
+    yield Picture("views.svg", caption, view_figure(*shown))
 
 
 def view_errors(hypotheses: Sequence[tuple[Array, Array]], truth: Array) -> dict[str, Array]:
@@ -120,6 +129,7 @@ TOPIC = Topic(
     "true camera of virtual video. The baseline gives the same direction for every image.",
     reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
-    compute=_run,
+    compute=_compute,
+    draw=_draw,
     criteria=(Criterion("view_error_mean", "error of the view", "degrees", "images", ("heaviest_hypothesis",)),),
 )

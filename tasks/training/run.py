@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import frame_errors_cm
 from pasdedeux.evaluation.verdicts import Items, compare
+from pasdedeux.learning.meter import frame_errors_cm
 from pasdedeux.learning.model import Arrays, LogEntry, Trained, Training, TrainingItem, VariantModel
 from pasdedeux.learning.registry import BASELINES, ModelDescription, describe, load_model, model_arrays, model_class
 from pasdedeux.learning.settings import has_torch

@@ -204,7 +204,7 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
         result = TOPIC.compute(shard, store)
         scores = {(score.metric, score.method): score for score in result.scores}
         counts.append(scores["hand_contact_drift_p95", "interaction_mesh"].count)
-        assert [picture.name for picture in result.pictures] == ["variants-pair.player.json", "drift-pair.svg"]
+        assert [picture.name for picture in TOPIC.pictures(result)] == ["variants-pair.player.json", "drift-pair.svg"]
     assert counts[0] > counts[1] > 0
     assert counts[2] == FRAMES
     assert counts[3] == counts[0]

@@ -17,12 +17,13 @@ from PIL import Image
 from flows.exports import export_reference
 from pasdedeux.augmentation import UserContact
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.motion_players import MAX_LINKS, links_of
 from pasdedeux.skeletons import BODY22
 from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, open_table, record_latest
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
-from tasks.data import MAX_LINKS, Data, PairDataset, links_of
+from tasks.data import Data, PairDataset
 from tasks.facts import TakeFacts
 from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs

@@ -8,8 +8,8 @@ import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import model_errors
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning.meter import model_errors
 from pasdedeux.learning.model import Arrays, Training, TrainingItem, VariantModel, VariantRequest
 from pasdedeux.learning.registry import BASELINES, MODELS, describe, load_model, model_arrays
 from pasdedeux.skeletons import BODY22

@@ -10,7 +10,6 @@ import pytest
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.projections.camera import DatabaseCamera
@@ -19,6 +18,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.body import REFERENCE_REST_M, SHARED
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import projections, reconstruction

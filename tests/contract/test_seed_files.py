@@ -219,7 +219,7 @@ def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: p
     ]
     found = [one for one in store.artifacts("chains") if "draws" in one.tables]
     (shard,) = CHAINS.plan(StageInputs({"draws": found[::-1]}, seed=1), CHAINS.settings())
-    (picture,) = CHAINS.compute(shard, store).pictures
+    (picture,) = CHAINS.pictures(CHAINS.compute(shard, store))
     assert picture.name == "draws-ic.player.json"
     scene = json.loads(picture.content)
     points = np.frombuffer(base64.b64decode(scene["data"]), dtype="<i2").reshape(scene["num_frames"], -1, 3)

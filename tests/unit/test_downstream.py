@@ -26,8 +26,8 @@ from tasks.evaluation.downstream import (
     WITHOUT,
     OneTraining,
     prediction_scores,
-    prediction_table,
-    recognition_table,
+    prediction_tables,
+    recognition_tables,
 )
 from tasks.evaluation.topic import Topic
 from tasks.stage import Shard, StageInputs
@@ -120,7 +120,7 @@ def test_effects_are_paired_by_seed_and_have_their_interval() -> None:
         for seed in range(4)
         for method, value in methods
     ]
-    (table,) = recognition_table(scores)
+    (table,) = recognition_tables(scores)
     spreads = tuple(f"{value + 1.5:.2f} ± 1.29" for _, value in methods)
     effects = ("+2.00 (+2.00 to +2.00)", "+1.00 (+1.00 to +1.00)", "-1.00 (-1.00 to -1.00)")
     assert table.rows == (("80/10/10", *spreads, *effects),)
@@ -134,11 +134,11 @@ def test_effects_are_paired_by_seed_and_have_their_interval() -> None:
             factor * more * errors, errors, method, split="80/10/10", item=f"{motion}, seed {seed}"
         )
     ]
-    jme, ame, by_motion, _ = prediction_table(made)
+    jme, ame, by_motion, _ = prediction_tables(made)
     assert jme.rows[0][1:] == ("11.00 ± 0.00", "22.00 ± 0.00", "33.00 ± 0.00", "-11.00 (-11.00 to -11.00)")
     assert ame.rows[0][-1] == "+0.00 (+0.00 to +0.00)"
     assert by_motion.rows[0][:2] == ("hug", "2.00 / - / 4.00 / 6.00")
-    assert recognition_table([]) == prediction_table([]) == []
+    assert recognition_tables([]) == prediction_tables([]) == []
 
 
 FRAMES = 31

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.evaluation.models import key_contacts, model_errors
 from pasdedeux.formats.expi import EXPI, read_expi
 from pasdedeux.interaction.contacts import find_contacts
+from pasdedeux.learning.meter import key_contacts, model_errors
 from pasdedeux.skeletons import BODY22, EXPI18
 from storage_schema import Store
 from tasks import ingest

@@ -10,7 +10,7 @@ import pytest
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.film_alignment import MAX_RESIDUAL, align_film
+from pasdedeux.reconstruction.film_alignment import MAX_RESIDUAL, align_film
 from pasdedeux.reconstruction.tracks import Lens, Track
 from tests.builders.walkers import walk
 

@@ -16,11 +16,11 @@ from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import PAPER_SCALES, bone_variations, group_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import UNITS, ModelMeter, key_contacts, model_errors
 from pasdedeux.fitting.terms import total_energy
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning.baselines import NaiveFkModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel
+from pasdedeux.learning.meter import UNITS, ModelMeter, key_contacts, model_errors
 from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest
 from pasdedeux.learning.registry import ModelDescription, describe, load_model, model_arrays
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel

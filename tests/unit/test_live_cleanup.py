@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.reconstruction_metrics import foot_slide_m, jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.reconstruction.cleanup import bend_leg
+from pasdedeux.reconstruction.errors import foot_slide_m, jitter_m, root_centred_error_m
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveFloor
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple

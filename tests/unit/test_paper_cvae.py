@@ -10,9 +10,9 @@ from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.mesh_refine import MeshRefineModel
+from pasdedeux.learning.meter import ModelMeter
 from pasdedeux.learning.model import Trained, Training, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.networks.layers import _graph, divergence, draw_latent

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.cleanup import bend_leg, clean_up
+from pasdedeux.reconstruction.errors import jitter_m, root_centred_error_m
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple
 

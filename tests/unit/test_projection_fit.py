@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.fitting.observed_pose import BoneVectorTerm, image_noise
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.kinematics.forward import bone_lengths
@@ -16,6 +15,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.reconstruction.depth import bone_vectors, decode_depths, place_depths
+from pasdedeux.reconstruction.errors import jitter_m, root_centred_error_m
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
 from pasdedeux.reconstruction.reconstruct import Method, ReconstructionOptions, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track

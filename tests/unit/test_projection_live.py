@@ -8,12 +8,12 @@ from pydantic import ValidationError
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths, forward_kinematics
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.body import SHARED
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people

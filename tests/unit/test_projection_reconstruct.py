@@ -11,13 +11,6 @@ from pydantic import ValidationError
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction_metrics import (
-    foot_slide_m,
-    jitter_m,
-    root_centred_error_m,
-    root_removed_error_m,
-    scale_free_error_m,
-)
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.people.video import rate_from_times
@@ -26,6 +19,13 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.projections.scale import running_median
 from pasdedeux.reconstruction import pitch
+from pasdedeux.reconstruction.errors import (
+    foot_slide_m,
+    jitter_m,
+    root_centred_error_m,
+    root_removed_error_m,
+    scale_free_error_m,
+)
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor, with_laid
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras.virtual_video import look_at_camera
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction import people
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
 from pasdedeux.reconstruction.otherwise import doubt_of_camera, may_lie, seen_otherwise
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people

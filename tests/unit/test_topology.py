@@ -9,9 +9,9 @@ import pytest
 from pasdedeux.augmentation import Source, reference_motion, uniform_variations
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.baselines import CopyModel
+from pasdedeux.learning.meter import ModelMeter
 from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest, mapped_item, mapped_source
 from pasdedeux.learning.registry import MODELS, Weights, describe, load_model, model_arrays, read_weights, write_weights
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22, MODEL_SKELETONS

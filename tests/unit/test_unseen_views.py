@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, PERSON_HEIGHT_PX, look_at_camera
-from pasdedeux.evaluation import unseen_views
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.evaluation.unseen_views import (
+from pasdedeux.evaluation.motion_players import reconstruction_player, turn_to_camera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.reconstruction import unseen_views
+from pasdedeux.reconstruction.errors import root_centred_error_m
+from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.sizes import sized_by_height
+from pasdedeux.reconstruction.tracks import Lens, Track
+from pasdedeux.reconstruction.unseen_views import (
     Condition,
     UnseenMotion,
     ViewedMotion,
     best_candidates,
     reconstruct_seen,
 )
-from pasdedeux.projections.database import Database
-from pasdedeux.projections.retarget import centre_and_face, mid_hip
-from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
-from pasdedeux.reconstruction.sizes import sized_by_height
-from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
-from tasks.evaluation.reconstruction import reconstruction_player, turn_to_camera
 from tasks.evaluation.unseen_views import unseen_view_scores
 from tests.builders.walkers import walk
 

@@ -1,0 +1,118 @@
+"""Moving people for the page's player: contacts as lines, and reconstructions over their image and their truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.arrays import Array, merge_axes
+from pasdedeux.evaluation.pictures import pack_player, people_panel, shown_frames
+from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.kinematics.rotations import rotate, swing_between
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
+
+MAX_LINKS = 10
+"""Contacts drawn in a frame, at most."""
+_MIN_DISTANCE_M = 0.5
+
+
+def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Return the points of the contacts that are held (frame, n, 2, 3), the first ten of each frame, NaN: no contact.
+
+    Args:
+        contacts: The contacts.
+        positions_m: The people (frame, person, joint, 3), metres, of these contacts or in another motion.
+    """
+    held = contacts.is_held
+    ends = contacts.ends(positions_m.reshape(len(positions_m), -1, 3))
+    ends[~held] = np.nan
+    first = np.argsort(~held, axis=1, kind="stable")[:, : min(MAX_LINKS, int(held.sum(axis=1).max(initial=0)))]
+    return np.asarray(np.take_along_axis(ends, first[:, :, None, None], axis=1))
+
+
+def reconstruction_player(
+    found_m: Array,
+    *,
+    rate_hz: float,
+    keypoints_px: Array | None = None,
+    truth_m: Array | None = None,
+    projected_px: Array | None = None,
+) -> bytes:
+    """Show people as they were reconstructed over the ground truth, and the image that they were found in.
+
+    The middle of all people stays in the middle, so their places to each other show.
+
+    Args:
+        found_m: The reconstruction (frame, person, 14, 3), y up, metres; NaN where a person is not there.
+        rate_hz: Frames per second.
+        keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
+        truth_m: The true motion (frame, person, 14, 3), the same axes, where it is known.
+        projected_px: Where the reconstruction is in the image (frame, person, 14, 2), drawn over its keypoints.
+    """
+    frames, shown_hz = shown_frames(len(found_m), rate_hz)
+    found = about_hips(found_m[frames])
+    panels, labels = [], []
+    if keypoints_px is not None:
+        seen = keypoints_px[frames] * [1.0, -1.0]
+        size = _height(found) / max(_height(seen), 1e-9)
+        middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
+        image = np.insert((seen - middle) * size, 2, 0.0, -1)
+        if projected_px is None:
+            panel = people_panel("image", OP14, image)
+        else:
+            over = np.insert((projected_px[frames] * [1.0, -1.0] - middle) * size, 2, 0.0, -1)
+            panel = people_panel("over its 2D poses (grey)", OP14, over, truth_m=image)
+        panels.append(replace(panel, is_flat=True))
+    truth = None if truth_m is None else about_hips(truth_m[frames])
+    if truth is not None:
+        for frame, error in zip(frames, 100.0 * np.linalg.norm(found - truth, axis=-1), strict=True):
+            known = error[np.isfinite(error)]
+            labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
+    title = "reconstruction" if truth is None else "reconstruction, ground truth in grey"
+    panels.append(people_panel(title, OP14, found, truth_m=truth))
+    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=False)
+
+
+def about_hips(positions_m: Array) -> Array:
+    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
+    return np.asarray(positions_m - _mean_there(mid_hip(positions_m))[:, None, None])
+
+
+def _mean_there(points: Array) -> Array:
+    """Return the mean (frame, 3) of those points (frame, n, 3) that are there; the origin without any."""
+    is_there = np.isfinite(points).all(axis=-1, keepdims=True)
+    return np.asarray(np.where(is_there, points, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1))
+
+
+def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
+    """Turn a motion in camera axes so that it is seen along the ray to where people are, as their image shows them.
+
+    A camera sees somebody at the edge of its image from another side than somebody in the middle.
+
+    Args:
+        motion_m: What is turned (frame, person, 14, 3), camera axes, metres.
+        place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
+            is nearer than half a metre, as without a known place, are left as they are.
+    """
+    middle = _mean_there(merge_axes(place_m, 1, -1))
+    distance = np.linalg.norm(middle, axis=-1, keepdims=True)
+    to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
+    turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
+    return np.asarray(rotate(turn[:, None, None], motion_m))
+
+
+def _height(points: Array) -> float:
+    """Return the height that all people of a frame take, its median over the frames with anybody; 1 without any."""
+    height = merge_axes(points[..., 1], 1)
+    known = [row[np.isfinite(row)] for row in height if np.isfinite(row).any()]
+    return float(np.median([np.ptp(row) for row in known])) if known else 1.0
+
+
+def _middle(points: Array) -> Array:
+    """Return the middle (2,) of those points (n, 2) that are there."""
+    known = points[np.isfinite(points).all(axis=-1)]
+    return np.median(known, axis=0) if len(known) else np.zeros(2)

@@ -1,0 +1,58 @@
+"""Reconstructed motions of a sequence as the page's player shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.evaluation.motion_players import reconstruction_player
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.pictures import PLAYER, Picture
+from storage_schema import ArtifactRef, Store, TableData
+from tasks.curation import without
+from tasks.takes import rate_of
+
+
+class ShownMotion(NamedTuple):
+    """What the last method made of a sequence; arguments of `reconstruction_player`."""
+
+    sequence_id: str
+    caption: str
+    found_m: Array
+    rate_hz: float
+    keypoints_px: Array | None = None
+    truth_m: Array | None = None
+
+    @property
+    def picture(self) -> Picture:
+        """The player."""
+        content = reconstruction_player(
+            self.found_m, rate_hz=self.rate_hz, keypoints_px=self.keypoints_px, truth_m=self.truth_m
+        )
+        return Picture(f"reconstruction-{self.sequence_id.replace('/', '-')}{PLAYER}", self.caption, content)
+
+
+def read_motion_rows(store: Store, motions: ArtifactRef) -> TableData:
+    """Return the positions of everybody by every method."""
+    return store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "time_s", "method", "op14_m"])
+
+
+def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[str] = ()) -> ShownMotion | None:
+    """Return what the last method made of a sequence, but for what is left out (`tasks.curation`); None of nothing."""
+    table = without(read_motion_rows(store, motions), left_out)
+    if not table.num_rows:
+        return None
+    method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
+    is_shown = table["method"] == method
+    frames, rows = np.unique(table["frame"][is_shown], return_inverse=True)
+    persons, columns = np.unique(table["person_id"][is_shown], return_inverse=True)
+    found = np.full((len(frames), len(persons), 14, 3), np.nan)
+    found[rows, columns] = table["op14_m"][is_shown]
+    caption = (
+        f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs that are too "
+        "short or bent wrongly show from the side."
+    )
+    return ShownMotion(sequence_id, caption, found, rate_of(table["time_s"]))

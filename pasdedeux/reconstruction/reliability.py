@@ -41,7 +41,8 @@ _PLACE_WEIGHTS = np.array([0.526, 0.885])
 """The same of where one is to the other, of 98 couples: constant, and per logarithm of the product of the deviation of
 the place and of the root of the error expected of the poses of the two."""
 _STRETCH = 0.3
-"""Deviation of how much farther away one is than the other, as a part of it: what a lens may differ by."""
+"""Standard deviation of the depth between two people, as a part of it, for the lens: the derivative of their place by
+the lens predicts errors less well."""
 _MIN_TURNED = 0.1
 """Added to how far the hips are turned, 0 to 1."""
 _MIN_ACCELERATION_M_S2, _ACCELERATION_HZ = 0.5, 30.0

@@ -1,133 +1,112 @@
-"""Robust least squares over many unknowns, of which each residual depends on a few."""
+"""Robust least squares: the unknowns of a scene at which the weighted squares of all terms sum to the least."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.arrays import Array
+from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople
+from pasdedeux.reconstruction.terms.term import SceneTerm
 
+_ROBUST = 3.0
+"""Deviations at which a robust residual counts a quarter (Geman and McClure 1985)."""
 _NUM_STEPS, _NUM_DAMPINGS = 25, 8
 _WIDE, _NUM_WIDE = 4.0, 8
 """How much wider the robust terms are in the first step than in the last, and the steps until they are as stated."""
 _DAMPING, _MIN_DAMPING = 1e-3, 1e-6
 _TOLERANCE = 1e-5
-"""Steps that lower the cost by less than this part of it are the last."""
-
-
-@dataclass(frozen=True)
-class Term:
-    """Residuals of one kind.
-
-    Args:
-        value: In deviations (n,).
-        stencil: The unknowns each depends on (n, k).
-        slopes: Its derivatives by these (n, k).
-        is_robust: Whether outliers count less (n,), or of all.
-        weight: How much each counts.
-    """
-
-    value: Array
-    stencil: Integers
-    slopes: Array
-    is_robust: Flags | bool = False
-    weight: float = 1.0
-
-
-class Problem(Protocol):
-    """Residuals as a function of unknowns; `start` is where the search begins."""
-
-    start: Array
-
-    def terms(self, x: Array) -> list[Term]:
-        """Return the residuals at these unknowns."""
+"""The search ends after a step that lowers the cost by less than this share."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The unknowns of least cost, that cost, and by its curvature the variance of a sum of them with given weights."""
+    """The scene of least cost, that cost, and by its curvature the variance of a sum of unknowns with given weights."""
 
-    x: Array
+    scene: PlacedPeople
     cost: float
     variance_of: Callable[[Array], float]
 
 
-def solve(problem: Problem, *, robust: float) -> Solution:
-    """Return the unknowns of least cost.
+def solve(terms: Sequence[SceneTerm], seen: SeenPeople, start: Array, *, side: float) -> Solution:
+    """Return the scene of least cost.
 
-    Steps of Gauss and Newton with Levenberg's damping; robust residuals count by the weights of Geman and McClure
-    (1985), a quarter at `robust` deviations, anew in each step, and wider at first.
+    Gauss-Newton steps with Levenberg's damping; robust residuals are reweighted in each step by the weights of Geman
+    and McClure (1985), which start wide.
 
     Args:
-        problem: Residuals as a function of the unknowns.
-        robust: Deviations at which a robust residual counts a quarter.
+        terms: What is summed.
+        seen: The people.
+        start: First guess of the unknowns (n,).
+        side: On which side of the camera the floor is, see `PlacedPeople`.
     """
     from scipy.sparse import eye_array  # here: 0.2 s that planning does not need
     from scipy.sparse.linalg import splu
 
-    x, damping = problem.start, _DAMPING
-    made = _joined(problem.terms(x))
-    for number in range(_NUM_STEPS):
-        # First nearly everything counts: whose size is wrong seems to fly, all the time.
-        scale = robust * max(1.0, _WIDE * (1.0 - number / _NUM_WIDE))
-        jacobian = made.jacobian(len(x))
-        weight = made.weights(scale)
+    damping, damped = _DAMPING, eye_array(len(start))
+    costs = _Costs.of(terms, PlacedPeople(seen, start, side))
+    for step_number in range(_NUM_STEPS):
+        # Start wide: with a wrong size everybody seems to fly, all the time.
+        scale = _ROBUST * max(1.0, _WIDE * (1.0 - step_number / _NUM_WIDE))
+        jacobian, weight = costs.jacobian(), costs.weights(scale)
         normal = jacobian.T @ jacobian.multiply(weight[:, None]).tocsr()
-        gradient = jacobian.T @ (weight * made.value)
-        cost = made.cost(scale)
+        gradient = jacobian.T @ (weight * costs.residual)
+        cost = costs.cost(scale)
         for _ in range(_NUM_DAMPINGS):
-            step = -splu((normal + damping * eye_array(len(x))).tocsc()).solve(gradient)
-            new = _joined(problem.terms(x + step))
-            if new.cost(scale) < cost:
+            step = -splu((normal + damping * damped).tocsc()).solve(gradient)
+            moved = _Costs.of(terms, PlacedPeople(seen, costs.scene.x + step, side))
+            if moved.cost(scale) < cost:
                 break
             damping *= 10.0
         else:
             damping = _DAMPING
-            if number > _NUM_WIDE:
+            if step_number > _NUM_WIDE:
                 break
             continue
-        x, made, damping = x + step, new, max(0.1 * damping, _MIN_DAMPING)
-        if number > _NUM_WIDE and cost - made.cost(scale) < _TOLERANCE * cost:
+        costs, damping = moved, max(0.1 * damping, _MIN_DAMPING)
+        if step_number > _NUM_WIDE and cost - costs.cost(scale) < _TOLERANCE * cost:
             break
-    curvature = splu((normal + _MIN_DAMPING * eye_array(len(x))).tocsc())
-    return Solution(x, made.cost(robust), lambda weights: float(weights @ curvature.solve(weights)))
+    curvature = splu((normal + _MIN_DAMPING * damped).tocsc())
+    return Solution(costs.scene, costs.cost(_ROBUST), lambda weights: float(weights @ curvature.solve(weights)))
 
 
 @dataclass(frozen=True)
-class _Joined:
-    """All terms in a row: values, robustness and weights (n,)."""
+class _Costs:
+    """All residuals of a scene in a row: their values, shares, and whether they are robust (n,)."""
 
-    terms: Sequence[Term]
-    value: Array
-    is_robust: Flags
-    weight: Array
+    terms: Sequence[SceneTerm]
+    scene: PlacedPeople
+    residual: Array
+    share: Array
+    is_robust: Array
+
+    @classmethod
+    def of(cls, terms: Sequence[SceneTerm], scene: PlacedPeople) -> _Costs:
+        residuals = [term.residual(scene) for term in terms]
+        return cls(
+            terms,
+            scene,
+            np.concatenate(residuals),
+            np.repeat([term.share(scene.seen) for term in terms], [len(residual) for residual in residuals]),
+            np.concatenate([term.robust(residual) for term, residual in zip(terms, residuals, strict=True)]),
+        )
 
     def weights(self, scale: float) -> Array:
-        return self.weight * np.where(self.is_robust, 1.0 / (1.0 + (self.value / scale) ** 2) ** 2, 1.0)
+        return self.share * np.where(self.is_robust, 1.0 / (1.0 + (self.residual / scale) ** 2) ** 2, 1.0)
 
     def cost(self, scale: float) -> float:
-        bounded = self.value**2 / (1.0 + (self.value / scale) ** 2)
-        return float((self.weight * np.where(self.is_robust, bounded, self.value**2)).sum())
+        bounded = self.residual**2 / (1.0 + (self.residual / scale) ** 2)
+        return float((self.share * np.where(self.is_robust, bounded, self.residual**2)).sum())
 
-    def jacobian(self, num_unknowns: int) -> Any:
+    def jacobian(self) -> Any:
         """Return the derivatives (residual, unknown), sparse."""
         from scipy.sparse import csr_array
 
-        counts = np.concatenate([np.full(len(one.value), one.stencil.shape[1]) for one in self.terms])
-        columns, slopes = (
-            np.concatenate([getattr(one, name).ravel() for one in self.terms]) for name in ("stencil", "slopes")
-        )
+        parts = [term.jacobian(self.scene) for term in self.terms]
+        counts = np.repeat([part.columns.shape[1] for part in parts], [len(part.columns) for part in parts])
+        columns, slopes = (np.concatenate([values.ravel() for values in kind]) for kind in zip(*parts, strict=True))
         ends = np.concatenate([[0], np.cumsum(counts)])
-        return csr_array((slopes, columns, ends), shape=(len(counts), num_unknowns))
-
-
-def _joined(terms: Sequence[Term]) -> _Joined:
-    return _Joined(
-        terms,
-        np.concatenate([one.value for one in terms]),
-        np.concatenate([np.broadcast_to(one.is_robust, one.value.shape) for one in terms]),
-        np.concatenate([np.full(len(one.value), one.weight) for one in terms]),
-    )
+        return csr_array((slopes, columns, ends), shape=(len(counts), len(self.scene.x)))

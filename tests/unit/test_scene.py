@@ -15,7 +15,17 @@ from pasdedeux.reconstruction import scene as estimate
 from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
+from pasdedeux.reconstruction.robust import Solution
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
+from pasdedeux.reconstruction.terms.contact import GapTerm, TouchTerm, touching_hands
+from pasdedeux.reconstruction.terms.floor import FloorTerm
+from pasdedeux.reconstruction.terms.image import ImageTerm
+from pasdedeux.reconstruction.terms.pairs import PairTerm
+from pasdedeux.reconstruction.terms.path import PathTerm, StanceTerm
+from pasdedeux.reconstruction.terms.pitch import PitchTerm
+from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople
+from pasdedeux.reconstruction.terms.prior import PriorTerm
+from pasdedeux.reconstruction.terms.term import SceneTerm
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple
 from tests.builders.walkers import reconstruction
@@ -73,25 +83,55 @@ def place_error(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(between[0] - between[1], axis=-1)))
 
 
-@pytest.mark.parametrize("carried", [None, (0, 1)])
-@pytest.mark.parametrize("deviation_deg", [0.0, 5.0])
-def test_slopes_are_those_of_the_residuals(carried: tuple[int, int] | None, deviation_deg: float) -> None:
-    # The second camera is below the floor.
-    pitch_rad = 0.3 if carried is None else -0.45
-    people, _, _ = seen_and_true("lift", pitch_rad=pitch_rad)
-    frames, rng = np.arange(len(people[0].root_m)), np.random.default_rng(1)
+TERMS = (
+    PitchTerm,
+    PriorTerm,
+    ImageTerm,
+    FloorTerm,
+    PathTerm,
+    StanceTerm,
+    GapTerm,
+    TouchTerm,
+    PairTerm,
+)
+
+
+@cache
+def terms_at(carried: tuple[int, int] | None) -> tuple[list[SceneTerm], SeenPeople, np.ndarray, float]:
+    """Return the terms of a lift, its people, unknowns near the first guess, and the side of the floor."""
+    # The second camera is below the floor, and its pitch is stated.
+    pitch_rad, deviation_rad, side = (0.3, 0.09, 1.0) if carried is None else (-0.45, 0.0, -1.0)
+    tracks, _, _ = seen_and_true("lift", pitch_rad=pitch_rad)
+    frames, rng = np.arange(len(tracks[0].root_m)), np.random.default_rng(1)
     said = PairDepth((0, 1), frames, rng.normal(0.0, 0.2, len(frames)), np.where(frames % 5, 0.1, np.inf))
-    problem = estimate._Problem(people, PitchEstimate(pitch_rad, np.deg2rad(deviation_deg)), [said], {}, None)
-    (problem.side,) = problem.sides()[:1]
-    assert problem.side == np.sign(pitch_rad)
-    problem.carried = carried
-    x = problem.start + rng.normal(0.0, 0.03, len(problem.start))
+    pitch, seen = PitchEstimate(pitch_rad, deviation_rad), SeenPeople.of(tracks)
+    assert estimate._sides(seen, pitch)[0] == side
+    hands = {couple.people: touching_hands(seen, couple) for couple in seen.couples}
+    terms = estimate.scene_terms(seen, pitch, [said], {}, None, hands, carried=carried)
+    start = estimate._start(seen, pitch, {}, None)
+    return terms, seen, start + rng.normal(0.0, 0.03, len(start)), side
+
+
+@pytest.mark.parametrize("carried", [None, (0, 1)])
+@pytest.mark.parametrize("kind", TERMS)
+def test_the_jacobian_of_each_term_is_that_of_finite_differences(
+    kind: type[SceneTerm], carried: tuple[int, int] | None
+) -> None:
+    terms, seen, x, side = terms_at(carried)
+    rng, own = np.random.default_rng(2), [term for term in terms if isinstance(term, kind)]
+    assert own
     moved = 1e-6 * rng.normal(0.0, 1.0, (8, len(x)))
-    moved[:, problem.num_globals :] *= rng.random(len(x) - problem.num_globals) < 0.1
-    for step in moved:
-        for before, at, after in zip(*(problem.terms(x + sign * step) for sign in (-1, 0, 1)), strict=True):
-            change = (at.slopes * step[at.stencil]).sum(axis=1)
-            np.testing.assert_allclose(0.5e6 * (after.value - before.value), 1e6 * change, rtol=1e-4, atol=1e-3)
+    moved[:, seen.starts[0] :] *= rng.random(len(x) - seen.starts[0]) < 0.1
+    for term in own:
+        jacobian = term.jacobian(PlacedPeople(seen, x, side))
+        for step in moved:
+            before, after = (term.residual(PlacedPeople(seen, x + sign * step, side)) for sign in (-1, 1))
+            change = (jacobian.slopes * step[jacobian.columns]).sum(axis=1)
+            np.testing.assert_allclose(0.5e6 * (after - before), 1e6 * change, rtol=1e-4, atol=1e-3)
+
+
+def test_every_term_of_a_scene_has_its_jacobian_tested() -> None:
+    assert {type(term) for term in terms_at(None)[0]} == set(TERMS)
 
 
 @pytest.mark.parametrize("name", ["lift", "hug", "waltz"])
@@ -152,10 +192,13 @@ def test_of_two_who_may_be_carried_it_is_who_explains_more(monkeypatch: pytest.M
     people, _, _ = seen_and_true("lift")
     carried = [reconstruction(one.positions_m[LIFTED], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
     right, _ = solved(carried)
-    costs, solve = {None: 40.0, (0, 1): 20.0, (1, 0): 10.0}, estimate.solve
-    monkeypatch.setattr(
-        estimate, "solve", lambda problem, **how: replace(solve(problem, **how), cost=costs[problem.carried])
-    )
+    costs, solve = {None: 40.0, 0: 20.0, 1: 10.0}, estimate.solve
+
+    def costing(terms: list[SceneTerm], *told: Any, **how: Any) -> Solution:
+        off_floor = [term.person for term in terms if isinstance(term, FloorTerm) and term.is_carried]
+        return replace(solve(terms, *told, **how), cost=costs[off_floor[0] if off_floor else None])
+
+    monkeypatch.setattr(estimate, "solve", costing)
     found, _ = solved(carried)
     assert found.camera_height_m == right.camera_height_m
 

@@ -26,18 +26,10 @@ from pasdedeux.settings import first_problem
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
+from tasks.committing import artifact_fields, commit
 from tasks.facts import PeopleFacts, SkippedFacts, TakeFacts, VariantFacts
-from tasks.stage import (
-    VERDICT_FACT,
-    EarlyPlan,
-    Parameters,
-    Shard,
-    Stage,
-    StageInputs,
-    StageName,
-    artifact_fields,
-    commit,
-)
+from tasks.judgements import VERDICT_FACT
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
 from tasks.sweep import SweptParameters
 from tasks.takes import TakeMotion, read_take
 

@@ -292,3 +292,13 @@ _COUNTED: dict[str, type[Facts]] = {
 def facts_of(manifest: Manifest) -> Facts:
     """Return the facts of an artifact as those of its kind, where it is one that people count."""
     return _COUNTED.get(manifest.facts.get("kind", ""), Facts).of(manifest)
+
+
+def merge_takes(*manifests: Manifest) -> tuple[str, ...]:
+    """Return the takes that any of these artifacts learned from or shows, sorted."""
+    return tuple(sorted({take for manifest in manifests for take in Facts.of(manifest).takes}))
+
+
+def shares_takes(one: Manifest, other: Manifest) -> bool:
+    """Tell whether two artifacts rest on a common take."""
+    return not set(Facts.of(one).takes).isdisjoint(Facts.of(other).takes)

@@ -20,9 +20,12 @@ from pasdedeux.learning.sampling import VariantSampler
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import BatchParameters, write_variant
+from tasks.committing import artifact_fields
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts, VariantOrigin
 from tasks.ingest.files import load_file, read_again
-from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, StageName, artifact_fields, stream
+from tasks.judgements import VERDICT_FACT
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
+from tasks.streams import stream
 from tasks.takes import read_take
 from tasks.training.run import load_stored, refuse_without_torch
 

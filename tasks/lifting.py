@@ -35,23 +35,15 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
+from tasks.committing import commit
 from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
-from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts
+from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
+from tasks.kept import kept
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
 from tasks.reconstruction import read_tracks
-from tasks.stage import (
-    Parameters,
-    Shard,
-    Stage,
-    StageInputs,
-    StageName,
-    commit,
-    kept,
-    merge_takes,
-    shares_takes,
-    stream,
-)
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
+from tasks.streams import stream
 
 LIFTING = StageName("lifting", 13)
 

@@ -16,8 +16,9 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import PriorFacts, SequenceFacts, TakeFacts, facts_of
-from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes
+from tasks.committing import commit
+from tasks.facts import PriorFacts, SequenceFacts, TakeFacts, facts_of, merge_takes
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.takes import read_motion
 
 PRIORS = StageName("priors", 4)

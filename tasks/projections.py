@@ -29,19 +29,10 @@ from pasdedeux.reconstruction.sequence import SearchedDatabase
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts
-from tasks.stage import (
-    EarlyPlan,
-    Parameters,
-    Shard,
-    Stage,
-    StageInputs,
-    StageName,
-    commit,
-    followed,
-    merge_takes,
-    stream,
-)
+from tasks.committing import commit, followed
+from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, merge_takes
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
+from tasks.streams import stream
 from tasks.takes import read_motion, read_rest
 
 PROJECTIONS = StageName("projections", 6)

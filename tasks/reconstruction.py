@@ -20,20 +20,11 @@ from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, re
 from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import MotionFacts, SequenceFacts
+from tasks.committing import commit, join_columns
+from tasks.facts import MotionFacts, SequenceFacts, merge_takes, shares_takes
+from tasks.kept import kept
 from tasks.projections import clusters_of, read_cameras, read_clusters, read_pairs, read_searched
-from tasks.stage import (
-    Parameters,
-    Shard,
-    Stage,
-    StageInputs,
-    StageName,
-    commit,
-    join_columns,
-    kept,
-    merge_takes,
-    shares_takes,
-)
+from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 
 RECONSTRUCTION = StageName("reconstruction", 23)
 

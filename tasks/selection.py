@@ -17,8 +17,9 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.draw_sets import density_of, is_set, reference_to
 from tasks.facts import DrawFacts
+from tasks.judgements import verdict_of
+from tasks.kept import kept
 from tasks.priors import read_limits
-from tasks.stage import kept, verdict_of
 
 READS = ("draws", "seeds", "chain_info", "joint_limits")
 """Tables of a study that pairs are selected by; the last one may be missing."""

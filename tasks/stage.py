@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from itertools import chain
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
 from pydantic import create_model
 
-from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
-from pasdedeux.verdict import Verdict
-from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, shard_key
-from tasks.facts import Facts
-
-VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
-"""Names under which a shard's verdict, and those of its parts, stand among its facts."""
-
+from storage_schema import ArtifactRef, Manifest, Store, shard_key
 
 S = TypeVar("S", bound=Settings)
-F = TypeVar("F", bound=Callable[..., Any])
 P = TypeVar("P", bound="Parameters")
 
 
@@ -226,139 +212,3 @@ class Stage:
     def tables(self) -> tuple[str, ...]:
         """Every table that it writes a part of."""
         return (*self.writes, *self.adds_to)
-
-
-_KEPT: list[Callable[[], None]] = []
-
-
-def kept(count: int = 1) -> Callable[[F], F]:
-    """Return a decorator: a worker keeps what the last `count` calls that differ gave, from shard to shard of a stage.
-
-    For what many shards make ready alike; until `forget_kept`.
-    """
-
-    def decorated(function: F) -> F:
-        cached = lru_cache(maxsize=count)(function)
-        _KEPT.append(cached.cache_clear)
-        return cast(F, cached)
-
-    return decorated
-
-
-def forget_kept() -> None:
-    """Give back the memory of all that is kept."""
-    for forget in _KEPT:
-        forget()
-    with suppress(AttributeError, OSError):  # another C library gives it back by itself, or has no name for that
-        ctypes.CDLL(None).malloc_trim(0)
-
-
-def merge_takes(*manifests: Manifest) -> tuple[str, ...]:
-    """Return the takes that any of these artifacts learned from or shows, sorted."""
-    return tuple(sorted({take for manifest in manifests for take in Facts.of(manifest).takes}))
-
-
-def shares_takes(one: Manifest, other: Manifest) -> bool:
-    """Tell whether two artifacts rest on a common take."""
-    return not set(Facts.of(one).takes).isdisjoint(Facts.of(other).takes)
-
-
-def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
-    """Return what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
-    places = {ref: at for at, ref in enumerate(shard.all_inputs)}
-    return {
-        "stage": shard.stage,
-        "key": shard.key,
-        "partition": shard.partition,
-        "name": shard.name,
-        "version": shard.version,
-        "parameters": shard.values,
-        "seed": shard.seed,
-        "inputs": (*shard.all_inputs, *(manifest.ref for manifest in followed(shard, store))),
-        "files": [(Path(file.path).name, file.sha256) for file in shard.files],
-        "reads": {what: [places[ref] for ref in refs] for what, refs in shard.inputs.items()},
-        "after": shard.after,
-        "replaces": shard.replaces,
-    }
-
-
-def commit(
-    shard: Shard,
-    store: Store,
-    *,
-    tables: Mapping[str, Mapping[str, Any]],
-    facts: Facts,
-    attachments: Mapping[str, bytes] | None = None,
-    sources: Sequence[SourceCredit] = (),
-    verdict: Verdict | None = None,
-    parts: Mapping[str, Verdict] | None = None,
-) -> ArtifactRef:
-    """Commit a shard's tables under its key, and the facts that later planning reads.
-
-    A verdict is kept with the facts, for the console and the report; so are those of its parts by name, such as each
-    person of a sequence, for the report and the table of verdicts.  The manifest names the shard's inputs and the
-    artifacts of the shards it follows.
-    """
-    return store.commit(
-        **artifact_fields(shard, store),
-        tables=tables,
-        attachments=attachments or {},
-        facts={
-            **facts.to_json(),
-            **({} if verdict is None else {VERDICT_FACT: verdict.to_json()}),
-            **({PARTS_FACT: {name: part.to_json() for name, part in parts.items()}} if parts else {}),
-        },
-        sources=sources,
-    )
-
-
-def join_columns(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the rows of several parts of a table as one, lists as lists and arrays as arrays; no column of no part."""
-    return {
-        name: list(chain.from_iterable(part[name] for part in parts))
-        if isinstance(parts[0][name], list)
-        else np.concatenate([part[name] for part in parts])
-        for name in (parts[0] if parts else ())
-    }
-
-
-def verdict_of(manifest: Manifest) -> Verdict | None:
-    """Return what a shard thinks of its result; None where it judged nothing."""
-    values = manifest.facts.get(VERDICT_FACT)
-    return None if values is None else Verdict.from_json(values)
-
-
-def verdicts_of_parts(manifest: Manifest) -> dict[str, Verdict]:
-    """Return what a shard thinks of the parts of its result, by name; empty where it judged none."""
-    return {name: Verdict.from_json(values) for name, values in manifest.facts.get(PARTS_FACT, {}).items()}
-
-
-def followed(shard: Shard, store: Store) -> list[Manifest]:
-    """Return the artifacts of the shards that this one comes after.
-
-    Raises:
-        InputError: One is not there.
-    """
-    found = []
-    for key in shard.after:
-        if (manifest := store.find(shard.stage, key)) is None:
-            raise InputError(
-                f"{shard.stage}@{key[:12]}, which {shard.partition} {shard.name} continues, is not in the store"
-            )
-        found.append(manifest)
-    return found
-
-
-def stream(seed: int, *labels: str | int) -> np.random.Generator:
-    """Return the random generator of (seed, labels...): the labels say what it is for, never who runs it.
-
-    Text labels enter by their sha256, so streams of different labels are independent.
-    """
-    words = [seed]
-    for label in labels:
-        if isinstance(label, int):
-            words.append(label)
-        else:
-            digest = hashlib.sha256(label.encode()).digest()
-            words.extend(int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
-    return np.random.default_rng(np.random.SeedSequence(words))

@@ -23,7 +23,7 @@ from tasks.facts import (
     VariantFacts,
     facts_of,
 )
-from tasks.stage import verdict_of, verdicts_of_parts
+from tasks.judgements import verdict_of, verdicts_of_parts
 
 _APART = "evaluation"
 """The stage whose partitions, topics, are judged one by one."""

@@ -12,9 +12,10 @@ from pasdedeux.cameras.views import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns
-from tasks.facts import SequenceFacts, ViewFacts
+from tasks.committing import commit
+from tasks.facts import SequenceFacts, ViewFacts, merge_takes, shares_takes
 from tasks.priors import default_origin, read_torso_basis
-from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName, commit, merge_takes, shares_takes
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
 
 VIEWS = StageName("views", 4)
 

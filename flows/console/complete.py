@@ -15,7 +15,7 @@ from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, wr
 from pasdedeux.plain_text import counted
 from storage_schema import parse_reference, resolve, source_credits
 from tasks.draw_sets import read_all_draws
-from tasks.stage import merge_takes
+from tasks.facts import merge_takes
 from tasks.user_files import read_file
 
 

@@ -39,7 +39,7 @@ from tasks.facts import TakeFacts
 from tasks.ingest.files import load_file
 from tasks.ingest.takes.parameters import PersonOptions
 from tasks.ingest.takes.resolution import resolve_file
-from tasks.stage import verdict_of
+from tasks.judgements import verdict_of
 from tasks.takes import read_take
 
 _MISFIT_M = 0.05

@@ -31,7 +31,7 @@ from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownRefe
 from storage_schema.references import find_rows
 from tasks.curation import IDENTITY, rows_without
 from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
-from tasks.stage import verdict_of
+from tasks.judgements import verdict_of
 from tasks.takes import read_motion, read_variants, take_of
 
 MOVING = ("poses", "variants", "motions")

@@ -15,7 +15,7 @@ from pasdedeux.learning.registry import Weights, write_weights
 from pasdedeux.plain_text import markdown_text
 from storage_schema import Manifest, Store, latest_studies
 from tasks.facts import ModelFacts, TakeFacts
-from tasks.stage import verdict_of
+from tasks.judgements import verdict_of
 from tasks.training.run import load_stored
 
 

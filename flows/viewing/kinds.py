@@ -27,8 +27,8 @@ from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, SeenPair, place_of, read_seen_pairs
 from tasks.facts import MotionFacts
+from tasks.judgements import verdicts_of_parts
 from tasks.projections import read_database
-from tasks.stage import verdicts_of_parts
 from tasks.takes import rate_of, read_motion, read_objects, take_of
 
 IMAGE_HEIGHT_M = 2.0

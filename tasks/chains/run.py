@@ -31,9 +31,12 @@ from pasdedeux.sampling.warm_up import disperse, warm_up
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
-from tasks.facts import ChainFacts, DrawFacts
+from tasks.committing import commit, followed
+from tasks.facts import ChainFacts, DrawFacts, merge_takes
+from tasks.kept import kept
 from tasks.priors import read_limits
-from tasks.stage import Shard, commit, followed, kept, merge_takes, stream
+from tasks.stage import Shard
+from tasks.streams import stream
 
 Refs = tuple[ArtifactRef, ...]
 _NUM_HYPOTHESES = 4

@@ -36,8 +36,10 @@ from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
+from tasks.kept import kept
 from tasks.selection import READS, SelectedPairs, select_pairs
-from tasks.stage import Parameters, Shard, StageInputs, kept, stream
+from tasks.stage import Parameters, Shard, StageInputs
+from tasks.streams import stream
 from tasks.takes import takes_of
 
 SPLITS = ("annotated", "unannotated", "held_out")

@@ -24,7 +24,8 @@ from tasks.evaluation.augmentation import contact_drifts, variant_player
 from tasks.evaluation.realism import LearnedSettings, train_on_real
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
-from tasks.stage import Shard, StageInputs, stream
+from tasks.stage import Shard, StageInputs
+from tasks.streams import stream
 from tasks.takes import takes_of
 from tasks.training.items import StoredVariants, interaction_of
 

@@ -41,7 +41,8 @@ from tasks.draw_sets import density_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import SequenceFacts
-from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs
+from tasks.streams import stream
 from tasks.takes import takes_of
 
 Nearest = Mapping[int, Array]

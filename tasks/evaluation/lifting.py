@@ -39,7 +39,8 @@ from tasks.draw_sets import GROWN, density_of, draw_manifests, read_all_draws, r
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
 from tasks.facts import LiftedFacts, SequenceFacts
-from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs
+from tasks.streams import stream
 from tasks.takes import takes_of
 
 _BASELINES = ("mean_pair", "lifting", "lifting_ik", "naive_sampling", "straight", "nearest_draw")

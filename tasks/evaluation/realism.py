@@ -22,7 +22,8 @@ from storage_schema import Manifest, Store
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
-from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs
+from tasks.streams import stream
 from tasks.takes import read_take, takes_of
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored, refuse_without_torch

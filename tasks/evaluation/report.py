@@ -20,9 +20,11 @@ from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
+from tasks.committing import commit, followed
 from tasks.evaluation.topic import EVALUATION, ScoresOf, Topic
-from tasks.facts import Facts, TakeFacts, TopicFacts
-from tasks.stage import Parameters, Shard, StageInputs, commit, followed, merge_takes, verdict_of
+from tasks.facts import Facts, TakeFacts, TopicFacts, merge_takes
+from tasks.judgements import verdict_of
+from tasks.stage import Parameters, Shard, StageInputs
 from tasks.summary import judge, summary_of
 
 PARTITION = "report"

@@ -18,7 +18,8 @@ from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import TakeFacts
-from tasks.stage import Parameters, Shard, StageInputs, verdict_of
+from tasks.judgements import verdict_of
+from tasks.stage import Parameters, Shard, StageInputs
 from tasks.takes import read_motion
 
 _CLOSE_M = 0.15

@@ -39,9 +39,10 @@ from pasdedeux.reconstruction.unseen_views import (
 )
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
-from tasks.facts import Facts, TakeFacts
+from tasks.facts import Facts, TakeFacts, merge_takes
 from tasks.projections import clusters_of, read_clusters, read_database
-from tasks.stage import Parameters, Shard, StageInputs, merge_takes, stream
+from tasks.stage import Parameters, Shard, StageInputs
+from tasks.streams import stream
 from tasks.takes import read_motion
 
 _BASELINES = (Method.NEAREST.value, BEST, STILL, "truth")

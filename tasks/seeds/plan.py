@@ -9,7 +9,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.facts import TakeFacts
+from tasks.facts import TakeFacts, shares_takes
 from tasks.seeds.files import SeedFile, load_seed
 from tasks.seeds.parameters import (
     GROWN_OF_2D_ALONE,
@@ -23,7 +23,7 @@ from tasks.seeds.parameters import (
     LiftedSeeds,
     SeedsParameters,
 )
-from tasks.stage import Shard, StageInputs, shares_takes
+from tasks.stage import Shard, StageInputs
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:

@@ -18,11 +18,13 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.annotated_pairs import PlacedPairs, gather
-from tasks.facts import SeedFacts, TakeFacts
+from tasks.committing import commit, followed
+from tasks.facts import SeedFacts, TakeFacts, merge_takes
 from tasks.priors import read_limits, read_torso_basis
 from tasks.seeds.files import FileSeed, credits_of, read_seed
 from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeeds
-from tasks.stage import Shard, commit, followed, merge_takes, stream
+from tasks.stage import Shard
+from tasks.streams import stream
 from tasks.takes import read_motion
 
 MIN_GROWN_SHARE = 0.5

@@ -23,9 +23,11 @@ from threadpoolctl import ThreadpoolController
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, CorruptArtifact, StorageError, Store, lineage
 from storage_schema.store import SHARD_S
+from tasks.committing import artifact_fields
+from tasks.kept import forget_kept
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
-from tasks.stage import Shard, artifact_fields, forget_kept
+from tasks.stage import Shard
 
 if TYPE_CHECKING:
     from distributed import Client

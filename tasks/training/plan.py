@@ -12,7 +12,8 @@ from storage_schema import Manifest
 from tasks.augmentation import planned_variations, variations
 from tasks.curation import rejections
 from tasks.facts import TakeFacts, VariantFacts
-from tasks.stage import Shard, StageInputs, StageName, stream
+from tasks.stage import Shard, StageInputs, StageName
+from tasks.streams import stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import SegmentParameters, TrainingParameters
 

@@ -16,8 +16,10 @@ from pasdedeux.learning.settings import has_torch
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.committing import commit, followed
 from tasks.facts import ModelFacts
-from tasks.stage import Shard, commit, followed, stream
+from tasks.stage import Shard
+from tasks.streams import stream
 from tasks.training.items import StoredVariants
 from tasks.training.parameters import SegmentParameters
 from tasks.training.plan import split_variants

@@ -19,20 +19,11 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.facts import Facts, TakeFacts
+from tasks.committing import commit
+from tasks.facts import Facts, TakeFacts, merge_takes
 from tasks.graph import Graph
-from tasks.stage import (
-    EarlyPlan,
-    Parameters,
-    Shard,
-    SourceFile,
-    Stage,
-    StageInputs,
-    StageName,
-    commit,
-    merge_takes,
-    stream,
-)
+from tasks.stage import EarlyPlan, Parameters, Shard, SourceFile, Stage, StageInputs, StageName
+from tasks.streams import stream
 
 __all__ = ["TOYS"]
 

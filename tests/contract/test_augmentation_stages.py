@@ -24,7 +24,8 @@ from tasks.augmentation import AugmentationParameters, batch_of
 from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
-from tasks.stage import Parameters, Shard, StageInputs, verdict_of
+from tasks.judgements import verdict_of
+from tasks.stage import Parameters, Shard, StageInputs
 from tasks.summary import stage_verdict
 from tasks.takes import read_take
 from tasks.training import STAGE as TRAINING

@@ -39,9 +39,10 @@ from tasks.ingest.film.readers import open_film, read_film
 from tasks.ingest.film.resolution import CorrectedShot
 from tasks.ingest.film.run import find_videos
 from tasks.ingest.parameters import IngestParameters
+from tasks.judgements import verdict_of
 from tasks.seeds.parameters import SeedsParameters
 from tasks.seeds.plan import check_study
-from tasks.stage import StageInputs, verdict_of
+from tasks.stage import StageInputs
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations

@@ -20,8 +20,9 @@ from tasks import chains, lifting
 from tasks.chains import ChainsParameters
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
+from tasks.judgements import verdict_of
 from tasks.lifting import LiftingParameters
-from tasks.stage import StageInputs, verdict_of
+from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, pairs_of, run, with_seeds
 from tests.builders.storage_rows import put, random_columns, take_rows
 

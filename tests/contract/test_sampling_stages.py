@@ -24,7 +24,8 @@ from tasks import chains
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chains import ChainsParameters, SegmentParameters
 from tasks.chains.run import chain_problem
-from tasks.stage import StageInputs, verdict_of
+from tasks.judgements import verdict_of
+from tasks.stage import StageInputs
 from tests.builders.sampling_store import (
     QUICK,
     draws_of,

@@ -115,7 +115,7 @@ FAULTS = (
           'for take in map(TakeFacts.of, inputs.of("poses")) if take.is_held_out}',
           'for take in map(TakeFacts.of, inputs.of("poses")) if not take}',
           "contract/test_seed_files.py::test_a_seed_made_from_a_take_that_is_held_out_is_refused"),
-    Fault("views are lifted with a basis of their own take", "tasks/stage.py",
+    Fault("views are lifted with a basis of their own take", "tasks/facts.py",
           'return not set(Facts.of(one).takes).isdisjoint', 'return not set(Facts.of(one).kind).isdisjoint',
           "contract/test_prior_and_view_stages.py::test_a_take_is_not_lifted_with_a_basis_that_was_learned_from_it"),
     Fault("duets are lifted with a basis of duets", "tasks/priors.py",
@@ -342,9 +342,9 @@ FAULTS = (
     Fault("what follows a forced shard is fresh", "flows/planning.py",
           "if is_forced or is_lost or shard.key in behind:", "if is_forced or is_lost:", "unit/test_flows_planning.py::"
           "test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again"),
-    Fault("a random stream has no label", "tasks/stage.py", "int.from_bytes(digest[i : i + 4], \"little\")", "0",
+    Fault("a random stream has no label", "tasks/streams.py", "int.from_bytes(digest[i : i + 4], \"little\")", "0",
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
-    Fault("a random stream has no seed", "tasks/stage.py", "words = [seed]", "words = [0]",
+    Fault("a random stream has no seed", "tasks/streams.py", "words = [seed]", "words = [0]",
           "unit/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
     Fault("a shard starts before what it comes after", "tasks/shards/running.py",
           "self._store_root, *before, key", "self._store_root, key", "unit/test_flows_execution.py::"

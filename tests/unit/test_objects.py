@@ -26,7 +26,8 @@ from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.facts import TakeFacts
 from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs, verdict_of
+from tasks.judgements import verdict_of
+from tasks.stage import StageInputs
 from tasks.takes import read_take
 from tests.builders.moving_pairs import swaying_people
 

@@ -27,6 +27,7 @@ from storage_schema import ArtifactRef, Store
 from storage_schema.durable import cache_folder
 from storage_schema.provenance import package_versions
 from tasks.ingest.film.detector_files import NetworkAddress
+from tasks.kept import kept
 from tasks.shards import (
     ClusterError,
     ClusterPool,
@@ -41,7 +42,7 @@ from tasks.shards import (
     worker_environment,
 )
 from tasks.shards.profiles import cluster_class, read_profile, started
-from tasks.stage import Shard, StageInputs, kept
+from tasks.stage import Shard, StageInputs
 from tests.builders.toy_runs import ROOT
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from storage_schema import ArtifactRef
-from tasks.stage import Parameters, Shard, SourceFile, stream
+from tasks.stage import Parameters, Shard, SourceFile
+from tasks.streams import stream
 
 
 class Named(Parameters):

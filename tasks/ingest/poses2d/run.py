@@ -16,10 +16,11 @@ from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.committing import commit
 from tasks.facts import Couple, SequenceFacts
 from tasks.ingest.poses2d.parameters import AnnotationParameters
 from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, MAX_NAMED_FILES, FoundAnnotations
-from tasks.stage import Shard, commit
+from tasks.stage import Shard
 from tasks.user_files import digest_of
 
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4

@@ -19,7 +19,8 @@ from pasdedeux.formats.registry import MOTION_FORMATS
 from pasdedeux.plausibility.capture import JUDGED
 from storage_schema import SourceCredit
 from tasks.ingest.common import ID, one_of
-from tasks.stage import Parameters, stream
+from tasks.stage import Parameters
+from tasks.streams import stream
 
 BUILT_IN_DUETS = tuple(DUETS)
 MappingTable = dict[str, str | dict[str, float]]

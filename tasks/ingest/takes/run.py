@@ -29,10 +29,11 @@ from pasdedeux.projections.sources import resample_positions
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, resolve_layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
+from tasks.committing import commit
 from tasks.facts import TakeFacts
 from tasks.ingest.files import read_again
 from tasks.ingest.takes.parameters import DuetParameters, PersonParameters, TakeParameters
-from tasks.stage import Shard, commit
+from tasks.stage import Shard
 
 AWAY_M = 1.0
 """Who touches an object comes nearer than this to it with some joint."""

@@ -25,9 +25,11 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
+from tasks.committing import commit, followed, join_columns
 from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
 from tasks.ingest.virtual_video.parameters import UNIFORM_PITCH_DEG, VideoParameters
-from tasks.stage import Shard, commit, followed, join_columns, stream
+from tasks.stage import Shard
+from tasks.streams import stream
 from tasks.takes import read_motion
 
 NEIGHBOURS = 2

@@ -259,15 +259,6 @@ def test_stored_rotations_play_the_variant_on_its_own_skeleton(store: Store) -> 
     assert np.abs(played - first).max() < 0.08
 
 
-def test_asking_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None:
-    take = put_take(store, "pair")
-    other = Store(tmp_path / "other")
-    put_take(other, "pair")
-    one = augment(store, [take], kinds=("uniform", "groups"), scales=(0.9,), persons=("AB",))
-    two = augment(other, [take], kinds=("uniform", "groups"), scales=(0.9,), persons=("AB",))
-    assert [m.ref for m in one] == [m.ref for m in two]
-
-
 def plan_training(takes: list[Manifest], variants: list[Manifest], **parameters: Any) -> list[Shard]:
     inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
     return TRAINING.plan(inputs, TRAINING.parameters(**parameters))

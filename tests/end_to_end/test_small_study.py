@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import json
 from collections import Counter
 from dataclasses import replace
@@ -189,22 +188,6 @@ def test_status_and_verify_find_everything_in_place(small: BuiltStudy, capsys: p
     assert verified.json["num_artifacts"] == len(list(Store(small.store).artifacts()))
 
 
-def test_poses_go_out_as_bvh_that_our_reader_reads_back(
-    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    export(small, capsys, "poses:small", "bvh", tmp_path)
-    assert {path.stem for path in tmp_path.glob("*.bvh")} == {"waltz_A", "waltz_B", "hug_A", "hug_B"}
-    poses = open_table("poses:small", small.store)
-    for take in ("waltz", "hug"):
-        for person, letter in enumerate("AB"):
-            rows = (poses["take_id"] == take) & (poses["person"] == person)
-            source = read_bvh((tmp_path / f"{take}_{letter}.bvh").read_bytes())
-            assert source.rate_hz == RATE_HZ
-            motion = source.to_motion(metres_per_unit=0.01, rate_hz=source.rate_hz)
-            found = joints_of(motion, BODY22)
-            np.testing.assert_allclose(found, poses["body22_m"][rows], atol=1e-5)
-
-
 def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
     small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -277,26 +260,6 @@ def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:
     """Return the world positions (frame, joint, 3) of a motion in the order of a working skeleton."""
     positions, _ = motion.world()
     return np.asarray(positions[:, [motion.skeleton.index(name) for name in skeleton.joint_names]])
-
-
-@pytest.mark.parametrize("table", ["poses", "variants", "motions"])
-def test_tables_go_out_as_npz_and_csv_row_by_row(
-    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str
-) -> None:
-    rows = open_table(f"{table}:small", small.store)
-    column = {"poses": "pair17_m", "variants": "body22_m", "motions": "op14_m"}[table]
-    export(small, capsys, f"{table}:small", "npz", tmp_path)
-    with np.load(tmp_path / f"{table}.npz", allow_pickle=False) as arrays:
-        np.testing.assert_array_equal(arrays[column], rows[column])
-        assert {name for name in arrays if not name.endswith("_offsets")} == set(rows.column_names)
-    export(small, capsys, f"{table}:small", "csv", tmp_path)
-    with (tmp_path / f"{table}.csv").open(newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    assert len(lines) == rows.num_rows
-    names = [name for name in lines[0] if name.startswith(f"{column}.")]
-    found = np.array([[float(line[name]) for name in names] for line in lines])
-    np.testing.assert_allclose(found, rows[column].reshape(rows.num_rows, -1), rtol=1e-6)
-    assert [int(line["frame"]) for line in lines] == rows["frame"].tolist()
 
 
 def export(small: BuiltStudy, capsys: pytest.CaptureFixture[str], reference: str, file_format: str, out: Path) -> None:

@@ -261,23 +261,6 @@ def in_mid_shard_elsewhere(
             yield outside, run
 
 
-def test_a_full_disk_in_a_shard_is_one_sentence_that_names_it_and_the_run_can_be_finished(
-    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
-) -> None:
-    (tmp_path / "gates").mkdir()
-    fault = tmp_path / "gates" / "fail-bend-t1-s0"
-    fault.touch()
-    code, _, err = start().finish()
-    assert code == 1
-    last = next(line for line in reversed(err.splitlines()) if line.startswith("error: "))
-    assert last.startswith("error: stage bend, t1, shard s0: ")
-    assert "No space left on device" in last
-    assert "Traceback" not in err
-    fault.unlink()
-    assert start("--workers", "0").finish()[0] == 0
-    assert digests(tmp_path / "store") == undisturbed
-
-
 @pytest.mark.parametrize("workers", ["0", "2"])
 def test_shards_and_stages_that_need_nothing_of_what_failed_are_finished(
     start: Start, tmp_path: Path, undisturbed: dict[str, list[str]], workers: str

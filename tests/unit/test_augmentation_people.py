@@ -17,7 +17,7 @@ from tests.builders.moving_pairs import standing_person, swaying_people
 
 
 @pytest.mark.parametrize("solver", ["bulk", "polished"])
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("count", [1, 2, 3])
 def test_bones_are_exact_and_the_source_is_its_own_variant_for_any_number(count: int, solver: str) -> None:
     source = Source(swaying_people(count, 12), 30.0)
     scales = np.random.default_rng(count).uniform(0.8, 1.2, (count, 22))

@@ -293,14 +293,6 @@ def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path
     assert not (tmp_path / LOOK).exists()
 
 
-def test_export_as_bvh_of_a_table_without_motion_is_refused(
-    built: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call("export", "scores:toy", "--store", built[1], "--format", "bvh", "--out", str(tmp_path / "x")) == 2
-    assert "cannot be written as BVH" in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
-
-
 def test_a_dataset_is_made_once_and_named_again(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     store = built[1]
     assert call("dataset", "create", "first", "--study", "toy", "--store", store) == 0

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
@@ -58,6 +59,16 @@ def density_of(manifest: Manifest) -> str:
 def is_set(manifest: Manifest) -> bool:
     """Tell whether an artifact has pairs that count as draws although no chain drew them: grown or filled ones."""
     return "seeds" in manifest.tables and SeedFacts.of(manifest).kind in (GROWN, FILLED)
+
+
+def is_chain(manifest: Manifest) -> bool:
+    """Tell whether an artifact has draws of one chain, not of short ones from many pairs."""
+    return "draws" in manifest.tables and not DrawFacts.of(manifest).num_starts
+
+
+def knows_annotations(manifest: Manifest) -> bool:
+    """Tell whether the pairs of an artifact are more than a baseline: not those of the prior alone."""
+    return not density_of(manifest).startswith(PRIOR_ONLY)
 
 
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:

@@ -195,12 +195,13 @@ class ChainFacts(Facts):
 
 
 class DrawFacts(ChainFacts):
-    """A segment of a chain."""
+    """A segment of a chain, or the ends of short chains from `num_starts` pairs, the first of which is the seed."""
 
     kind: Literal["draws"] = "draws"
     chain: int = 0
     segment: int = 0
     num_draws: int = 0
+    num_starts: int = 0
     log_seed: float = 0.0
     log_ceiling: float | None = None
     sigma_l: float | None = None

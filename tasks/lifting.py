@@ -29,14 +29,22 @@ from pasdedeux.reconstruction.annotated import (
     lift_over_time,
 )
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
 from tasks.committing import commit
-from tasks.draw_sets import DrawSet, density_of, draw_manifests, read_all_draws, read_draw_sets, reference_to
+from tasks.draw_sets import (
+    DrawSet,
+    density_of,
+    draw_manifests,
+    is_chain,
+    knows_annotations,
+    read_all_draws,
+    read_draw_sets,
+    reference_to,
+)
 from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
 from tasks.kept import kept
 from tasks.priors import read_limits, read_torso_basis
@@ -96,7 +104,7 @@ def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     Raises:
         InputError: Draws are to be compared that are not there.
     """
-    draws = [one for one in draw_manifests(inputs) if density_of(one) != PRIOR_ONLY]
+    draws = [one for one in draw_manifests(inputs) if knows_annotations(one)]
     if not draws:
         return []
     names = sorted({density_of(one) for one in draws})
@@ -354,7 +362,7 @@ def lift_again(
     """
     inputs = [store.manifest(ref) for ref in at_hand]
     tables = {table: [one for one in inputs if table in one.tables] for table in ("draws", "seeds")}
-    draws_of = [one for one in draw_manifests(StageInputs(tables, seed=0)) if density_of(one) != PRIOR_ONLY]
+    draws_of = [one for one in draw_manifests(StageInputs(tables, seed=0)) if knows_annotations(one)]
     if not draws_of:
         raise InputError("lifting needs draws of a density beside prior_only, or grown pairs; there are none")
     draws, index = _indexed_draws(store, tuple(one.ref for one in draws_of))
@@ -374,18 +382,26 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
     Couples that share person A are one here: what was lifted from either is of the same person at the same moment.
     """
     names = ["seed_index", "sequence_id", "sequence_frame", "sequence_person_id", "filled_from"]
-    tables = {reference_to("seeds", ref): ref for ref in refs if "seeds" in store.manifest(ref).tables}
-    read = {reference: store.read(ref, "seeds", columns=names) for reference, ref in tables.items()}
     images: dict[int, tuple[str, int, int]] = {}
-    for table in read.values():
-        for seed, sequence, *numbers in zip(*(table[name] for name in names[:4]), strict=True):
+    parents: dict[int, list[int]] = {}
+    seeds: dict[str, np.ndarray] = {}
+    for manifest in map(store.manifest, refs):
+        if is_chain(manifest):
+            continue
+        kind = "seeds" if "seeds" in manifest.tables else "draws"
+        table = store.read(manifest.ref, kind, columns=names if kind == "seeds" else names[:1])
+        seeds[reference_to(kind, manifest.ref)] = np.asarray(table["seed_index"])
+        if kind == "draws":
+            continue
+        for seed, sequence, frame, person, filled_from in zip(*(table[name] for name in names), strict=True):
+            parents[int(seed)] = [int(seed), *filled_from.tolist()]
             if sequence is not None:
-                images[int(seed)] = str(sequence), int(numbers[0]), int(numbers[1])
+                images[int(seed)] = str(sequence), int(frame), int(person)
     found: dict[tuple[str, int, int], list[int]] = {}
-    for reference in read.keys() & set(draws.refs):  # neither draws of chains nor seeds of which none has grown
-        rows, table = np.flatnonzero(draws.artifacts == draws.refs.index(reference)), read[reference]
-        for draw, seed, parents in zip(rows.tolist(), table["seed_index"], table["filled_from"], strict=True):
-            for image in {images[one] for one in (int(seed), *parents.tolist()) if one in images}:
+    for artifact, reference in enumerate(draws.refs):
+        rows = np.flatnonzero(draws.artifacts == artifact)
+        for draw, seed in zip(rows.tolist(), seeds.get(reference, ()), strict=False):
+            for image in {images[one] for one in parents.get(int(seed), ()) if one in images}:
                 found.setdefault(image, []).append(draw)
     return found
 

@@ -41,8 +41,8 @@ MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
-_DENSITY = "ic"
-"""Density whose draws enter: the one that compares with annotations."""
+_DENSITIES = ("ic", "ic_repaired")
+"""Draws that enter: those of the density that compares with annotations."""
 
 
 Pitches = tuple[Annotated[float, Field(gt=-90, lt=90)], ...]
@@ -101,7 +101,7 @@ def plan_poses(inputs: StageInputs, parameters: ProjectionsParameters) -> list[S
         ("take", take.take_id, manifest) for take, manifest in takes if not take.is_held_out
     ]
     if parameters.include_draws or (parameters.include_draws is None and not found):
-        draws = [manifest for manifest in inputs.of("draws") if DrawFacts.of(manifest).density == _DENSITY]
+        draws = [manifest for manifest in inputs.of("draws") if DrawFacts.of(manifest).density in _DENSITIES]
         found += [("draw", manifest.partition, manifest) for manifest in draws]
     shards = []
     for origin, partition, manifest in found:

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.draw_sets import density_of, is_set, reference_to
+from tasks.draw_sets import density_of, is_chain, is_set, knows_annotations, reference_to
 from tasks.facts import DrawFacts
 from tasks.judgements import verdict_of
 from tasks.kept import kept
@@ -90,7 +89,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     """
     manifests = [store.manifest(ref) for ref in refs]
     grown = [one for one in manifests if is_set(one)]
-    drawn = [one for one in manifests if "draws" in one.tables and density_of(one) != PRIOR_ONLY]
+    drawn = [one for one in manifests if "draws" in one.tables and knows_annotations(one)]
     limits = read_limits(store, refs)
     chains = _read_chains(store, manifests)
     selector = PairSelector(count)
@@ -101,12 +100,13 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
         table = store.read(manifest.ref, _table(manifest), columns=["log_prior", "pair17_m"])
         pairs, log_prior = np.asarray(table["pair17_m"]), np.asarray(table["log_prior"])
         rows, share = np.flatnonzero(log_prior >= MIN_LOG_PRIOR), 1.0
-        if _table(manifest) == "draws":
+        if is_chain(manifest):
             share = _chain_of(chains, manifest).share
             num_plausible += len(rows)
         elif len(rows):
-            prior = PriorSettings.model_validate(dict(manifest.parameters), extra="ignore")
-            rows = rows[seed_quality(pairs[rows], limits, prior).is_possible]
+            if is_set(manifest):  # no chain leaves the joint limits
+                prior = PriorSettings.model_validate(dict(manifest.parameters), extra="ignore")
+                rows = rows[seed_quality(pairs[rows], limits, prior).is_possible]
             num_plausible += len(rows)
             rows = rows[PairSelector(1, min_room=len(rows)).add(pairs[rows], *np.ones((2, len(rows))))]
         selector.add(pairs[rows], np.full(len(rows), share), log_prior[rows])
@@ -158,6 +158,12 @@ def _chain_of(chains: Mapping[tuple[Any, ...], _Chain], manifest: Manifest) -> _
     return chains[place]
 
 
+def _origin_of(manifest: Manifest) -> str:
+    if "draws" in manifest.tables:
+        return "draw" if is_chain(manifest) else "repaired"
+    return density_of(manifest).removesuffix("_seeds")
+
+
 def _origins(
     store: Store, chosen: Sequence[tuple[_Part, np.int64]], chains: Mapping[tuple[Any, ...], _Chain]
 ) -> dict[str, list[Any]]:
@@ -166,7 +172,7 @@ def _origins(
     for part in {part.first: part for part, _ in chosen}.values():
         name, verdict = _table(part.manifest), verdict_of(part.manifest)
         thought = {"verdict": verdict.level.value, "reason": verdict.reason} if verdict else {}
-        if name == "draws":
+        if is_chain(part.manifest):
             chain = _chain_of(chains, part.manifest)
             thought = {"verdict": chain.verdict, "reason": chain.reason}
         table = store.read(part.manifest.ref, name, columns=[*_SHARED, *_OWN[name]])
@@ -175,7 +181,7 @@ def _origins(
                 "verdict": Level.NOT_JUDGED.value,
                 "reason": "",
                 **thought,
-                "origin": "draw" if name == "draws" else density_of(part.manifest).removesuffix("_seeds"),
+                "origin": _origin_of(part.manifest),
                 "reference": f"{reference_to(name, part.manifest.ref)}#{row}",
                 **dict.fromkeys(column for own in _OWN.values() for column in own),
                 **{column: table[column][row] for column in table},

@@ -145,7 +145,7 @@ def export_selection(
 
 def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:
     """Tell whether somebody rejected a selected pair where it lies, as a draw or as a seed."""
-    table = "draws" if row["origin"] == "draw" else "seeds"
+    table = "draws" if row["origin"] in ("draw", "repaired") else "seeds"
     name = "/".join(str(row[column]) for column in IDENTITY[table])
     return rejections(choices, table).get(name) == content_of(row["pair17_m"])
 

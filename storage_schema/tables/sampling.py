@@ -115,7 +115,7 @@ SEEDS = Table(
 
 DRAWS = Table(
     name="draws",
-    meaning="One row per kept draw of a chain.",
+    meaning="One row per kept draw of a chain, or per repaired pair: where a short chain from a grown one ends.",
     sorted_by=("density", "seed_index", "chain", "draw"),
     columns=(
         *CHAIN_ID,
@@ -181,7 +181,7 @@ SELECTED_PAIRS = Table(
         integer("rank", "Order of choice, from 0: the first n rows are the selection of n"),
         float64("distance_m", "Distance D_C to the nearest row before; null for the first", unit="m", is_nullable=True),
         float64("weight", "Independent pairs among all that are nearer to this row than to any other"),
-        text("origin", "draw (of a chain), grown (from a seed) or filled (in between grown ones)"),
+        text("origin", "draw (of a chain), repaired (end of a short one), grown (from a seed), filled (in between)"),
         text("reference", "Reference of that draw or seed"),
         text("density", "Density that the chain sampled; null for other pairs", is_nullable=True),
         SEED_INDEX.with_meaning("Seed the chain started from; the index of another pair itself"),

@@ -11,6 +11,7 @@ from pasdedeux.sampling.densities import DENSITIES
 from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import PRIOR_ONLY, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
+from pasdedeux.sampling.repair import RepairSettings
 from pasdedeux.settings import Settings
 from tasks.stage import Parameters
 from tasks.sweep import SweptParameters
@@ -49,7 +50,7 @@ class RunSettings(Settings):
     )
 
 
-class ChainsParameters(SweptParameters, RunSettings, TargetSettings, AnnotationSettings):
+class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSettings, AnnotationSettings):
     """What is sampled, how much, and with which steps.
 
     A sweep samples the first of its densities and keeps the draws under its own name.
@@ -60,9 +61,10 @@ class ChainsParameters(SweptParameters, RunSettings, TargetSettings, AnnotationS
         min_length=1,
         description="Densities: " + ", ".join(f"{kind.name} ({kind.meaning})" for kind in DENSITIES.values()),
     )
-    starts: Literal["all", "seeds", "grown"] = Field(
+    starts: Literal["all", "seeds", "grown", "every"] = Field(
         "all",
-        description="Where chains start: the seeds and chosen grown ones, or only either of them",
+        description="Where chains start: the seeds and chosen grown ones, or only either of them; every: a short chain "
+        "from every grown and filled pair, of which the end is kept, under the density's name and `_repaired`",
     )
     num_chains: int = Field(default=2, ge=1, le=1000, description="Chains of each seed and density")
     num_draws: int = Field(default=500, ge=1, description="Draws kept of each chain; rounded up to whole segments")
@@ -82,7 +84,8 @@ class ChainsParameters(SweptParameters, RunSettings, TargetSettings, AnnotationS
 
     def named(self) -> dict[str, ChainsParameters]:
         """Return the settings of all chains by the name that draws are kept under, each with one density."""
-        found = {name: self.model_copy(update={"densities": (name,)}) for name in self.densities}
+        end = "_repaired" if self.starts == "every" else ""
+        found = {f"{name}{end}": self.model_copy(update={"densities": (name,)}) for name in self.densities}
         swept = {name: own.model_copy(update={"densities": own.densities[:1]}) for name, own in self.swept().items()}
         return found | swept
 
@@ -99,6 +102,18 @@ class SegmentParameters(Parameters):
     target: TargetSettings
     annotations: AnnotationSettings | None
     proposal: str
+
+
+class RepairParameters(Parameters):
+    """What decides the ends of short chains from some rows of an artifact with grown or filled pairs."""
+
+    name: str
+    density: str
+    first_row: int
+    num_rows: int
+    repair: RepairSettings
+    target: TargetSettings
+    annotations: AnnotationSettings | None
 
 
 class SummaryParameters(Parameters):

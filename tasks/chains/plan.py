@@ -9,22 +9,34 @@ from pasdedeux.sampling.densities import DENSITIES
 from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
+from pasdedeux.sampling.repair import RepairSettings
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.chains.parameters import ChainsParameters, RunSettings, SegmentParameters, SummaryParameters
-from tasks.draw_sets import GROWN
+from tasks.chains.parameters import (
+    ChainsParameters,
+    RepairParameters,
+    RunSettings,
+    SegmentParameters,
+    SummaryParameters,
+)
+from tasks.draw_sets import GROWN, is_set
 from tasks.facts import SeedFacts
 from tasks.stage import Shard, StageInputs, StageName
 
 CHAINS = StageName("chains", 17)
+_STARTS_OF_A_SHARD = 200
 
 Inputs = dict[str, Sequence[Manifest]]
 
 
 def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
-    """Plan, per density and seed, the segments of every chain and then a summary.
+    """Plan, per density and seed, the segments of every chain and then a summary; or the repair of hundreds of pairs.
 
     A segment's key knows its chain and number but not how many draws are asked for, so asking for more extends.
+
+    Raises:
+        InputError: Only densities of annotations are asked for and there are none, or chains are to start from every
+            grown pair and none are to grow.
     """
     wanted = parameters.named()
     read = {name: _read_by(own.densities[0], inputs) for name, own in wanted.items()}
@@ -38,6 +50,9 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     for name, own in wanted.items():
         needed = read[name]
         if needed is None:
+            continue
+        if own.starts == "every":
+            shards += _plan_repair(inputs, name, own, needed)
             continue
         for seed, index in _starts(inputs, own.starts):
             shards += _plan_seed(inputs, name, own, seed, index, needed)
@@ -60,6 +75,33 @@ def _starts(inputs: StageInputs, which: str) -> list[tuple[Manifest, int]]:
         for seed in inputs.of("seeds")
         if which == "all" or (which == "grown") == (SeedFacts.of(seed).kind == GROWN)
         for index in SeedFacts.of(seed).start_indices
+    ]
+
+
+def _plan_repair(inputs: StageInputs, name: str, own: ChainsParameters, needed: Inputs) -> list[Shard]:
+    """Plan the short chains from every grown and filled pair, some hundreds a shard."""
+    pairs = list(filter(is_set, inputs.of("seeds")))
+    if inputs.of("seeds") and not pairs:
+        raise InputError("chains.starts is every, but no pairs grow to start from: say seeds.num_grown")
+    density = DENSITIES[own.densities[0]]
+    return [
+        CHAINS.shard(
+            inputs,
+            name,
+            f"{manifest.name}{first}",
+            RepairParameters(
+                name=name,
+                density=density.name,
+                first_row=first,
+                num_rows=min(_STARTS_OF_A_SHARD, manifest.tables["seeds"].rows - first),
+                repair=own.part(RepairSettings),
+                target=own.part(TargetSettings),
+                annotations=own.part(AnnotationSettings) if density.reads_annotations else None,
+            ),
+            {"seed": [manifest], "joint_limits": inputs.of("joint_limits"), **needed},
+        )
+        for manifest in pairs
+        for first in range(0, manifest.tables["seeds"].rows, _STARTS_OF_A_SHARD)
     ]
 
 

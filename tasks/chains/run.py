@@ -1,4 +1,4 @@
-"""Run one segment of a chain, or diagnose the chains of a seed."""
+"""Run one segment of a chain, diagnose the chains of a seed, or repair hundreds of pairs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,15 @@ from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.sampling.proposals.proposal import Proposal, ProposalInputs
+from pasdedeux.sampling.repair import learn_scales, repair
+from pasdedeux.sampling.seeds import seed_quality
+from pasdedeux.sampling.selection import MIN_LOG_PRIOR
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds
 from pasdedeux.sampling.warm_up import disperse, warm_up
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
-from tasks.chains.parameters import SegmentParameters, SummaryParameters
+from tasks.chains.parameters import RepairParameters, SegmentParameters, SummaryParameters
 from tasks.committing import commit, followed
 from tasks.facts import ChainFacts, DrawFacts, merge_takes
 from tasks.kept import kept
@@ -39,6 +43,8 @@ from tasks.stage import Shard
 from tasks.streams import stream
 
 Refs = tuple[ArtifactRef, ...]
+MIN_PLAUSIBLE_SHARE = 0.9
+"""Share of repaired pairs that must be plausible to be no warning."""
 _NUM_HYPOTHESES = 4
 """Likeliest view hypotheses of an annotation that are used."""
 _ONE_VIEW_RAD = float(np.deg2rad(15.0))
@@ -46,9 +52,11 @@ _ONE_VIEW_RAD = float(np.deg2rad(15.0))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Run one segment of a chain, or summarise the chains of a seed."""
+    """Run one segment of a chain, summarise the chains of a seed, or repair pairs."""
     if isinstance(shard.parameters, SegmentParameters):
         return _run_segment(shard, shard.parameters, store)
+    if isinstance(shard.parameters, RepairParameters):
+        return _repair(shard, shard.parameters, store)
     return _summarise(shard, shard.options(SummaryParameters), store)
 
 
@@ -80,7 +88,7 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             "log_prior": draws.log_prior,
             "log_likelihood": draws.log_likelihood,
             "num_accepted": draws.num_accepted,
-            **_nearest(problem, draws.parameters),
+            **_nearest(problem.evidence, chart.positions(draws.parameters)),
             "take_id": [problem.seed.take_id] * count,
         },
         "chain_states": {
@@ -111,15 +119,90 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
     return commit(shard, store, tables=tables, facts=facts)
 
 
-def _nearest(problem: ChainProblem, parameters: np.ndarray) -> dict[str, Any]:
-    """Return the annotation that each draw (draw, 108) is nearest to, the view, and how near, as columns."""
-    count, likelihood = len(parameters), problem.evidence.likelihood
+def _repair(shard: Shard, options: RepairParameters, store: Store) -> ArtifactRef:
+    """Run a short chain from each of some grown or filled pairs that are possible, and commit where they end."""
+    rows = slice(options.first_row, options.first_row + options.num_rows)
+    table = store.read(shard.ref("seed"), "seeds", columns=["seed_index", "pair17_m"], rows=rows)
+    pairs, indices = np.asarray(table["pair17_m"], dtype=np.float64), np.asarray(table["seed_index"])
+    limits = read_limits(store, shard.refs("joint_limits"))
+    is_possible = seed_quality(pairs, limits, options.target).is_possible
+    pairs, indices = pairs[is_possible], indices[is_possible]
+    facts = DrawFacts(
+        density=options.name,
+        seed_index=int(indices.min(initial=0)),
+        num_draws=len(pairs),
+        num_starts=options.num_rows,
+        takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+    )
+    if not len(pairs):
+        reason = "none of the pairs to repair keeps the joint limits"
+        return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
+    annotations, views, settings = shard.refs("annotations"), shard.refs("views"), options.annotations
+    if settings is not None:
+        sigma_l = options.repair.repair_sigma_l * settings.bandwidth(_gathered(store, annotations, views).gathered)
+        settings = settings.model_copy(update={"sigma_l": sigma_l})
+    # One bank of views for all: with one for each, most of the time would go into making them.
+    evidence = _evidence(store, annotations, views, options.density, settings, shard.seed, 0, needs_speeds=False)
+    sharp = options.target.model_copy(update={"sigma_p_m": options.repair.repair_sigma_p * options.target.sigma_p_m})
+    targets = []
+    for pair in pairs:
+        chart = PairChart(pair)
+        targets.append(PairDensity(chart, PhysicalPrior(chart, limits, sharp), evidence.likelihood, sharp))
+    labels = ("chains", options.name, "repair")
+    scales = learn_scales(targets, stream(shard.seed, *labels, "scales", options.first_row))
+    ends = [
+        repair(target, stream(shard.seed, *labels, int(index)), scales, options.repair.repair_steps)
+        for target, index in zip(targets, indices, strict=True)
+    ]
+    facts = facts.model_copy(
+        update={
+            "sigma_l": evidence.likelihood.sigma_l,
+            "num_annotations_skipped": evidence.num_skipped,
+            "note": evidence.note(),
+        }
+    )
+    parameters = np.concatenate([end.parameters for end in ends])
+    repaired = np.stack([target.chart.positions(own) for target, own in zip(targets, parameters, strict=True)])
+    quality = seed_quality(repaired, limits, options.target)
+    columns = {
+        "density": [options.name] * len(ends),
+        "seed_index": indices,
+        "chain": [0] * len(ends),
+        "draw": [0] * len(ends),
+        "pair17_m": repaired,
+        "parameters": parameters,
+        "log_density": [end.log_density[0] for end in ends],
+        "log_prior": quality.log_prior,
+        "log_likelihood": [end.log_likelihood[0] for end in ends],
+        "num_accepted": [end.num_accepted[0] for end in ends],
+        **_nearest(evidence, repaired),
+        "take_id": [None] * len(ends),
+    }
+    share = float(np.mean(quality.log_prior >= MIN_LOG_PRIOR))
+    is_good = share >= MIN_PLAUSIBLE_SHARE
+    verdict = Verdict(
+        Level.PASS if is_good else Level.WARN,
+        ""
+        if is_good
+        else "many pairs are not plausible after these steps: more of them (chains.repair_steps) may help",
+        figure="repaired pairs that are plausible",
+        value=100.0 * share,
+        unit="%",
+        count=len(ends),
+        thing="pairs",
+    )
+    return commit(shard, store, tables={"draws": columns}, facts=facts, verdict=verdict)
+
+
+def _nearest(evidence: Evidence, pairs_m: np.ndarray) -> dict[str, Any]:
+    """Return the annotation that each pair (draw, 2, 17, 3) is nearest to, the view, and how near, as columns."""
+    count, likelihood = len(pairs_m), evidence.likelihood
     places: list[Place | None] = [None] * count
     views, distances = np.full((count, 3), np.nan), np.full(count, np.nan)
-    for draw, own in enumerate(parameters if len(likelihood.directions) else ()):
-        found = likelihood.nearest(problem.chart.positions(own))
+    for draw, pair_m in enumerate(pairs_m if len(likelihood.directions) else ()):
+        found = likelihood.nearest(pair_m)
         view = int(np.argmin(found.dissimilarity_m))
-        places[draw] = problem.evidence.places[int(found.entry[view])]
+        places[draw] = evidence.places[int(found.entry[view])]
         views[draw], distances[draw] = likelihood.directions[view], found.dissimilarity_m[view]
     return {
         "sequence_id": [place and place.sequence_id for place in places],

@@ -19,6 +19,7 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, read_all_seen, with_views
+from tasks.draw_sets import is_chain
 from tasks.evaluation.lifting import rows_figure
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import DrawFacts
@@ -38,7 +39,7 @@ _STANDING_M = 0.95
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan a shard over the summaries of all chains, and two that show draws of a chain of each density."""
     found = inputs.of("chain_info")
-    shown = _first_chains(inputs.of("draws"))
+    shown = _first_chains(list(filter(is_chain, inputs.of("draws"))))
     named = {"summary": found, "draws": shown}
     shards = [TOPIC.shard(inputs, name, chains=chains) for name, chains in named.items() if chains]
     known = with_views(annotated_pairs(inputs), inputs)

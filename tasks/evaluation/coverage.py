@@ -32,7 +32,7 @@ from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
+from tasks.draw_sets import GROWN, draw_manifests, is_chain, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
@@ -157,7 +157,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     where = known.where(places) if split == "held_out" else None
     selected = select_pairs(store, (*draw_refs, *shard.refs("chains"), *shard.refs("limits")), _REAL_COUNTS[-1])
     if selected.columns:
-        pool = [draws[name] for name in dots if name != PRIOR_ONLY]
+        pool = [draws[name] for name in dots if not name.startswith(PRIOR_ONLY)]
         scores += set_scores(truth, selected, pool, levels, generator, split=split)
         notes.append(f"Selected were {selected.in_words()}.")
     items = {
@@ -257,7 +257,7 @@ def _split(
 
 def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[str, np.ndarray]:
     """Return the draws from the first seed alone of each density that has many others: how far chains walk."""
-    facts = {ref: DrawFacts.of(one) for ref in refs if "draws" in (one := store.manifest(ref)).tables}
+    facts = {ref: DrawFacts.of(one) for ref in refs if is_chain(one := store.manifest(ref))}
     seeds: dict[str, set[int]] = {}
     for fact in facts.values():
         seeds.setdefault(fact.density, set()).add(fact.seed_index)

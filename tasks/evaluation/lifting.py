@@ -30,12 +30,11 @@ from pasdedeux.evaluation.pictures import (
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_all_seen, with_views
-from tasks.draw_sets import GROWN, density_of, draw_manifests, read_all_draws, read_draw_sets
+from tasks.draw_sets import GROWN, draw_manifests, knows_annotations, read_all_draws, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
 from tasks.facts import LiftedFacts, SequenceFacts
@@ -91,7 +90,7 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     takes = takes_of(inputs, 2, or_more=True)
     known = {ref for manifest in lifted for ref in manifest.inputs}
     annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
-    draws = [manifest for manifest in draw_manifests(inputs) if density_of(manifest) != PRIOR_ONLY]
+    draws = [manifest for manifest in draw_manifests(inputs) if knows_annotations(manifest)]
     shown = with_views(annotations, inputs)["annotations"]
     learned = with_views(annotated_pairs(inputs), inputs)["annotations"]
     virtual = [manifest for manifest in annotations if SequenceFacts.of(manifest).is_virtual]

@@ -1,0 +1,83 @@
+"""Chains that start from every grown and filled pair: one end of each, whoever runs them, and where they are read."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.seeds import seed_quality
+from storage_schema import Manifest, Store
+from tasks import chains
+from tasks.chains import ChainsParameters
+from tasks.draw_sets import FILLED, GROWN, read_draw_sets
+from tasks.judgements import verdict_of
+from tasks.seeds.files import pair_of_draw
+from tasks.selection import select_pairs
+from tasks.stage import StageInputs
+from tests.builders.sampling_store import inputs, run, with_seeds
+
+__all__ = ["inputs"]
+
+REPAIR = {"starts": "every", "densities": ("ic",), "num_views": 4, "repair_steps": 20}
+
+
+@pytest.fixture
+def repaired(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> tuple[Store, StageInputs, list[Manifest]]:
+    monkeypatch.setattr(sys.modules["tasks.chains.plan"], "_STARTS_OF_A_SHARD", 12)
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_filled=15)
+    return store, given, run(chains.plan(given, ChainsParameters(**REPAIR)), chains, store)
+
+
+def test_every_grown_and_filled_pair_is_repaired_once(repaired: Any) -> None:
+    store, given, made = repaired
+    assert [manifest.name for manifest in made] == ["grown0", "grown12", "filled0", "filled12"]
+    draws = read_draw_sets(store, [manifest.ref for manifest in (*made, *given.of("seeds")[1:])])
+    assert set(draws) == {"ic_repaired", GROWN, FILLED}
+    starts = np.concatenate([draws[GROWN].pairs_m, draws[FILLED].pairs_m]).astype(np.float64)
+    is_possible = seed_quality(starts, JointLimits.published()).is_possible
+    found = draws["ic_repaired"].pairs_m.astype(np.float64)
+    assert len(found) == is_possible.sum() > 20
+    moved_m = np.linalg.norm(found - starts[is_possible], axis=-1).mean(axis=(1, 2))
+    assert 0.001 < moved_m.mean() < 0.1
+    assert verdict_of(made[0]).count == 12
+    table = store.read(made[0].ref, "draws")
+    pair = pair_of_draw(store, f"draws@{made[0].ref.key}#3").pair.pair_m
+    np.testing.assert_allclose(pair, table["pair17_m"][3], atol=1e-5)
+    assert table["sequence_id"][3].startswith("one/")
+
+
+def test_more_plausible_than_before_and_as_near_to_the_annotations(repaired: Any) -> None:
+    store, given, made = repaired
+    grown = store.read(given.of("seeds")[1].ref, "seeds")
+    table = store.read(made[0].ref, "draws")
+    rows = np.searchsorted(np.asarray(grown["seed_index"]), np.asarray(table["seed_index"]))
+    assert np.mean(table["log_prior"]) > np.mean(np.asarray(grown["log_prior"])[rows])
+
+
+def test_what_a_pair_becomes_hangs_on_no_other_shard(repaired: Any) -> None:
+    _, given, made = repaired
+    again = chains.plan(given, ChainsParameters(**REPAIR))
+    assert [shard.key for shard in again] == [manifest.ref.key for manifest in made]
+    other = chains.plan(given, ChainsParameters(**REPAIR, repair_sigma_p=1.0))
+    assert not {shard.key for shard in again} & {shard.key for shard in other}
+
+
+def test_repaired_pairs_are_selected_as_independent_ones(repaired: Any) -> None:
+    store, given, made = repaired
+    refs = tuple(manifest.ref for manifest in (*made, *given.of("seeds")))
+    selected = select_pairs(store, refs, 30)
+    assert set(selected.columns["origin"]) <= {"repaired", "grown", "filled"}
+    assert "repaired" in selected.columns["origin"]
+    assert selected.num_independent <= selected.num_plausible
+
+
+def test_nothing_is_repaired_where_nothing_grows(inputs: Any) -> None:
+    store, tables = inputs
+    with pytest.raises(InputError, match=r"starts is every, but no pairs grow to start from: say seeds\.num_grown"):
+        chains.plan(with_seeds(store, tables, num_seeds=1), ChainsParameters(**REPAIR))

@@ -1,8 +1,8 @@
 """Two people who move together: how far apart in depth the pairs of a database are that look like both.
 
-One camera tells how far away a person is from how large the person looks, so an unknown body size and an unknown lens
-both fall on the depth between two people.  A pair of the database that looks like the two of them says how far apart in
-depth people stand who are seen so, whatever the lens.
+With one camera the distance of a person follows from the size in the image, so errors of body size and lens become
+errors of the depth between two people.  A pair of the database that looks like the two tells that depth, whatever the
+lens.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ _NUM_CANDIDATES = 20
 _MISFIT_M = 0.02
 """Pairs whose image is this much worse than the best count 1/e."""
 _DEVIATION_PER_MISFIT = 2.0
-"""A pair's depth is trusted to this many times the misfit of its image."""
+"""Standard deviation of a pair's depth over the misfit of its image."""
 _MIN_DEVIATION_M = 0.03
-"""A pair is never trusted better than this."""
+"""Smallest standard deviation of a pair's depth."""
 _MAX_APART_M = 1.5
-"""Frames in which the two are further apart in the image are left to their own sizes."""
+"""Frames in which the two are further apart in the image are excluded."""
 
 
 @dataclass(frozen=True)
 class PairDepth:
-    """What pairs of a database say: how much nearer the second of two people is than the first, along the ray between.
+    """How much nearer the second of two people is than the first, along the ray between, by pairs of a database.
 
     Args:
         people: Numbers of the two.
         frames: Frames of the sequence that both are in (frame,).
         depth_m: (frame,).
-        deviation_m: Standard deviation of it (frame,), inf where nothing is said.
+        deviation_m: Standard deviation of it (frame,), inf if no pair tells.
     """
 
     people: tuple[int, int]
@@ -55,22 +55,22 @@ class PairDepth:
 def pair_depths(
     pairs_m: npt.NDArray[np.floating], database: Database, people: Sequence[tuple[Matches, ReconstructedTrack]]
 ) -> list[PairDepth]:
-    """Return what pairs that look like both say of the partners among people, where a frame shows both near each other.
+    """Return what pairs that look like both say of the partners among people, in frames that show them near each other.
 
     Args:
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
         database: What people were matched to, at the pitch of the camera.
         people: Matches and reconstruction of each.
     """
-    number = {found.track.person_id: at for at, (_, found) in enumerate(people)}
-    partners = [number.get(-1 if (one := found.track.partner_id) is None else one, -1) for _, found in people]
+    number = {track.person_id: at for at, (_, track) in enumerate(people)}
+    partners = [number.get(track.track.partner_id, -1) for _, track in people]
     couples = [(first, second) for first, second in enumerate(partners) if first < second]
     if not couples or not len(pairs_m):
         return []
     pairs = pair_database(pairs_m, num_yaws=database.num_yaws, camera=database.camera)
     index = build_index(pairs)
-    depths = [_depth(pairs, index, (people[one], people[other]), (one, other)) for one, other in couples]
-    return [one for one in depths if one is not None]
+    depths = [_depth(pairs, index, (people[first], people[second]), (first, second)) for first, second in couples]
+    return [depth for depth in depths if depth is not None]
 
 
 def _depth(
@@ -79,16 +79,16 @@ def _depth(
     couple: Sequence[tuple[Matches, ReconstructedTrack]],
     numbers: tuple[int, int],
 ) -> PairDepth | None:
-    tracks = [found.track for _, found in couple]
-    frames = np.intersect1d(tracks[0].frames, tracks[1].frames)
-    at = [frames - one.first_frame for one in tracks]
-    roots = np.stack([found.root_m[own] for (_, found), own in zip(couple, at, strict=True)], axis=1)
+    tracks = [track for _, track in couple]
+    frames = np.intersect1d(*(track.track.frames for track in tracks))
+    at = [frames - track.track.first_frame for track in tracks]
+    roots = np.stack([track.root_m[rows] for track, rows in zip(tracks, at, strict=True)], axis=1)
     middle = roots.mean(axis=1)
     distance = np.linalg.norm(middle, axis=-1)
     back = swing_between(-middle / distance[:, None], np.broadcast_to(np.array([0.0, 0.0, 1.0]), middle.shape))
     offset = rotate(np.broadcast_to(back[:, None], (*roots.shape[:2], 4)), roots - middle[:, None])
     is_near = np.hypot(*np.diff(offset[..., :2], axis=1)[:, 0].T) < _MAX_APART_M
-    is_near &= ~np.any([found.is_bridged[own] for (_, found), own in zip(couple, at, strict=True)], axis=0)
+    is_near &= ~np.any([track.is_bridged[rows] for track, rows in zip(tracks, at, strict=True)], axis=0)
     if not is_near.any():
         return None
     images, weights = [], []
@@ -115,11 +115,11 @@ def _depths_of_images(pairs: Database, index: ProjectionIndex, query_m: Array, w
     Returns:
         Depth and standard deviation (frame,), metres; the latter is inf where nothing was found.
     """
-    found = search_pairs(index, query_m, weights, num_neighbours=_NUM_CANDIDATES)
-    row, distance = found.neighbours.row, found.neighbours.distance_m
-    turned = pairs.turned(np.maximum(row, 0), found.neighbours.yaw_index)
+    matches = search_pairs(index, query_m, weights, num_neighbours=_NUM_CANDIDATES)
+    row, distance = matches.neighbours.row, matches.neighbours.distance_m
+    turned = pairs.turned(np.maximum(row, 0), matches.neighbours.yaw_index)
     hips = mid_hip(turned.reshape(*row.shape, 2, OP14.num_joints, 3)) @ pairs.camera.camera_from_upright_rotmat.T
-    depth = np.where(found.is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
+    depth = np.where(matches.is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
     is_found = np.isfinite(distance[:, 0])
     distance = np.where(is_found[:, None], distance, 0.0)
     share = np.where(row >= 0, np.exp(-(distance - distance[:, :1]) / _MISFIT_M), 0.0)

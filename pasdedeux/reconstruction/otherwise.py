@@ -1,7 +1,7 @@
-"""What a video may show as well: somebody who lies before a steep camera; and a camera that stands as hardly any does.
+"""Ambiguous videos: a person who may lie before a steep camera, and an implausible camera.
 
-Who lies with the feet to the camera looks like somebody who stands, and the pitch was chosen for that.  So the matches
-are compared with poses laid down, by the distance of the nearest projections.
+A person who lies with the feet to the camera looks like one who stands, and the pitch was chosen for that.  So the
+matches are compared with poses laid down, by the distance of the nearest projections.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ def seen_otherwise(searcher: Searcher, matched: Sequence[tuple[Track, Matches]])
 
 
 def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_given: bool) -> str:
-    """Return what tells that the camera of a scene is not where it was found, such as just above the floor; or nothing.
+    """Say that the camera of a scene is implausible, such as just above the floor; empty if it is not.
 
-    One below the floor may be there, before a stage.
+    A camera below the floor may be there, before a stage.
     """
     is_odd = scene.lens_factor < _MIN_LENS and not is_lens_known
     if not is_odd and (not 0.0 <= scene.camera_height_m <= _MIN_HEIGHT_M or is_height_given):
         return ""
     return (
-        f"the camera would be {scene.height_in_words}, its focal length {scene.lens_factor:.2f} of the assumed, as "
-        "hardly any is: state its pitch, height or lens"
+        f"implausible camera: {scene.height_in_words}, focal length {scene.lens_factor:.2f} of the assumed one; state "
+        "its pitch, height or lens"
     )
 
 

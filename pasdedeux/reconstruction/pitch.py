@@ -114,12 +114,12 @@ def choose_pitch(searchers: Iterable[Searcher], tracks: Sequence[Track]) -> Pitc
     if len(tried) < 2:
         return PitchEstimate(pitches[0])
     grid = np.arange(tried.min() - _BEYOND_RAD, tried.max() + _BEYOND_RAD + 1e-9, _GRID_RAD)
-    everybody = [own for own in zip(*judged, strict=False) if own[0].num_counted >= _MIN_STANDING]
-    halves = [[tuple(one.half(part) for one in own) for own in everybody] for part in (0, 1)]
+    everybody = [person for person in zip(*judged, strict=False) if person[0].num_counted >= _MIN_STANDING]
+    halves = [[tuple(shown.half(part) for shown in person) for person in everybody] for part in (0, 1)]
     others = [everybody[:number] + everybody[number + 1 :] for number in range(len(everybody))]
     pitch, deviation = _posterior(tried, grid, everybody)
-    left = [_posterior(tried, grid, own)[0] for own in (*halves, *(others if len(others) > 1 else ()))]
-    spread = np.std(left) if everybody else 0.0
+    parts = (*halves, *(others if len(others) > 1 else ()))
+    spread = np.std([_posterior(tried, grid, part)[0] for part in parts]) if everybody else 0.0
     is_guess = all(stands(track).sum() < _MIN_STANDING for track in thinned)
     return PitchEstimate(pitch, float(np.hypot(deviation, spread)), is_guess)
 
@@ -132,12 +132,12 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Evidence]])
     score = np.log(np.exp(-0.5 * (looks_up / _LOOKS_UP_RAD) ** 2) + _FROM_BELOW)
     score -= 0.5 * (looks_down / _LOOKS_DOWN_RAD) ** 2
     order = np.argsort(tried)
-    for own in people:
+    for evidence in people:
         # Away from the right pitch distances grow in proportion, and so their squares as a parabola.
-        square = np.array([one.cost() ** 2 for one in own])[order]
+        square = np.array([shown.cost() ** 2 for shown in evidence])[order]
         between = np.maximum(CubicSpline(tried[order], square)(grid), 0.8 * square.min())
-        score -= 0.5 * own[0].num_misfits * np.log(between + _COMMON_MISFIT_M**2)
-        for lines in np.moveaxis(np.array([one.slopes() for one in own])[order], -1, 0):
+        score -= 0.5 * evidence[0].num_misfits * np.log(between + _COMMON_MISFIT_M**2)
+        for lines in np.moveaxis(np.array([shown.slopes() for shown in evidence])[order], -1, 0):
             slope, variance = (np.interp(grid, tried[order], values) for values in lines.T)
             score -= 0.5 * (np.sin(grid) - slope) ** 2 / variance
     share = np.exp(score - score.max())
@@ -146,16 +146,15 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Evidence]])
     return mean, float(np.sqrt(share @ (grid - mean) ** 2))
 
 
-def floor_offset(reconstructions: Sequence[ReconstructedTrack], camera: DatabaseCamera) -> Array:
+def floor_offset(tracks: Sequence[ReconstructedTrack], camera: DatabaseCamera) -> Array:
     """Return what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
 
-    The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
-    along the upright axis of the pitched camera, camera axes.
+    The lowest ankle of all people is taken to stand on the floor; heights are along the upright axis, camera axes.
     """
     upright = np.asarray(camera.camera_from_upright_rotmat)
-    points = [found.positions_m @ upright for found in reconstructions]  # camera axes to upright axes: the transpose
-    floor = min(float(np.min(one[:, _ANKLES, 1])) for one in points)
-    start = np.mean([mid_hip(one[0]) for one in points], axis=0)
+    people = [track.positions_m @ upright for track in tracks]  # camera axes to upright axes: the transpose
+    floor = min(float(np.min(positions[:, _ANKLES, 1])) for positions in people)
+    start = np.mean([mid_hip(positions[0]) for positions in people], axis=0)
     return np.asarray(upright @ np.array([start[0], floor, start[2]]))
 
 
@@ -165,11 +164,12 @@ class _Evidence:
 
     Args:
         rate_hz: Frames per second.
-        distance_m: Of the match (frame,), NaN where bridged, or not standing of who does at times.
-        height_m: Of the lower ankle by each lens (lens, frame), NaN where that is not seen.
-        nearer_m: How much nearer the left end of each line is by the match (frame, line), upright axes; NaN where it is
-            not seen or nobody stands.
-        higher_m: How much higher it is in the image, and what perspective adds taken off.
+        distance_m: Distance of the match (frame,), NaN where bridged, and where the person does not stand but is not on
+            the floor.
+        height_m: Height of the lower ankle by each lens (lens, frame), NaN if it is not seen.
+        nearer_m: How much nearer the left end of each line is by the match (frame, line), upright axes; NaN if it is
+            not seen or the person does not stand.
+        higher_m: How much higher it is in the image, less what perspective adds.
     """
 
     rate_hz: float
@@ -180,7 +180,7 @@ class _Evidence:
 
     @property
     def num_counted(self) -> int:
-        """Number of frames that have a say."""
+        """Number of frames that count."""
         return int(np.isfinite(self.distance_m).sum())
 
     @property
@@ -189,7 +189,7 @@ class _Evidence:
         return min(_MAX_MISFITS, _MISFITS_PER_S * self.num_counted / self.rate_hz)
 
     def cost(self) -> float:
-        """Return distance and what the feet leave the floor by, metres."""
+        """Return the mean distance plus the weighted deviation of feet from the floor, metres."""
         is_known = np.isfinite(self.distance_m)
         if not is_known.any():
             return 0.0
@@ -203,21 +203,21 @@ class _Evidence:
         return slope, _LINE_DEVIATION_M**2 * alike / np.maximum(length, 1e-9) + _SLOPE_DEVIATION**2
 
     def _off_m(self) -> float:
-        """Return how far the ankle leaves its median height under the lens that suits best; 0 where none is seen."""
+        """Return the deviation of the ankle from its median height under the best lens; 0 if it is never seen."""
         is_seen = np.isfinite(self.height_m)
-        own = [height[seen] for height, seen in zip(self.height_m, is_seen, strict=True) if seen.any()]
-        return min((float(np.median(np.abs(height - np.median(height)))) for height in own), default=0.0)
+        heights = [height[seen] for height, seen in zip(self.height_m, is_seen, strict=True) if seen.any()]
+        return min((float(np.median(np.abs(height - np.median(height)))) for height in heights), default=0.0)
 
     def half(self, part: int) -> _Evidence:
         """Return what the first or the second half of the video shows."""
         count = len(self.distance_m)
-        own = np.arange(count) * 2 // count == part
+        is_in_part = np.arange(count) * 2 // count == part
         return replace(
             self,
-            distance_m=self.distance_m[own],
-            height_m=self.height_m[:, own],
-            nearer_m=self.nearer_m[own],
-            higher_m=self.higher_m[own],
+            distance_m=self.distance_m[is_in_part],
+            height_m=self.height_m[:, is_in_part],
+            nearer_m=self.nearer_m[is_in_part],
+            higher_m=self.higher_m[is_in_part],
         )
 
 
@@ -227,18 +227,18 @@ def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
         matches = match_track(searcher, track, ReconstructionOptions(num_candidates=1))
     except InputError:
         return None
-    found = reconstruct_track(searcher, track, Method.NEAREST, matches=matches)
+    nearest = reconstruct_track(searcher, track, Method.NEAREST, matches=matches)
     upright = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
-    is_seen = (track.confidence[:, _ANKLES] > 0) & ~found.is_bridged[:, None]
+    is_seen = (track.confidence[:, _ANKLES] > 0) & ~nearest.is_bridged[:, None]
     heights = []
     for factor in (1.0,) if track.lens.is_known else _LENS_FACTORS:
         # Behind a lens of another focal length everybody is as many times as far away.
-        farther = found.root_m * [0.0, 0.0, factor - 1.0]
-        height = (found.positions_m[:, _ANKLES] + farther[:, None]) @ upright[:, 1]
+        farther = nearest.root_m * [0.0, 0.0, factor - 1.0]
+        height = (nearest.positions_m[:, _ANKLES] + farther[:, None]) @ upright[:, 1]
         lower = np.argmin(height, axis=1)[:, None]
         seen = np.take_along_axis(is_seen, lower, axis=1)
         heights.append(np.where(seen, np.take_along_axis(height, lower, axis=1), np.nan)[:, 0])
-    is_standing = ~found.is_bridged & stands(track)
+    is_standing = ~nearest.is_bridged & stands(track)
     pose = (
         searcher.database.turned(np.maximum(matches.neighbours.row[:, 0], 0), matches.yaw_steps[:, 0])
         * matches.proportions[:, None]
@@ -255,7 +255,7 @@ def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
         lower = np.sin(level) * np.cos(searcher.database.camera.pitch_rad)
         higher.append(ends[:, 0] - ends[:, 1] - lower * nearer[-1])
     shown = np.stack(nearer, axis=1), np.stack(higher, axis=1)
-    nearer_m, higher_m = (np.where(np.isfinite(shown[1]), one, np.nan) for one in shown)
-    has_say = ~found.is_bridged if is_on_floor(track) else is_standing
-    distance = np.where(has_say, matches.neighbours.distance_m[:, 0], np.nan)
+    nearer_m, higher_m = (np.where(np.isfinite(shown[1]), values, np.nan) for values in shown)
+    counts = ~nearest.is_bridged if is_on_floor(track) else is_standing
+    distance = np.where(counts, matches.neighbours.distance_m[:, 0], np.nan)
     return _Evidence(track.rate_hz, distance, np.where(is_standing, np.stack(heights), np.nan), nearer_m, higher_m)

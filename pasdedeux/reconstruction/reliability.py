@@ -1,14 +1,18 @@
-"""How good a reconstruction is, without ground truth: of people and of couples a figure, and pass, warn or fail.
+"""How good a reconstruction is, without ground truth: for people and couples a figure, and pass, warn or fail.
 
-The figure is the error to expect, with an interval that holds in 80 % of cases.  That of a person comes from how far
-the fit moved the retrieved poses: where the database holds the motion, the image only touches them up; where it does
-not, or the camera is not where it was taken to be, they have to give way; from how badly the pitch is known; from how
-lively the person moves, because a wrong pose stays wrong while nothing new is seen; and from how far the hips are
-turned, because of who faces the camera nothing shows how far the back leans.  What is left of the match's distance when
-the image's noise is taken off is compared with that of the database's own motions, each matched against all others:
-farther than those, the database lacks the motion.  That of a place, where one of a couple is to the other, comes from
-the deviation that the scene's estimate states, from how much farther away one is than the other, which an unknown lens
-and unknown sizes stretch, and from what is expected of the poses that it trusts in.
+The figure is the expected error, with an interval that holds in 80 % of cases.  For a person it comes from
+
+- how far the fit moved the retrieved poses: little if the database holds the motion and the camera is right;
+- the deviation of the pitch;
+- how lively the person moves, because a wrong pose stays wrong while nothing new is seen;
+- how far the hips are turned, because nothing shows how far the back of a person who faces the camera leans.
+
+The distance of the matches, less the noise of the image, is compared with that of the database's own motions when each
+is matched to the others: if it is larger, the database lacks the motion.
+
+For a place, of one person of a couple relative to the other, the figure comes from the deviation that the estimate of
+the scene states, from the depth between the two, which an unknown lens and unknown sizes stretch, and from the expected
+errors of both poses.
 """
 
 from __future__ import annotations
@@ -33,13 +37,13 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 
 _WEIGHTS = np.array([-2.809, 5.449, -0.28, 3.27, -0.193, 0.188])
-"""Of the logarithm of the mean error of a joint: constant, per metre that the fit moved it, per logarithm of the
-acceleration of the joints about the mid-hip, per radian of the pitch's deviation, per logarithm of how far the hips are
-turned out of the image, and of who lies.  Least squares on 420 people of 238 clips of 4 s, nine families of takes, each
-reconstructed without itself: `python -m benchmarks.families DATA --clips 14` prints it of half of them."""
+"""Weights of the log of the mean error of a joint: constant, per metre that the fit moved it, per log of the
+acceleration of the joints about the mid-hip, per radian of the pitch's deviation, per log of how far the hips are
+turned out of the image, and for people on the floor.  Least squares on 420 people of 238 clips of 4 s, nine families of
+takes, each reconstructed without itself: `python -m benchmarks.families DATA --clips 14` prints it of half of them."""
 _PLACE_WEIGHTS = np.array([0.526, 0.885])
-"""The same of where one is to the other, of 98 couples: constant, and per logarithm of the product of the deviation of
-the place and of the root of the error expected of the poses of the two."""
+"""The same for places, of 98 couples: constant, and per log of the product of the deviation of the place and the root
+of the expected error of both poses."""
 _STRETCH = 0.3
 """Standard deviation of the depth between two people, as a part of it, for the lens: the derivative of their place by
 the lens predicts errors less well."""
@@ -48,40 +52,39 @@ _MIN_TURNED = 0.1
 _MIN_ACCELERATION_M_S2, _ACCELERATION_HZ = 0.5, 30.0
 """Added to the acceleration, and the rate of the frames that it is taken from."""
 _MAX_EXPECTED_M, _MAX_EXPECTED_PLACE_M = 0.5, 2.0
-"""Worse than this nothing was measured."""
+"""Largest errors that were measured."""
 _PERSON_RANGE, _PLACE_RANGE = (0.63, 1.45), (0.35, 2.05)
-"""What errors of people and of places are as parts of the expected, four times in five, in a family left out of all, as
-the scatter within families and between them lets expect."""
+"""Interval of the error over the expected error, of people and places: holds in 80 % of clips of a family left out."""
 _AT_EDGE = 1.5
-"""Times as large errors are where the pitch is at the edge of those that were tried: 1.3 to 2.1 of six people seen by
-cameras 15 degrees beyond it, and 1.2 to 1.9 by cameras 20 degrees below."""
+"""Factor of errors if the pitch is at the edge of those that were tried: 1.3 to 2.1 of six people seen by cameras 15
+degrees beyond it, and 1.2 to 1.9 by cameras 20 degrees below."""
 _OTHERWISE = 2.5
-"""The same of people whose image may show something else: 0.9 to 4.4 of 14, where that was so."""
+"""Factor of errors of people whose image may show something else: 0.9 to 4.4 of 14 where it did."""
 _SIZED, _PLACE_SIZED = 0.88, 0.89
-"""Times as large errors are where a stature is stated, and those of places beside what follows from the poses': 0.81 to
-0.94, and 0.80 to 0.91 with both, in four families, 56 people and 28 couples."""
+"""Factors of errors if a stature is stated, of people and, on top, of places: 0.81 to 0.94, and 0.80 to 0.91 with both,
+in four families, 56 people and 28 couples."""
 
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.09, 0.20
 DOUBTFUL_PLACE_M, BAD_PLACE_M = 0.20, 0.40
 FAR = 1.5
-"""Times the misfit of the database's own motions: farther from it, nothing is to be believed."""
+"""A misfit of more than this many times that of the database's own motions is a failure."""
 POOR_SHARE_SEEN, USELESS_SHARE_SEEN = 0.7, 0.4
-"""Share of the 14 joints that are seen: below the first a person is doubted, below the second useless."""
+"""Share of the 14 joints that are seen: a warning below the first, a failure below the second."""
 DOUBTFUL_PITCH_RAD = float(np.deg2rad(5.0))
-"""A pitch of a larger standard deviation is doubted: it leans people and tilts the floor."""
+"""A larger standard deviation of the pitch is a warning: a wrong pitch leans people and tilts the floor."""
 MIN_LENGTH_S = 0.5
-"""Shorter videos deserve a warning: everything in them errs alike."""
+"""Shorter videos get a warning: all their frames err alike."""
 MAX_BRIDGED = 0.2
-"""A motion of which more is interpolated deserves a warning."""
+"""A motion of which a larger share is interpolated gets a warning."""
 LEFT_OUT_PERCENTILE = 95.0
-"""Of the database's left-out frames have a misfit no larger than what is still taken for motion that it holds."""
+"""Percentile of the misfits of the database's left-out frames up to which a motion counts as held."""
 
 _LEVEL_RAD = float(np.deg2rad(-1.0))
 """A camera that looks up by less is as good as level."""
 _NUM_LEFT_OUT, _NUM_NEIGHBOURS = 128, 1000
 _HIPS = OP14.indices(["left_hip", "right_hip"])
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Multiples of it lie evenly spread in a turn."""
+"""Multiples of it are evenly spread over a turn."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +94,14 @@ class Reliability:
     Args:
         expected_error_m: Expected mean distance of a joint from the ground truth, mid-hips together; NaN where
             nothing was fitted.
-        misfit_m: Median distance of the matches, the image's noise taken off.
-        left_out_m: What the database's own motions have at most, 95 % of them; NaN where that is not known.
+        misfit_m: Median distance of the matches, less the noise of the image.
+        left_out_m: The same of the database's own motions, 95th percentile; NaN if not known.
         share_seen: Share of the joints that were seen.
         share_bridged: Share of the frames that are interpolated.
         doubts: Further reasons for a warning, such as those about the camera.
         farthest_s: Time of the video at which the database is farthest from the image.
-        is_unproven: Nothing but the poses of the database says where up is, so that it must not lack the motion.
-        evidence: What the logarithm of the expected error is a weighted sum of (n,).
+        is_unproven: Only the poses of the database tell where up is, so that it must not lack the motion.
+        evidence: The log of the expected error is a weighted sum of these (n,).
     """
 
     expected_error_m: float
@@ -123,7 +126,7 @@ class Reliability:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass, warn or fail, and why; of a failure what would help."""
+        """Pass, warn or fail, the reasons, and for a failure what would help."""
         reasons = []
         is_far = self.expected_error_m > BAD_ERROR_M or self.misfit_m > FAR * self.left_out_m
         is_far |= self.is_unproven and self.is_lacking
@@ -153,11 +156,11 @@ class Place:
     """Quality of where one person is to the other, estimated without ground truth.
 
     Args:
-        expected_error_m: Expected length by which the vector between the mid-hips is off, mean over frames.
+        expected_error_m: Expected error of the vector between the mid-hips, mean over frames.
         doubts: Further reasons for a warning, such as those about the camera.
-        is_unproven: The video is too short, shows nobody who stands, or may show something else, so that nothing says
-            where the camera is.
-        evidence: What the logarithm of the expected error is a weighted sum of (n,).
+        is_unproven: The video is too short, nobody stands, or it may show something else: nothing tells where the
+            camera is.
+        evidence: The log of the expected error is a weighted sum of these (n,).
     """
 
     expected_error_m: float
@@ -196,107 +199,118 @@ class Judged:
     @property
     def verdicts(self) -> dict[str, Verdict]:
         """All verdicts, by what they are about."""
-        people = {f"person {name}": one.verdict for name, one in self.people.items()}
-        return people | {f"place of {a} and {b}": one.verdict for (a, b), one in self.places.items()}
+        people = {f"person {name}": person.verdict for name, person in self.people.items()}
+        return people | {f"place of {a} and {b}": place.verdict for (a, b), place in self.places.items()}
 
 
 def judge_tracks(
-    found: ReconstructedPeople,
+    people: ReconstructedPeople,
     left_out_m: float = float("nan"),
     *,
     sequence_id: str = "",
     pitches_rad: Sequence[float] = (),
 ) -> Judged:
-    """Judge everybody of a sequence, by its last method, and where each is to the partner.
+    """Judge the people of a sequence, by the last method, and the place of each relative to the partner.
 
     Args:
-        found: What was made of the sequence.
+        people: The people.
         left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
-        sequence_id: Its name, for the table of people.
+        sequence_id: Name of the sequence, for the table of people.
         pitches_rad: Pitches of the cameras that were tried.
     """
-    if not found.methods:
+    if not people.methods:
         return Judged({}, {})
-    made = found.methods[-1].people
-    broken = broken_doubts(sequence_id, [one.track for one in made])
-    doubts = (*found.doubts, *camera_doubt(pitches_rad, found.pitch))
-    longest_s = max(len(one.track.frames) / one.track.rate_hz for one in made)
-    if is_short := longest_s < MIN_LENGTH_S:
-        doubts = (f"{longest_s:.1f} s are too short to tell camera and places from", *doubts)
-    of_one = {
-        name: [told[name] for told in (found.otherwise, broken) if name in told]
-        for name in (one.track.person_id for one in made)
+    made, pitch = people.methods[-1].people, people.pitch
+    longest_s = max(len(person.track.frames) / person.track.rate_hz for person in made)
+    is_short = longest_s < MIN_LENGTH_S
+    shared = [f"{longest_s:.1f} s are too short to tell camera and places from"] if is_short else []
+    shared += [*people.doubts, *camera_doubt(pitches_rad, pitch)]
+    broken = broken_doubts(sequence_id, [person.track for person in made])
+    doubts = {
+        name: [told[name] for told in (people.otherwise, broken) if name in told]
+        for name in (person.person_id for person in made)
     }
-    at_edge = _AT_EDGE if _is_at_edge(pitches_rad, found.pitch) else 1.0
-    people, places = {}, {}
-    for one in made:
-        name = one.track.person_id
-        times = max(at_edge, _OTHERWISE if name in found.otherwise else 1.0) * (_SIZED if found.has_stature else 1.0)
-        own = (*doubts, *of_one[name])
-        judged = judge_person(
-            one, left_out_m, pitch_deviation_rad=found.pitch.deviation_rad, doubts=own, is_unproven=found.pitch.is_guess
+    at_edge = _AT_EDGE if _is_at_edge(pitches_rad, pitch) else 1.0
+    judged: dict[int, Reliability] = {}
+    for person in made:
+        name = person.person_id
+        reliability = judge_person(
+            person,
+            left_out_m,
+            pitch_deviation_rad=pitch.deviation_rad,
+            doubts=(*shared, *doubts[name]),
+            is_unproven=pitch.is_guess,
         )
-        people[name] = replace(judged, expected_error_m=min(times * judged.expected_error_m, _MAX_EXPECTED_M))
-    between = {} if found.scene is None else found.scene.place_deviation_m
-    for (first, second), deviation_m in between.items():
-        couple = made[first].track, made[second].track
-        if couple[0].partner_id == couple[1].person_id:
-            ids = couple[0].person_id, couple[1].person_id
-            expected_m = float(np.mean([people[name].expected_error_m for name in ids]))
-            told = [doubt for name in ids for doubt in of_one[name]]
-            # Of twelve such couples ten were off by 24 cm and more.
-            told += [
-                f"person {one.person_id} is not seen upright, and badly placed" for one in couple if is_on_floor(one)
-            ]
-            own = tuple(dict.fromkeys((*doubts, *told)))
-            times = _PLACE_SIZED if found.has_stature else 1.0
-            stretched_m = _STRETCH * _depth_between_m(made[first], made[second])
-            place = _judge_place(math.hypot(deviation_m, stretched_m), expected_m, own)
-            is_unproven = is_short or found.pitch.is_guess or any(name in found.otherwise for name in ids)
-            places[ids] = replace(place, expected_error_m=times * place.expected_error_m, is_unproven=is_unproven)
-    return Judged(people, places)
+        factor = max(at_edge, _OTHERWISE if name in people.otherwise else 1.0) * (_SIZED if people.has_stature else 1.0)
+        expected_m = min(factor * reliability.expected_error_m, _MAX_EXPECTED_M)
+        judged[name] = replace(reliability, expected_error_m=expected_m)
+    places: dict[tuple[int, int], Place] = {}
+    between = {} if people.scene is None else people.scene.place_deviation_m
+    for numbers, deviation_m in between.items():
+        first, second = (made[number] for number in numbers)
+        if first.track.partner_id != second.person_id:
+            continue
+        ids = first.person_id, second.person_id
+        of_both = [doubt for name in ids for doubt in doubts[name]]
+        # Of twelve such couples ten were off by 24 cm and more.
+        of_both += [
+            f"person {person.person_id} is not seen upright, and badly placed"
+            for person in (first, second)
+            if is_on_floor(person.track)
+        ]
+        place = _judge_place(
+            math.hypot(deviation_m, _STRETCH * _depth_between_m(first, second)),
+            float(np.mean([judged[name].expected_error_m for name in ids])),
+            tuple(dict.fromkeys((*shared, *of_both))),
+        )
+        places[ids] = replace(
+            place,
+            expected_error_m=(_PLACE_SIZED if people.has_stature else 1.0) * place.expected_error_m,
+            is_unproven=is_short or pitch.is_guess or any(name in people.otherwise for name in ids),
+        )
+    return Judged(judged, places)
 
 
 def judge_person(
-    found: ReconstructedTrack,
+    person: ReconstructedTrack,
     left_out_m: float = float("nan"),
     *,
     pitch_deviation_rad: float = 0.0,
     doubts: Sequence[str] = (),
     is_unproven: bool = False,
 ) -> Reliability:
-    """Judge a person's reconstruction by method `fit`; of another nobody knows what error to expect.
+    """Judge a person's reconstruction by method `fit`; for other methods the expected error is NaN.
 
     Args:
-        found: ReconstructedTrack.
+        person: The person.
         left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
         pitch_deviation_rad: Standard deviation of the camera's pitch.
         doubts: Further reasons for a warning.
-        is_unproven: Nobody is seen standing, so that nothing but the poses says where up is.
+        is_unproven: Nobody is seen standing, so that only the poses tell where up is.
     """
-    is_known = ~found.is_bridged & np.isfinite(found.score_m)
-    noise = MEAN_OF_RAYLEIGH * found.noise_m
-    left = np.sqrt(np.maximum(found.score_m[is_known] ** 2 - noise**2, 0.0))
+    is_known = ~person.is_bridged & np.isfinite(person.score_m)
+    noise = MEAN_OF_RAYLEIGH * person.noise_m
+    left = np.sqrt(np.maximum(person.score_m[is_known] ** 2 - noise**2, 0.0))
     misfit = float(np.median(left)) if len(left) else float("nan")
-    acceleration = np.log(_MIN_ACCELERATION_M_S2 + _acceleration_m_s2(found))
-    turned = np.log(_MIN_TURNED + _turned(found))
-    lies = float(is_on_floor(found.track))
-    evidence = np.array([1.0, _mean(found.correction_m[is_known]), acceleration, pitch_deviation_rad, turned, lies])
+    acceleration = np.log(_MIN_ACCELERATION_M_S2 + _acceleration_m_s2(person))
+    turned = np.log(_MIN_TURNED + _turned(person))
+    lies = float(is_on_floor(person.track))
+    evidence = np.array([1.0, _mean(person.correction_m[is_known]), acceleration, pitch_deviation_rad, turned, lies])
     return Reliability(
         expected_error_m=float(np.minimum(np.exp(_WEIGHTS @ evidence), _MAX_EXPECTED_M)),
         misfit_m=misfit,
         left_out_m=left_out_m,
-        share_seen=_mean(found.num_joints_seen / OP14.num_joints),
-        share_bridged=_mean(found.is_bridged),
+        share_seen=_mean(person.num_joints_seen / OP14.num_joints),
+        share_bridged=_mean(person.is_bridged),
         doubts=tuple(doubts),
-        farthest_s=float(found.track.times_s[is_known][np.argmax(left)]) if len(left) else float("nan"),
+        farthest_s=float(person.track.times_s[is_known][np.argmax(left)]) if len(left) else float("nan"),
         is_unproven=is_unproven,
         evidence=evidence,
     )
 
 
 def _judge_place(deviation_m: float, expected_m: float, doubts: tuple[str, ...]) -> Place:
-    """Judge the place of two people by its deviation, and the error to expect of their poses where that is known."""
+    """Judge the place of two people by its deviation and, if known, the expected error of their poses."""
     if not math.isfinite(expected_m):
         return Place(deviation_m, doubts)
     evidence = np.array([1.0, np.log(deviation_m * math.sqrt(expected_m))])
@@ -323,10 +337,10 @@ def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.ND
     rows = evenly_spread(database.num_rows, _NUM_LEFT_OUT)
     yaw = database.num_yaws * np.mod(_GOLDEN * np.arange(len(rows)), 1.0)
     query = database.camera.project(database.turned(rows, yaw))
-    found = index.search(query, num_neighbours=_NUM_NEIGHBOURS)
-    is_other = (found.row >= 0) & (motion[np.maximum(found.row, 0)] != motion[rows][:, None])
-    reached = np.where(np.isfinite(found.distance_m), found.distance_m, 0.0).max(axis=1)
-    nearest = np.where(is_other, found.distance_m, np.inf).min(axis=1)
+    nearest_rows = index.search(query, num_neighbours=_NUM_NEIGHBOURS)
+    is_other = (nearest_rows.row >= 0) & (motion[np.maximum(nearest_rows.row, 0)] != motion[rows][:, None])
+    reached = np.where(np.isfinite(nearest_rows.distance_m), nearest_rows.distance_m, 0.0).max(axis=1)
+    nearest = np.where(is_other, nearest_rows.distance_m, np.inf).min(axis=1)
     return float(np.percentile(np.minimum(nearest, reached), LEFT_OUT_PERCENTILE))
 
 
@@ -352,26 +366,26 @@ def _is_at_edge(pitches_rad: Sequence[float], pitch: PitchEstimate) -> bool:
     return pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD)
 
 
-def _acceleration_m_s2(found: ReconstructedTrack) -> float:
+def _acceleration_m_s2(person: ReconstructedTrack) -> float:
     """Return the mean acceleration of the joints about the mid-hip; 0 of fewer than three frames."""
-    step = max(1, round(found.track.rate_hz / _ACCELERATION_HZ))
-    poses = (found.positions_m - found.root_m[:, None])[::step]
+    step = max(1, round(person.track.rate_hz / _ACCELERATION_HZ))
+    poses = (person.positions_m - person.root_m[:, None])[::step]
     if len(poses) < 3:
         return 0.0
     bend = np.linalg.norm(np.diff(poses, n=2, axis=0), axis=-1)
-    return float(bend.mean()) * (found.track.rate_hz / step) ** 2
+    return float(bend.mean()) * (person.track.rate_hz / step) ** 2
 
 
-def _turned(found: ReconstructedTrack) -> float:
+def _turned(person: ReconstructedTrack) -> float:
     """Return how far the line between the hips is turned out of the image, 0 to 1, on average."""
-    across = np.diff(found.positions_m[:, _HIPS], axis=1)[:, 0]
+    across = np.diff(person.positions_m[:, _HIPS], axis=1)[:, 0]
     return _mean(np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=-1), 1e-9))
 
 
-def _depth_between_m(one: ReconstructedTrack, other: ReconstructedTrack) -> float:
-    """Return how much farther away one is than the other, mean over the frames that show both."""
-    _, at, there = np.intersect1d(one.track.frames, other.track.frames, return_indices=True)
-    return _mean(np.abs(one.root_m[at, 2] - other.root_m[there, 2]))
+def _depth_between_m(first: ReconstructedTrack, second: ReconstructedTrack) -> float:
+    """Return the depth between two people, mean over the frames that show both."""
+    _, at, there = np.intersect1d(first.track.frames, second.track.frames, return_indices=True)
+    return _mean(np.abs(first.root_m[at, 2] - second.root_m[there, 2]))
 
 
 def _with_interval(error_m: float, parts: tuple[float, float]) -> str:
@@ -382,5 +396,5 @@ def _with_interval(error_m: float, parts: tuple[float, float]) -> str:
 
 
 def _mean(values: npt.ArrayLike) -> float:
-    found = np.asarray(values, dtype=np.float64)
-    return float(found.mean()) if found.size else float("nan")
+    known = np.asarray(values, dtype=np.float64)
+    return float(known.mean()) if known.size else float("nan")

@@ -247,7 +247,7 @@ FAULTS = (
           "cost[before] + weight[frame] * distance", "cost[before] + 0.0 * distance",
           "unit/test_projection_time.py::test_viterbi_finds_the_cheapest_of_all_paths"),
     Fault("the left-out misfit is that of the own motion", "pasdedeux/reconstruction/reliability.py",
-          "motion[np.maximum(found.row, 0)] != motion[rows][:, None]", "found.row >= 0",
+          "motion[np.maximum(nearest_rows.row, 0)] != motion[rows][:, None]", "nearest_rows.row >= 0",
           "unit/test_reliability.py::test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion"),
     # Images and files
     Fault("a camera sees upside down", "pasdedeux/cameras/pinhole.py",
@@ -303,7 +303,7 @@ FAULTS = (
           "known.rate_hz or source.rate_hz", "known.rate_hz or 120.0", "contract/test_ingest_stage.py::"
           "test_a_pair_becomes_takes_poses_annotations_and_cameras"),
     Fault("the frame rate of annotations is nominal", "tasks/ingest/poses2d/run.py",
-          '"time_s": frames.frame / rate_hz', '"time_s": frames.frame / DEFAULT_RATE_HZ',
+          '"time_s": frames.frame / (frames.rate_hz or DEFAULT_RATE_HZ)', '"time_s": frames.frame / DEFAULT_RATE_HZ',
           "contract/test_ingest_annotations.py::test_2d_poses_of_every_format_become_annotations"),
     Fault("another rate is a label only", "pasdedeux/kinematics/motion.py",
           "if (rate_hz == self.rate_hz and not start_s) or self.num_frames < 2:", "if rate_hz:",

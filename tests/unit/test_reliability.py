@@ -384,16 +384,16 @@ def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_n
     assert error_m(right, 0.1) == once, "0.01 is farther from the image"
 
 
-def test_a_camera_as_hardly_any_is_is_a_doubt_where_it_was_not_stated() -> None:
+def test_an_implausible_camera_is_a_doubt_if_it_was_not_stated() -> None:
     good = SceneEstimate(0.1, 0.02, 0.0, 1.5, 1.2, np.ones(1), (), {})
     low, wide = replace(good, camera_height_m=0.3), replace(good, lens_factor=0.3)
     below = replace(good, camera_height_m=-1.5)
     known = {"is_lens_known": False, "is_height_given": False}
     assert doubt_of_camera(good, **known) == ""
     assert doubt_of_camera(below, **known) == ""
-    assert "the camera would be 0.30 m above the floor" in doubt_of_camera(low, **known)
+    assert "implausible camera: 0.30 m above the floor" in doubt_of_camera(low, **known)
     assert doubt_of_camera(low, is_lens_known=False, is_height_given=True) == ""
-    assert "its focal length 0.30 of the assumed" in doubt_of_camera(wide, **known)
+    assert "focal length 0.30 of the assumed one" in doubt_of_camera(wide, **known)
     assert "1.50 m below the floor" in doubt_of_camera(replace(wide, camera_height_m=-1.5), **known)
     assert doubt_of_camera(wide, is_lens_known=True, is_height_given=False) == ""
 

@@ -19,7 +19,7 @@ from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.guess import USUAL_HEIGHT_M, AxisGuess, draft_motion, guess_mirrored
 from pasdedeux.formats.rates import one_rate
 from pasdedeux.formats.registry import recognise_format
-from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, resolve_up_axes
+from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, mend_of_mirror, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.people.video import why_no_video
@@ -200,9 +200,11 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
         ["auto"] * len(people),
         [sum(person.sha256 == other.sha256 for other in people) == 1 for person in people],
     )
+    mirrors = [guess_mirrored(person.motion, person.taken.layout) for person in people]
+    exchanged = [mirror.is_mirrored and mirror.confidence >= _LIKELY for mirror in mirrors]
     told = [
-        [_layout(person), _axis(axis), _rate(person), *_mirror(person), _unit(person)]
-        for person, axis in zip(people, axes, strict=True)
+        [_layout(person), _axis(axis), _rate(person), *[_mirror(person, exchanged)] * is_exchanged, _unit(person)]
+        for person, axis, is_exchanged in zip(people, axes, exchanged, strict=True)
     ]
     # Lines that are the same for everybody stand once, with the take.
     shared = [line for line in told[0][:-1] if all(_key(line) in map(_key, lines) for lines in told[1:])]
@@ -277,15 +279,13 @@ def _axis(axis: AxisGuess) -> str:
     return f'up_axis = "{axis.axis}"         # bodies stand along it: {_words(axis.confidence)}'
 
 
-def _mirror(person: _Person) -> list[str]:
-    """Return the line that exchanges left and right, where a file has them the wrong way round."""
-    mirror = guess_mirrored(person.motion, person.taken.layout)
-    if not mirror.is_mirrored or mirror.confidence < _LIKELY:
-        return []
-    return [
-        f"mirrored = true       # {person.path.name}: toes and knees point backwards, left and right are exchanged: "
-        "A GUESS - CHECK IT"
-    ]
+def _mirror(person: _Person, exchanged: Sequence[bool]) -> str:
+    """Return the line that puts left and right in order in a file that has them the wrong way round."""
+    mend = "true" if all(exchanged) else '"names"'
+    return (
+        f"mirrored = {mend}       # {person.path.name}: toes and knees point backwards, left and right are exchanged, "
+        f"{mend_of_mirror(exchanged)}: A GUESS - CHECK IT"
+    )
 
 
 def _jump(people: Sequence[_Person]) -> list[str]:

@@ -153,6 +153,17 @@ def resolve_up_axes(
     return guesses
 
 
+def mend_of_mirror(exchanged: Sequence[bool]) -> str:
+    """Return what to set where people of a take, told by this mask, have left and right exchanged.
+
+    A mirror shows everybody of a scene: where others are right, only names are exchanged.  Of one person alone nothing
+    tells, because a body looks like its mirror image.
+    """
+    if all(exchanged):
+        return 'set mirrored = true, or "names" where the scene is right and only names are exchanged'
+    return 'set mirrored = "names", because others of the take are right'
+
+
 def _rest_axis(source: SourceMotion, layout: Layout | None) -> str:
     """Return the axis along which the rest pose stands."""
     rest = SourceMotion.at_rest(source.skeleton, source.rest_offsets)

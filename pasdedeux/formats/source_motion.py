@@ -11,6 +11,7 @@ from pasdedeux.errors import InputError, check_positive
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
+from pasdedeux.skeletons.layouts.names import with_sides_exchanged
 
 UP_AXES = {
     "x": (0.0, 0.0, np.pi / 2),
@@ -71,6 +72,13 @@ class SourceMotion:
             # A turn about an axis in the mirror goes on about the same axis, one across it turns the other way.
             local_unitquat=self.local_unitquat * np.append(-sign, 1.0),
         )
+
+    def with_sides_exchanged(self) -> SourceMotion:
+        """Return the motion with the names of left and right exchanged: mends a file that swaps them alone."""
+        names = self.skeleton.joint_names
+        other = dict(zip(names, with_sides_exchanged(names), strict=True))
+        ends = frozenset(other[name] for name in self.end_sites)
+        return replace(self, skeleton=replace(self.skeleton, joint_names=tuple(other.values())), end_sites=ends)
 
     @classmethod
     def at_rest(

@@ -15,7 +15,7 @@ by the number that the partner has in `is`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -29,6 +29,7 @@ from pasdedeux.plain_text import csv_line, from_cell
 COLUMNS = ("sequence", "first_frame", "last_frame", "person", "is")
 PARTNER = "partner"
 NOBODY = "nobody"
+_MAX_LISTED = 20
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,16 @@ def read_decisions(data: bytes | str) -> list[Decision]:
                     )
             found.append(one)
     return found
+
+
+def check_sequences(decisions: Sequence[Decision], known: Collection[str]) -> None:
+    """Refuse a row of the table of who is who about a sequence that is not there."""
+    for row in decisions:
+        if row.sequence_id not in known:
+            raise InputError(
+                f"people, row '{row.in_words()}': there is no such sequence; sequences: "
+                f"{', '.join(sorted(known)[:_MAX_LISTED])}"
+            )
 
 
 def write_decisions(decisions: Iterable[Decision]) -> str:

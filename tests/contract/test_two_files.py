@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -211,3 +212,42 @@ def test_a_study_file_says_of_a_take_to_retarget_what_its_files_do_not(tmp_path:
     write_new_study(study, [file])
     with find_take([str(study)], tmp_path, (), None) as (store, ref):
         assert body22_of(store, ref).shape[1:] == (1, 22, 3)
+
+
+def test_a_partner_whose_names_are_exchanged_is_no_mirror_image(tmp_path: Path) -> None:
+    """Where the partner is right the scene is: names are put in order, and nobody moves."""
+    rig = RIGS[0]
+    other = {"Left": "Right", "Right": "Left"}
+    files = [tmp_path / "a.bvh", tmp_path / "b.bvh"]
+    files[0].write_text(rig.bvh())
+    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}, "rate_hz": 30.0}
+    take = {"id": "walk", "metres_per_unit": 0.01, "files": files}
+    moved: dict[str, Any] = {"translation_m": [1.0, 0.0, 0.5]}
+
+    def made(name: str, **second: Any) -> tuple[np.ndarray, str]:
+        store = Store(tmp_path / name)
+        (built,) = run(store, planned(takes=[take | {"persons": [{}, moved | second]}], **options)).values()
+        return body22_of(store, built.ref), judged(built).reason
+
+    files[1].write_text(f"{rig.bvh()}\n")
+    right, _ = made("right")
+    files[1].write_text(re.sub("Left|Right", lambda found: other[found[0]], rig.bvh()))
+    study = tmp_path / "mine.toml"
+    said = write_new_study(study, files)
+    assert any(line.startswith('in doubt: mirrored = "names": b.bvh: toes and knees') for line in said)
+    (b,) = (one for one in tomllib.loads(study.read_text())["ingest"]["takes"][0]["persons"] if "mirrored" in one)
+    assert b["mirrored"] == "names"
+    wrong, reason = made("wrong")
+    assert 'left and right of b.bvh seem exchanged; look, and set mirrored = "names", because others' in reason
+    mended, reason = made("mended", mirrored="names")
+    assert "exchanged" not in reason
+    np.testing.assert_allclose(mended, right, atol=1e-6)
+    assert np.abs(wrong - right).max() > 0.1
+
+
+def test_of_one_person_both_ways_to_mend_left_and_right_are_said(tmp_path: Path) -> None:
+    file = tmp_path / "a.bvh"
+    source = RIGS[0].source().mirrored()
+    file.write_text(write_bvh(source.to_motion(metres_per_unit=1.0, rate_hz=30.0), units_per_metre=1.0))
+    said = write_new_study(tmp_path / "mine.toml", [file])
+    assert any("in doubt: mirrored = true: a.bvh: toes and knees" in line and '"names" where' in line for line in said)

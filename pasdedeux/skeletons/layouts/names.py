@@ -54,6 +54,20 @@ def by_normal_name(joint_names: Sequence[str]) -> Mapping[str, str]:
     return dict(reversed(list(zip(normal_names(joint_names), joint_names, strict=True))))
 
 
+def with_sides_exchanged(joint_names: Sequence[str]) -> list[str]:
+    """Return the names with left in place of right and right in place of left; the others as they are.
+
+    >>> with_sides_exchanged(["Hips", "LeftLeg", "RightLeg", "LeftLeg_end"])
+    ['Hips', 'RightLeg', 'LeftLeg', 'LeftLeg_end']
+    """
+    normal = normal_names(joint_names)
+    joints, other = dict(zip(normal, joint_names, strict=True)), dict(zip(SIDES, reversed(SIDES), strict=True))
+    parts = [name.partition(".") for name in normal]
+    return [
+        joints.get(f"{other.get(side)}.{part}", name) for (side, _, part), name in zip(parts, joint_names, strict=True)
+    ]
+
+
 def _words(name: str) -> Words:
     found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_a-zA-Z]+", name)
     return tuple(str(int(word)) if word.isdigit() else word.lower() for word in found)

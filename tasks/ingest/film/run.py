@@ -12,12 +12,13 @@ from pasdedeux.errors import named
 from pasdedeux.film.drawing import contact_sheet, draw_people, evenly, moving_svg
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.people.decisions import check_sequences
 from pasdedeux.people.resolution import ResolvedPeople
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
 from tasks.ingest.film.resolution import annotate, find_shots, read_shot, shot_images
 from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES
-from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, FoundAnnotations, check_sequences, decisions_of
+from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, FoundAnnotations, decisions_of
 from tasks.ingest.poses2d.run import commit_poses2d
 from tasks.stage import Shard, SourceFile
 

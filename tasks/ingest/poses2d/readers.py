@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
@@ -115,19 +115,17 @@ def _frames_format(tried: Sequence[Path], format_name: str) -> str | None:
     ]
     name = per_frame[0]
     for item in tried:
+        start = read_start(item)
         with suppress(InputError):
-            name = find_format(ANNOTATION_FORMATS, "auto", read_start(item)).name
+            name = find_format(ANNOTATION_FORMATS, "auto", start).name
             break
     return name if ANNOTATION_FORMATS[name].is_file_per_frame else None
 
 
 def _format_of(path: Path, format_name: str) -> str:
-    try:
-        return find_format(ANNOTATION_FORMATS, format_name, read_start(path)).name
-    except InputError as error:
-        if not path.is_file():
-            raise
-        raise type(error)(f"{path.name}: {error}") from None
+    start = read_start(path)
+    with named(path.name):
+        return find_format(ANNOTATION_FORMATS, format_name, start).name
 
 
 def refuse_film(paths: Sequence[Path], path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +12,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
-from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
+from pasdedeux.people.decisions import Decision, check_sequences, read_decisions, write_decisions
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
 from tasks.ingest.files import find_file, load_file, read_again
 from tasks.ingest.poses2d.parameters import AnnotationOptions, AnnotationParameters
@@ -168,18 +167,9 @@ def decisions_of(people_file: Path | None) -> list[Decision]:
     """Return the table of who is who; nothing where there is none."""
     if people_file is None:
         return []
+    data = load_file(people_file).data
     with named(people_file.name):
-        return read_decisions(load_file(people_file).data)
-
-
-def check_sequences(decisions: Sequence[Decision], known: set[str]) -> None:
-    """Refuse a row of the table of who is who about a sequence that is not there."""
-    for row in decisions:
-        if row.sequence_id not in known:
-            raise InputError(
-                f"people, row '{row.in_words()}': there is no such sequence; sequences: "
-                f"{', '.join(sorted(known)[:MAX_NAMED_FILES])}"
-            )
+        return read_decisions(data)
 
 
 def _find_camera(

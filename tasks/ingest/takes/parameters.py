@@ -26,6 +26,7 @@ BUILT_IN_DUETS = tuple(DUETS)
 MappingTable = dict[str, str | dict[str, float]]
 Mappings = dict[str, dict[Literal["parts", "pair17", "op14", "body22"], MappingTable]]
 MotionFormatName = Annotated[str, one_of(MOTION_FORMATS)]
+Mirrored = bool | Literal["names"]
 UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 
 
@@ -51,8 +52,10 @@ class PersonOptions(Parameters):
     up_axis: UpAxis | None = Field(
         None, description="Axis of the file that points up; by default the one along which the bodies stand"
     )
-    mirrored: bool | None = Field(
-        None, description="Left and right are exchanged in the file, as a left-handed export does: put right"
+    mirrored: Mirrored | None = Field(
+        None,
+        description="Left and right are exchanged in the file: true where it shows a mirrored scene, as a left-handed "
+        'export does, "names" where only the names of joints are exchanged; put right',
     )
     layout: str | None = Field(
         None, description="Joint mapping: a known layout or one of `ingest.mappings`; by default told by the joints"
@@ -277,7 +280,7 @@ class PersonParameters(Parameters):
     metres_per_unit: float = 1.0
     unit_confidence: float = 1.0
     up_axis: UpAxis = "y"
-    mirrored: bool = False
+    mirrored: Mirrored = False
     number: int = 0
     first_frame: int = 0
     num_frames: int = 0

@@ -46,12 +46,13 @@ def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, numbe
         InputError: With the file's name in front: missing, mangled, unknown joints, a bone of length zero, or
             something that must be said in the study and is not.
     """
-    file = find_file(path)
+    file, start = find_file(path), read_start(path)
     with named(path.name):
-        kind = find_format(MOTION_FORMATS, options.format or "auto", read_start(path))
+        kind = find_format(MOTION_FORMATS, options.format or "auto", start)
         companion = find_companion(path, kind, options.skeleton)
         head = _head(kind.name, file, companion, number)
-        taken = resolve_file(file, head.rest, options, mappings)
+        rest = head.rest.with_sides_exchanged() if options.mirrored == "names" else head.rest
+        taken = resolve_file(file, rest, options, mappings)
         layout, usual = taken.required_layout(), usual_rate_hz(path.name)
         parameters = PersonParameters(
             source_name=path.name,
@@ -63,7 +64,7 @@ def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, numbe
             metres_per_unit=taken.required_unit_m(),
             unit_confidence=taken.unit.confidence,
             up_axis=options.up_axis or "auto",
-            mirrored=bool(options.mirrored),
+            mirrored=options.mirrored or False,
             number=number,
             first_frame=options.first_frame or 0,
             translation_m=options.translation_m or (0.0, 0.0, 0.0),

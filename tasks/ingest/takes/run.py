@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import compress
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from pasdedeux.formats.guess import AxisGuess, MirrorGuess, guess_mirrored
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion, place_points
 from pasdedeux.formats.registry import MOTION_FORMATS
-from pasdedeux.formats.resolution import SURE, resolve_up_axes
+from pasdedeux.formats.resolution import SURE, mend_of_mirror, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion, mirror_signs, upright_from_file
 from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
 from pasdedeux.interaction.known_contacts import read_contacts
@@ -95,7 +96,7 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
     people, is_mirrored = [], []
     for person, motion, layout, axis in zip(parameters.persons, motions, layouts, axes, strict=True):
         source = person.model_copy(update={"up_axis": axis.axis})
-        if source.mirrored:
+        if source.mirrored is True:
             motion = motion.mirrored(axis.axis)
         is_mirrored.append(guess_mirrored(motion, layout))
         captured = place_motion(
@@ -136,7 +137,7 @@ def _objects(take: TakeParameters, data: bytes, up_axis: str, num_frames: int) -
     """Return the objects in the world and at the rate of the study, before the take is put on the floor."""
     first, objects = take.persons[0], read_objects(data)
     ends = objects.ends_m[first.first_frame : first.first_frame + first.num_frames]
-    ends = ends * mirror_signs(up_axis) if first.mirrored else ends
+    ends = ends * mirror_signs(up_axis) if first.mirrored is True else ends
     upright = rotate(np.broadcast_to(upright_from_file(up_axis), (*ends.shape[:-1], 4)), ends)
     placed = place_points(upright, translation_m=first.translation_m, yaw_rad=float(np.deg2rad(first.yaw_deg)))
     moved = resample_positions(placed, from_hz=first.rate_hz, to_hz=take.rate_hz, start_s=first.start_s)
@@ -148,7 +149,8 @@ def _read(take: TakeParameters, person: PersonParameters, files: dict[str, bytes
     data, companion = files[person.motion_sha256], files.get(person.companion_sha256, b"")
     with named(f"take {take.take_id}: {person.source_name}"):
         source = MOTION_FORMATS[person.format].read_person(person.number, data, companion)
-    return source.frames(person.first_frame, person.first_frame + person.num_frames)
+    taken = source.frames(person.first_frame, person.first_frame + person.num_frames)
+    return taken.with_sides_exchanged() if person.mirrored == "names" else taken
 
 
 def _verdict(
@@ -165,10 +167,10 @@ def _verdict(
         reasons.append(f"its length unit is a guess (confidence {unit:.1f}); set metres_per_unit")
     if up.confidence < SURE:
         reasons.append(f"its up axis {up.axis} is a guess (confidence {up.confidence:.1f}); set up_axis")
-    for person, mirror in zip(persons, mirrors, strict=True):
-        if mirror.is_mirrored and mirror.confidence >= SURE:
-            words = "are exchanged still" if person.mirrored else "seem exchanged; look, and set mirrored = true"
-            reasons.append(f"left and right of {person.source_name} {words}")
+    exchanged = [mirror.is_mirrored and mirror.confidence >= SURE for mirror in mirrors]
+    for person in compress(persons, exchanged):
+        words = "are exchanged still" if person.mirrored else f"seem exchanged; look, and {mend_of_mirror(exchanged)}"
+        reasons.append(f"left and right of {person.source_name} {words}")
     if len(persons) != 2:
         who = "one person only" if len(persons) == 1 else f"{len(persons)} people"
         reasons.append(f"it has {who}: what needs pairs passes it over")

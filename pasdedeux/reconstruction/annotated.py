@@ -127,7 +127,7 @@ def as_pair17(op14_m: Array, pair_m: Array) -> Array:
     Each is moved, at the size of the other, to where shoulders and hips lie.
     """
     joints, known = op14_m[:, _OP14], pair_m[:, _PAIR17]
-    spread = [np.linalg.norm(one - one.mean(axis=1, keepdims=True), axis=(1, 2)) for one in (joints, known)]
+    spread = [np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=(1, 2)) for points in (joints, known)]
     sized = pair_m * (spread[0] / np.maximum(spread[1], 1e-9))[:, None, None]
     moved = align_rigid(sized[:, _PAIR17][:, _TORSO], joints[:, _TORSO])
     made = np.einsum("pij,pnj->pni", moved.rotmat, sized) + moved.translation_m[:, None]

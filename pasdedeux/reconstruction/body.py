@@ -278,12 +278,14 @@ def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rat
             which of these frames (frame,) are bridged.
         rate_hz: Frames per second.
     """
-    frames = np.arange(min(first for first, _, _ in people), max(first + len(one.pelvis_m) for first, one, _ in people))
-    soles = np.mean([one.body.ankle_height_m for _, one, _ in people])
+    starts, bodies, _ = zip(*people, strict=True)
+    ends = [start + len(body.pelvis_m) for start, body in zip(starts, bodies, strict=True)]
+    frames = np.arange(min(starts), max(ends))
+    soles = np.mean([body.body.ankle_height_m for body in bodies])
     motions = []
-    for first, one, is_bridged in people:
+    for first, body, is_bridged in people:
         at = np.clip(frames - first, 0, len(is_bridged) - 1)
-        whole = replace(one, pelvis_m=one.pelvis_m[at] + [0.0, soles, 0.0], unitquat=one.unitquat[at])
+        whole = replace(body, pelvis_m=body.pelvis_m[at] + [0.0, soles, 0.0], unitquat=body.unitquat[at])
         is_seen = (frames - first == at) & ~is_bridged[at]
         motions.append(HumanoidMotion(whole.motion(rate_hz), int(frames[0]), is_seen))
     return motions

@@ -1,8 +1,8 @@
 """Clean-up of a reconstructed motion: planted feet stand still, nobody sinks into the floor, bones keep their length.
 
-One camera sees the depth of a person badly, so reconstructed people glide.  Feet on the floor tell how the body really
-moved: first the path of the whole body is corrected (poses stay as they are) so that planted feet move least, then what
-is left is taken up by the legs: hips and feet are given, and the knee keeps the plane it bends in.
+The depth of a person is badly known from one camera, so reconstructed people glide.  Feet on the floor tell how the
+body moved: first the path of the whole body is corrected, with poses kept, so that planted feet move least.  The legs
+then take up the rest: hips and feet are given, and the knee keeps the plane in which it bends.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _MIN_BEND_M = 1e-4
 
 
 BLEND_S = 0.12
-"""A foot comes into its lock and out of it over this time."""
+"""Time over which the lock of a foot is blended in and out."""
 MAX_BEND_M = 0.04
-"""The legs move a foot by at most this."""
+"""Largest displacement of a foot by the legs."""
 _MIN_CONTACT_S = 0.1
-"""Shorter contacts are none."""
+"""Shorter contacts are dropped."""
 _SHIFT_STIFFNESS = 1.0
 """Cost of a second difference of the correction of the path, against 1 for a planted foot's step."""
 _SHIFT_HOLD = 0.01
@@ -73,11 +73,10 @@ class CleanedMotion:
 
 
 def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = None) -> CleanedMotion:
-    """Clean the motion of a person, or of all people of a video, up.
+    """Clean up the motion of a person, or of all people of a video.
 
-    All stand on one floor; who stands on nothing, see `interaction.floor`, is not put on it.  People who touch each
-    other keep their place to each other: the path of one is corrected with that of the other, so who is carried goes
-    where the feet of the other say.
+    All stand on one floor; people in the air, see `interaction.floor`, are not put on it.  People who touch keep their
+    place relative to each other: their paths are corrected together, so a carried person follows the feet of the other.
 
     Args:
         positions_m: op14 positions (frame, *person, 14, 3), upright axes (y up, z towards the camera), metres; of
@@ -90,7 +89,11 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
     people = positions_m.reshape(len(positions_m), -1, OP14.num_joints, 3)
     present = np.ones(people.shape[:2], dtype=bool) if is_present is None else is_present.reshape(people.shape[:2])
     positions = np.stack(
-        [retarget_proportions(one, np.median(bone_lengths(OP14, one), axis=0)) for one in people.swapaxes(0, 1)], axis=1
+        [
+            retarget_proportions(person, np.median(bone_lengths(OP14, person), axis=0))
+            for person in people.swapaxes(0, 1)
+        ],
+        axis=1,
     )
     feet = positions[:, :, _ANKLES]
     is_planted = find_standing(feet, rate_hz=rate_hz, settings=StandingSettings(), is_present=present)
@@ -99,11 +102,13 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
     shift = _correct_paths(feet, is_planted, _touching(positions, present), floor)
     positions = positions + shift[:, :, None]
     for person in range(positions.shape[1]):
-        one = positions[:, person]
+        pose = positions[:, person]
         for side, (hip, knee, ankle) in enumerate(_LEGS):
-            target = _targets(one[:, ankle], is_planted[:, person, side], floor, rate_hz)
-            facing = _facings(np.ascontiguousarray(one))
-            one[:, knee], one[:, ankle] = bend_leg(one[:, hip], one[:, knee], one[:, ankle], target, fallback=facing)
+            target = _targets(pose[:, ankle], is_planted[:, person, side], floor, rate_hz)
+            facing = _facings(np.ascontiguousarray(pose))
+            pose[:, knee], pose[:, ankle] = bend_leg(
+                pose[:, hip], pose[:, knee], pose[:, ankle], target, fallback=facing
+            )
     batch = positions_m.shape[:-2]
     return CleanedMotion(
         positions.reshape(positions_m.shape), is_planted.reshape(*batch, 2), shift.reshape(*batch, 3), floor
@@ -205,16 +210,16 @@ def _correct_paths(feet: Array, is_planted: Flags, touching: Sequence[tuple[int,
 
     step = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(frames - 1, frames))
     bend = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(frames - 2, frames))
-    own, pull = [], np.zeros((frames, people, 3))
+    normals, pull = [], np.zeros((frames, people, 3))
     for person in range(people):
         stays = (is_planted[1:, person] & is_planted[:-1, person]).astype(np.float64)  # (frame - 1, foot)
-        own.append(
+        normals.append(
             _SHIFT_HOLD * eye_array(frames)
             + _SHIFT_STIFFNESS * bend.T @ bend
             + step.T @ diags_array(stays.sum(axis=1)) @ step
         )
         pull[:, person] = -step.T @ (stays[..., None] * np.diff(feet[:, person], axis=0)).sum(axis=1)
-    normal = block_diag(own)
+    normal = block_diag(normals)
     for first, second, touch in touching:
         at = np.flatnonzero(touch)
         rows, ones = np.arange(len(at)), np.ones(len(at))
@@ -242,18 +247,18 @@ def _targets(ankle: Array, is_planted: Flags, floor: float, rate_hz: float) -> A
     for first, last in _runs(is_planted):
         place = ankle[first:last].mean(axis=0)
         place[_UP] = max(place[_UP], floor)
-        own = np.zeros(ankle.shape)
+        moved = np.zeros(ankle.shape)
         share = np.zeros(frames)
-        own[first:last] = place - ankle[first:last]
+        moved[first:last] = place - ankle[first:last]
         share[first:last] = 1.0
         for step in range(1, blend):
             fade = 0.5 + 0.5 * np.cos(np.pi * step / blend)
             if first - step >= 0:
-                own[first - step], share[first - step] = fade * own[first], fade
+                moved[first - step], share[first - step] = fade * moved[first], fade
             if last - 1 + step < frames:
-                own[last - 1 + step], share[last - 1 + step] = fade * own[last - 1], fade
+                moved[last - 1 + step], share[last - 1 + step] = fade * moved[last - 1], fade
         # Where blends of two contacts meet, each counts by its share.
-        move += share[:, None] * own
+        move += share[:, None] * moved
         weight += share[:, None]
     move = move / np.maximum(weight, 1.0)
     length = np.linalg.norm(move, axis=-1, keepdims=True)
@@ -280,11 +285,13 @@ def clean_reconstructions(
         camera: The database's camera, whose pitch says where up is.
     """
     upright = np.asarray(camera.camera_from_upright_rotmat)
-    tracks = [one.track for one in people]
-    frames = np.arange(min(one.first_frame for one in tracks), 1 + max(one.frames[-1] for one in tracks))
-    at = np.stack([np.clip(frames, one.frames[0], one.frames[-1]) - one.first_frame for one in tracks], axis=1)
-    present = np.stack([np.isin(frames, one.frames) for one in tracks], axis=1)
-    seen = np.stack([(one.positions_m[at[:, n]] - origin_m) @ upright for n, one in enumerate(people)], axis=1)
+    tracks = [person.track for person in people]
+    frames = np.arange(min(track.first_frame for track in tracks), 1 + max(track.frames[-1] for track in tracks))
+    at = [np.clip(frames, track.frames[0], track.frames[-1]) - track.first_frame for track in tracks]
+    present = np.stack([np.isin(frames, track.frames) for track in tracks], axis=1)
+    seen = np.stack(
+        [(person.positions_m[rows] - origin_m) @ upright for person, rows in zip(people, at, strict=True)], axis=1
+    )
     cleaned = clean_up(seen, rate_hz=tracks[0].rate_hz, is_present=present)
     positions = (cleaned.positions_m - np.array([0.0, cleaned.floor_m, 0.0])) @ upright.T + origin_m
-    return [one.posed(positions[present[:, number], number]) for number, one in enumerate(people)]
+    return [person.posed(positions[present[:, number], number]) for number, person in enumerate(people)]

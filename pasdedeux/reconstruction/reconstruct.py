@@ -31,42 +31,42 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 MIN_JOINTS = 4
-"""Frames with fewer joints seen are bridged."""
+"""Frames that show fewer joints are bridged."""
 SMOOTHING_S = 0.375
 """Window of the Savitzky-Golay smoothing."""
 _SMOOTHING_ORDER = 2
 _NUM_PLACEMENTS = 4
-"""Rounds of search that scale and place are refined in."""
+"""Rounds of search in which scale and place are refined."""
 _SCALE_WINDOW_S = 1.5
-"""Length of the window that a track's scale is the median of."""
+"""Length of the window over which the median of a track's scale is taken."""
 _SMOOTHED_NOISE = 0.6
-"""Noise left by a Savitzky-Golay window of 7 frames and order 2, as part of the noise before."""
+"""Share of the noise that a Savitzky-Golay window of 7 frames and order 2 leaves."""
 
 _NUM_FIT_ROUNDS = 2
 _SAME_IMAGE_M = 0.002
-"""A second round is made where the first one's depths change the image by more than this."""
+"""A second round is made if the depths of the first change the image by more than this."""
 
 _MODEL_ERROR_M = 0.012
-"""What estimated proportions, scale and lens leave over in the image even where keypoints are exact."""
+"""Residual in the image of estimated proportions, scale and lens if keypoints are exact."""
 
 _BONE_DEVIATION_RANGE_M = (0.01, 0.2)
-"""Bounds of what a retrieved bone is trusted to."""
+"""Range of the standard deviation of a retrieved bone."""
 
 _NOISE_OF_EQUAL_SHARES_M = 0.03
-"""Noise of the image at which the followed motion and the frame's own candidates count the same."""
+"""Noise of the image at which the followed motion counts as much as the candidates of the frame."""
 
 MEAN_OF_RAYLEIGH = float(np.sqrt(np.pi / 2.0))
 """Mean distance of a joint from its place, over the standard deviation of each of its coordinates."""
 
 _BRIDGED_MISFIT_M = 0.05
-"""Misfit that bridged frames are given: their bones are interpolated."""
+"""Misfit of bridged frames: their bones are interpolated."""
 
 
 HOW_TO_CLUSTER = "method 'published' needs them: set num_clusters (500 in the paper) of [projections]"
 
 
 class Method(StrEnum):
-    """How one candidate a frame is chosen, and what is done with it."""
+    """How a candidate is chosen for each frame, and what is done with it."""
 
     NEAREST = "nearest"
     PUBLISHED = "published"
@@ -99,7 +99,7 @@ class Searcher:
     published: PublishedIndex | None = None
     """Index of the method `published`; None where the database has no clusters."""
     source_row: Integers | None = None
-    """Row that each pose is told as (row,), where some are others laid down, see `lying`."""
+    """Row of the database that each pose comes from (row,), if some are laid down, see `lying`."""
 
     @classmethod
     def of(cls, database: Database, clusters: Clusters | None = None) -> Searcher:
@@ -109,7 +109,7 @@ class Searcher:
 
     @property
     def methods(self) -> tuple[Method, ...]:
-        """The methods that the database is made ready for."""
+        """Methods that can run over this database."""
         return tuple(method for method in Method if method is not Method.PUBLISHED or self.published is not None)
 
     def pitched(self, pitch_rad: float) -> Searcher:
@@ -193,7 +193,7 @@ class ReconstructedTrack:
         return replace(self, positions_m=positions_m, root_m=mid_hip(positions_m))
 
     def scaled(self, size: float) -> ReconstructedTrack:
-        """Return body and path grown about the camera, which sees no difference."""
+        """Return body and path scaled about the camera, which sees no difference."""
         return replace(
             self,
             positions_m=size * self.positions_m,
@@ -205,8 +205,8 @@ class ReconstructedTrack:
 def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions | None = None) -> Matches:
     """Place a track and find each frame's candidates.
 
-    Rays are straightened first: keypoints are looked at as if the camera were turned towards the person, because the
-    database's camera looks straight at the body.
+    Rays are straightened first, as if the camera were turned towards the person: the database's camera looks straight
+    at the body.
 
     Raises:
         InputError: No frame shows `MIN_JOINTS` joints, or its size cannot be estimated.
@@ -224,23 +224,23 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
     placement = place_track(straight, weights, searcher.reference, window=window, metres_per_pixel=scale)
     proportions = np.ones(OP14.num_joints)
     for round_number in range(_NUM_PLACEMENTS):
-        own = placement.to_metres(straight)
+        image_m = placement.to_metres(straight)
         is_last = round_number == _NUM_PLACEMENTS - 1
         neighbours = searcher.index.search(
-            retarget_image(own, proportions), weights, num_neighbours=options.num_candidates if is_last else 1
+            retarget_image(image_m, proportions), weights, num_neighbours=options.num_candidates if is_last else 1
         )
         if not is_last:
             matched = _projection_of(searcher.database, neighbours)
             if options.has_own_proportions:
-                proportions = estimate_proportions(own, weights, matched)
+                proportions = estimate_proportions(image_m, weights, matched)
                 # Dividing by the inverse stretches the match to the person, so that scale is judged like by like.
                 matched = retarget_image(matched, 1.0 / proportions)
             placement = refine_placement(
                 straight, weights, matched, window=window, previous=placement, metres_per_pixel=scale
             )
     # The steps of the database are coarse: each candidate is turned to the image, and the order is by what is left.
-    neighbours, yaw_steps = refine_yaws(searcher.database, neighbours, retarget_image(own, proportions), weights)
-    query = np.where(weights[..., None] > 0, own, np.nan)
+    neighbours, yaw_steps = refine_yaws(searcher.database, neighbours, retarget_image(image_m, proportions), weights)
+    query = np.where(weights[..., None] > 0, image_m, np.nan)
     return Matches(neighbours, query, weights, placement, towards, proportions, yaw_steps)
 
 
@@ -269,30 +269,30 @@ def reconstruct_track(
             clusters.
     """
     options = options or ReconstructionOptions()
-    found = matches or match_track(searcher, track, options)
+    matches = matches or match_track(searcher, track, options)
     if method is Method.PUBLISHED:
-        found = _published_matches(searcher, found)
-    database, neighbours = searcher.database, found.neighbours
+        matches = _published_matches(searcher, matches)
+    database, neighbours = searcher.database, matches.neighbours
     if method is Method.NEAREST:
         ranks = choose_nearest(neighbours)
     elif method in (Method.WINDOW, Method.PUBLISHED):
-        ranks = choose_window(database, neighbours, yaw_steps=found.yaw_steps)
+        ranks = choose_window(database, neighbours, yaw_steps=matches.yaw_steps)
     else:
-        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, yaw_steps=found.yaw_steps)
+        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, yaw_steps=matches.yaw_steps)
     is_known = ranks >= 0
     frames = np.arange(len(ranks))
     rank = np.maximum(ranks, 0)
     row = np.where(is_known, neighbours.row[frames, rank], -1)
-    yaw_steps = found.yaw_steps[frames, rank]
+    yaw_steps = matches.yaw_steps[frames, rank]
     unitquat = bridge_gaps(bone_rotations(_before_camera(database, np.maximum(row, 0), yaw_steps)), is_known)
     if method is not Method.NEAREST:
         unitquat = smooth_savitzky_golay(unitquat, num_frames=odd_window(SMOOTHING_S, track.rate_hz))
-    lengths = REFERENCE_LENGTHS_M * found.proportions
+    lengths = REFERENCE_LENGTHS_M * matches.proportions
     relative = place_bone_rotations(unitquat, lengths, np.zeros((len(ranks), 3)))
-    placement, retrieved = found.placement, relative
+    placement, retrieved = matches.placement, relative
     if method is Method.FIT:
-        relative = _fit(searcher, found, relative, is_known, track, options)
-    root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
+        relative = _fit(searcher, matches, relative, is_known, track, options)
+    root, towards = _root_before_camera(placement, matches.towards_camera, track, is_known)
     if method is not Method.NEAREST:
         root = _smooth_path(root, odd_window(SMOOTHING_S, track.rate_hz))
     positions = rotate(camera_turns(towards)[:, None], relative) + root[:, None]
@@ -306,11 +306,11 @@ def reconstruct_track(
         is_bridged=~is_known,
         metres_per_pixel=placement.metres_per_pixel,
         correction_m=_mean_distance_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),
-        noise_m=image_noise(found.query_m, found.weights > 0),
+        noise_m=image_noise(matches.query_m, matches.weights > 0),
     )
 
 
-def _published_matches(searcher: Searcher, found: Matches) -> Matches:
+def _published_matches(searcher: Searcher, matches: Matches) -> Matches:
     """Return what the published search finds for a track: yaws and proportions are the database's.
 
     Raises:
@@ -318,11 +318,11 @@ def _published_matches(searcher: Searcher, found: Matches) -> Matches:
     """
     if searcher.published is None:
         raise InputError(f"the projection database has no clusters; {HOW_TO_CLUSTER}")
-    hips = mid_hip(found.query_m)
-    about_hips = found.query_m - np.where(np.isfinite(hips), hips, 0.0)[:, None]
-    neighbours = searcher.published.search(about_hips, found.weights)
+    hips = mid_hip(matches.query_m)
+    about_hips = matches.query_m - np.where(np.isfinite(hips), hips, 0.0)[:, None]
+    neighbours = searcher.published.search(about_hips, matches.weights)
     return replace(
-        found,
+        matches,
         neighbours=neighbours,
         proportions=np.ones(OP14.num_joints),
         yaw_steps=neighbours.yaw_index.astype(np.float64),
@@ -336,47 +336,47 @@ def _mean_distance_m(first: Array, second: Array) -> Array:
 
 
 def _fit(
-    searcher: Searcher, found: Matches, retrieved: Array, is_known: Flags, track: Track, options: ReconstructionOptions
+    searcher: Searcher, matches: Matches, matched: Array, is_known: Flags, track: Track, options: ReconstructionOptions
 ) -> Array:
-    """Return retrieved poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
+    """Return matched poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
 
     The candidates vote on depth in reference proportions; the fit is in the person's own.  Perspective needs the depth
     and the depth needs the image without perspective, so a second round starts from the first one's depths.  Bones are
     pulled to the mean of the candidates of their sign; in a noisy image, where votes change from frame to frame, more
     to the motion that was followed through the database.
     """
-    neighbours = found.neighbours
-    reference = place_bone_rotations(bone_rotations(retrieved), REFERENCE_LENGTHS_M, np.zeros((len(retrieved), 3)))
-    distance = found.placement.metres_per_pixel * track.lens.focal_px
-    is_seen = found.weights > 0
-    noise = image_noise(found.query_m, is_seen)
-    match = np.where(is_known, neighbours.distance_m[:, 0], np.hypot(_BRIDGED_MISFIT_M, MEAN_OF_RAYLEIGH * noise))
-    trust = bone_deviation_m(match, noise, options.trust_per_misfit)[:, None] * np.ones(OP14.num_joints)
+    neighbours = matches.neighbours
+    reference = place_bone_rotations(bone_rotations(matched), REFERENCE_LENGTHS_M, np.zeros((len(matched), 3)))
+    distance = matches.placement.metres_per_pixel * track.lens.focal_px
+    is_seen = matches.weights > 0
+    noise = image_noise(matches.query_m, is_seen)
+    match_m = np.where(is_known, neighbours.distance_m[:, 0], np.hypot(_BRIDGED_MISFIT_M, MEAN_OF_RAYLEIGH * noise))
+    trust = bone_deviation_m(match_m, noise, options.trust_per_misfit)[:, None] * np.ones(OP14.num_joints)
     window = odd_window(0.5 * SMOOTHING_S, track.rate_hz)
-    positions = retrieved
-    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaw_steps)
+    positions = matched
+    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), matches.yaw_steps)
     candidates[~is_known] = reference[~is_known, None]
     misfit = np.where(is_known[:, None], neighbours.distance_m, 0.0)
     misfit = misfit - misfit[:, :1]
-    followed = bone_vectors(retrieved)
+    followed = bone_vectors(matched)
     share = share_of_followed(noise)
-    flat = np.full(found.query_m.shape, np.inf)
+    flat = np.full(matches.query_m.shape, np.inf)
     for _ in range(_NUM_FIT_ROUNDS):
-        before, flat = flat, flatten_image(found.query_m, positions, distance)
+        before, flat = flat, flatten_image(matches.query_m, positions, distance)
         if np.abs(flat - before)[is_seen].max() < _SAME_IMAGE_M:
             break
-        observed = retarget_image(_smooth_seen(flat, is_seen, window), found.proportions)
+        observed = retarget_image(_smooth_seen(flat, is_seen, window), matches.proportions)
         left = max(_SMOOTHED_NOISE * noise, options.min_noise_m)
         vectors, depths = decode_depths(observed, candidates, misfit, noise_m=left, rate_hz=track.rate_hz)
-        start = place_depths(np.where(is_seen[..., None], flat, retrieved[..., :2]), depths * found.proportions)
+        start = place_depths(np.where(is_seen[..., None], flat, matched[..., :2]), depths * matches.proportions)
         start[..., 2] -= mid_hip(start)[:, None, 2]
         positions = fit_observed(
             OP14,
-            REFERENCE_LENGTHS_M * found.proportions,
+            REFERENCE_LENGTHS_M * matches.proportions,
             start,
-            found.query_m,
-            found.weights,
-            share * followed + (1.0 - share) * vectors * found.proportions[:, None],
+            matches.query_m,
+            matches.weights,
+            share * followed + (1.0 - share) * vectors * matches.proportions[:, None],
             trust,
             rate_hz=track.rate_hz,
             distance_m=distance,

@@ -27,12 +27,12 @@ TRACK_COLUMNS = (
 )
 """Columns of the table of annotations that tracks are made of."""
 _FOCAL_OVER_WIDTH = 0.72
-"""Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
+"""Focal length over the longer side of the image if it is not known: a 26 mm phone lens on 36 mm film."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole as far as it is known: focal length and principal point, pixels, y down."""
+    """A pinhole camera: focal length and principal point, pixels, y down; assumed if not known."""
 
     focal_px: float
     principal_point_px: tuple[float, float]
@@ -166,17 +166,17 @@ def broken_doubts(sequence_id: str, tracks: Sequence[Track]) -> dict[int, str]:
     if len(tracks) < 2:
         return {}
     breaks = find_breaks(
-        np.concatenate([one.frames for one in tracks]),
-        np.concatenate([np.full(len(one.frames), one.person_id) for one in tracks]),
-        np.concatenate([one.keypoints_px for one in tracks]),
-        np.concatenate([one.confidence for one in tracks]),
+        np.concatenate([track.frames for track in tracks]),
+        np.concatenate([np.full(len(track.frames), track.person_id) for track in tracks]),
+        np.concatenate([track.keypoints_px for track in tracks]),
+        np.concatenate([track.confidence for track in tracks]),
         rate_hz=tracks[0].rate_hz,
     )
     doubts: dict[int, str] = {}
-    for one in breaks:
+    for gap in breaks:
         words = (
-            f"{one.before} ends where {one.after} begins: the same person? "
-            f"Then say so in the table of people: {one.joined(sequence_id).in_words()}"
+            f"{gap.before} ends where {gap.after} begins: the same person? "
+            f"Then say so in the table of people: {gap.joined(sequence_id).in_words()}"
         )
-        doubts |= {name: words for name in (one.before, one.after) if name not in doubts}
+        doubts |= {name: words for name in (gap.before, gap.after) if name not in doubts}
     return doubts

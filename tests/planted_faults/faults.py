@@ -235,7 +235,7 @@ FAULTS = (
           "is_worse = ~(energy <= energy_fk)", "is_worse = np.isinf(energy)", "unit/test_augmentation_solvers.py::"
           "test_where_bulk_has_nothing_to_offer_plain_forward_kinematics_stays_and_fails"),
     Fault("feet are not locked", "pasdedeux/reconstruction/cleanup.py",
-          "move += share[:, None] * own", "move += 0.0 * own",
+          "move += share[:, None] * moved", "move += 0.0 * moved",
           "unit/test_projection_cleanup.py::test_planted_feet_stand_still_and_the_error_does_not_rise"),
     Fault("poses are turned the other way between frames", "pasdedeux/reconstruction/temporal.py",
           "np.stack([zero, np.sin(half)", "np.stack([zero, -np.sin(half)",

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.benchmark import BenchmarkResult, in_turn, measure
 from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
-from pasdedeux.completion.draw_index import DrawIndex, Nearest
+from pasdedeux.completion.draw_index import DrawIndex, NearestDraws
 from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.kinematics.rotations import normalise
 
@@ -31,7 +31,7 @@ def retrieval_problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return draws, images, views
 
 
-def plain_nearest(pairs_m: np.ndarray, image_m: np.ndarray, directions: np.ndarray, *, count: int = 1) -> Nearest:
+def plain_nearest(pairs_m: np.ndarray, image_m: np.ndarray, directions: np.ndarray, *, count: int = 1) -> NearestDraws:
     """Return the nearest draws draw by draw and view by view: what `DrawIndex.nearest` must give."""
     is_seen = np.isfinite(image_m).all(axis=-1).ravel()
     image = image_m.reshape(-1, 2)[is_seen]
@@ -44,7 +44,7 @@ def plain_nearest(pairs_m: np.ndarray, image_m: np.ndarray, directions: np.ndarr
     )
     best = squared.min(axis=1)
     order = np.lexsort((np.arange(len(best)), best))[:count]
-    return Nearest(
+    return NearestDraws(
         draw=order.astype(np.int64),
         view=np.argmin(squared[order], axis=1).astype(np.int64),
         distance_m=np.sqrt(best[order] / is_seen.sum()),
@@ -55,10 +55,10 @@ def _retrieval(count: int) -> BenchmarkResult:
     draws, images, views = retrieval_problem()
     index = DrawIndex(draws)
 
-    def fast(at: int) -> Nearest:
+    def fast(at: int) -> NearestDraws:
         return index.nearest(images[at], views[at : at + 1], count=count)
 
-    def plain(at: int) -> Nearest:
+    def plain(at: int) -> NearestDraws:
         return plain_nearest(draws, images[at], views[at : at + 1], count=count)
 
     num_same = sum(np.array_equal(fast(at).draw, plain(at).draw) for at in range(8))

@@ -14,7 +14,7 @@ from storage_schema import Manifest, Store
 from storage_schema.comparison import Difference, compare_artifacts
 
 
-class Figure(NamedTuple):
+class ScoreName(NamedTuple):
     """What a figure of the table `scores` is of; `at` is None where it is no point of a curve."""
 
     topic: str
@@ -25,19 +25,19 @@ class Figure(NamedTuple):
     at: float | None
 
 
-Figures = Mapping[Figure, tuple[float | None, str]]
+Figures = Mapping[ScoreName, tuple[float | None, str]]
 """Value and unit of figures; NaN, of which JSON knows nothing, is None."""
 
 
 def _figures_of(store: Store, manifests: Iterable[Manifest]) -> Figures:
     """Return the scores among these artifacts."""
-    found: dict[Figure, tuple[float | None, str]] = {}
+    found: dict[ScoreName, tuple[float | None, str]] = {}
     for manifest in manifests:
         if "scores" in manifest.tables:
-            table = store.read(manifest.ref, "scores", columns=[*Figure._fields, "value", "unit"])
-            columns = [[_plain(value) for value in table[name]] for name in Figure._fields]
+            table = store.read(manifest.ref, "scores", columns=[*ScoreName._fields, "value", "unit"])
+            columns = [[_plain(value) for value in table[name]] for name in ScoreName._fields]
             for *name, value, unit in zip(*columns, table["value"], table["unit"], strict=True):
-                found[Figure(*name)] = (_plain(value), unit)
+                found[ScoreName(*name)] = (_plain(value), unit)
     return found
 
 
@@ -49,7 +49,7 @@ def _plain(value: Any) -> Any:
 class ScoreChange:
     """A score before and after; None where it is not there, or no number."""
 
-    figure: Figure
+    figure: ScoreName
     unit: str
     a: float | None
     b: float | None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flows.planning import Selection, StagePlan, what_is_missing
+from flows.planning import StagePlan, StageSelection, what_is_missing
 from flows.progress import Listener
 from flows.study import Study
 from pasdedeux.verdict import Verdict
@@ -23,7 +23,7 @@ class Run:
     study: Study
     graph: Graph
     store: Store
-    selection: Selection = field(default_factory=Selection)
+    selection: StageSelection = field(default_factory=StageSelection)
     listener: Listener = field(default_factory=Listener)
     is_profiled: bool = False
 

@@ -42,7 +42,7 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True)
-class Selection:
+class StageSelection:
     """The stages that a run may work on; all by default.
 
     Args:
@@ -246,14 +246,14 @@ class Plan:
 
 
 @uncollected()
-def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | None = None) -> Plan:
+def make_plan(study: Study, graph: Graph, store: Store, selection: StageSelection | None = None) -> Plan:
     """Return the state of every stage; reads manifests and the headers of source files, computes nothing.
 
     Raises:
         PlanError: An unknown stage is selected, or a selected stage needs one that is neither fresh nor selected.
         InputError, StorageError, OSError: From a stage's own plan: its sources or parameters cannot be used.
     """
-    selection = selection or Selection()
+    selection = selection or StageSelection()
     selected = selection.stages(graph)
     asked = (study.asked | selection.targets) & selected
     for stage in graph.stages:

@@ -12,7 +12,7 @@ from pasdedeux.evaluation.report import render
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.plain_text import counted
 from storage_schema import Manifest, Store
-from tasks.shards import Place, ShardDone
+from tasks.shards import ShardDone, WhereComputed
 
 PROFILE_FILE = "profile.html"
 _NUM_LONGEST = 10
@@ -24,7 +24,7 @@ class _Bar:
     """A shard that was computed: its artifact, where, and from when to when in seconds of the run."""
 
     manifest: Manifest
-    place: Place
+    place: WhereComputed
     start_s: float
     seconds: float
 

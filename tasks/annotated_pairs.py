@@ -19,7 +19,7 @@ from tasks.facts import SequenceFacts
 from tasks.stage import Shard, StageInputs
 
 
-class Place(NamedTuple):
+class PairPlace(NamedTuple):
     """Which annotated pair: a sequence may show several couples in one frame."""
 
     sequence_id: str
@@ -29,7 +29,7 @@ class Place(NamedTuple):
     partner_id: int
 
 
-PLACE_COLUMNS = Place._fields
+PLACE_COLUMNS = PairPlace._fields
 MIN_SEEN = 10
 """Joints of the two people, of 28, that an annotation must show to be lifted."""
 People = dict[int, np.ndarray]
@@ -44,8 +44,8 @@ class PlacedPairs:
     """
 
     gathered: GatheredPairs
-    places: tuple[Place, ...]
-    frames: Mapping[Place, People]
+    places: tuple[PairPlace, ...]
+    frames: Mapping[PairPlace, People]
     stills: frozenset[str] = frozenset()
 
 
@@ -56,7 +56,7 @@ class SeenPair:
     One that `is_left_out` is of what draws are not made from.
     """
 
-    place: Place
+    place: PairPlace
     image_m: np.ndarray
     directions: np.ndarray
     hypotheses: np.ndarray
@@ -93,41 +93,41 @@ def with_views(annotated: Sequence[Manifest], inputs: StageInputs) -> dict[str, 
     return {"annotations": [manifest for manifest, _ in views], "views": [found for _, found in views]}
 
 
-def place_of(table: TableData, row: int) -> Place:
+def place_of(table: TableData, row: int) -> PairPlace:
     """Return which pair a row of `views` or `lifted_pairs` is about."""
     sequence, frame, person, partner = (table[name][row] for name in PLACE_COLUMNS)
-    return Place(str(sequence), int(frame), int(person), int(partner))
+    return PairPlace(str(sequence), int(frame), int(person), int(partner))
 
 
-def place_columns(places: Iterable[Place]) -> dict[str, list[Any]]:
+def place_columns(places: Iterable[PairPlace]) -> dict[str, list[Any]]:
     """Return the columns that say which pairs rows are about."""
     listed = list(places)
     return {name: [place[at] for place in listed] for at, name in enumerate(PLACE_COLUMNS)}
 
 
-def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[int, int]]:
+def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[PairPlace, dict[int, int]]:
     """Return the rows of every pair by person id, of the wanted rows (row,) of `annotations`.
 
     Only one row where a partner is not there; a frame where nobody has a partner is there once, without rows.
     """
     sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
     partners, is_alone = table["partner_id"], table.is_null("partner_id")
-    pairs: dict[Place, dict[int, int]] = {}
-    alone: dict[tuple[str, int], Place] = {}
+    pairs: dict[PairPlace, dict[int, int]] = {}
+    alone: dict[tuple[str, int], PairPlace] = {}
     for row in np.flatnonzero(is_wanted).tolist():
         sequence, frame, person = str(sequences[row]), int(frames[row]), int(persons[row])
         if is_alone[row]:
-            alone.setdefault((sequence, frame), Place(sequence, frame, person, person))
+            alone.setdefault((sequence, frame), PairPlace(sequence, frame, person, person))
         else:
             first, second = sorted((person, int(partners[row])))
-            pairs.setdefault(Place(sequence, frame, first, second), {})[person] = row
+            pairs.setdefault(PairPlace(sequence, frame, first, second), {})[person] = row
     with_pair = {(place.sequence_id, place.frame) for place in pairs}
     return pairs | {place: {} for frame, place in alone.items() if frame not in with_pair}
 
 
 def read_people(
     store: Store, refs: Iterable[ArtifactRef], *, is_between: bool = False, with_held_out: bool = False
-) -> dict[Place, People]:
+) -> dict[PairPlace, People]:
     """Return the joints (17, 2), pixels, of every pair in every frame by person id.
 
     Args:
@@ -137,7 +137,7 @@ def read_people(
         with_held_out: Whether annotations that are held out are wanted too.
     """
     names = ["sequence_id", "frame", "person_id", "partner_id", "is_key", "is_held_out", "pair17_px"]
-    people: dict[Place, People] = {}
+    people: dict[PairPlace, People] = {}
     for ref in refs:
         if "annotations" not in store.manifest(ref).tables:
             continue
@@ -156,7 +156,7 @@ def read_seen_pairs(
     *,
     num_hypotheses: int,
     instead: Mapping[tuple[str, int], np.ndarray] | None = None,
-) -> tuple[dict[Place, SeenPair], int]:
+) -> tuple[dict[PairPlace, SeenPair], int]:
     """Return the annotated pairs with enough joints and a view, in order, and how many had not.
 
     `instead` are joints (2, 17, 2), pixels, by sequence and frame, that take the place of those annotated there.
@@ -166,10 +166,10 @@ def read_seen_pairs(
     names = ["hypothesis", "direction", "weight", "metres_per_pixel"]
     table = store.read(views, "views", columns=[*PLACE_COLUMNS, *names])
     hypothesis, direction, weight, scale = (np.asarray(table[name]) for name in names)
-    likeliest: dict[Place, list[int]] = {}
+    likeliest: dict[PairPlace, list[int]] = {}
     for row in np.lexsort((hypothesis, -weight)).tolist():
         likeliest.setdefault(place_of(table, row), []).append(row)
-    found: dict[Place, SeenPair] = {}
+    found: dict[PairPlace, SeenPair] = {}
     for place in sorted(people):
         rows = likeliest.get(place, [])[:num_hypotheses]
         if len(people[place]) < 2 or not rows:
@@ -183,7 +183,7 @@ def read_seen_pairs(
     return found, len(people) - len(found)
 
 
-def read_all_seen(store: Store, shard: Shard, *, num_hypotheses: int) -> list[dict[Place, SeenPair]]:
+def read_all_seen(store: Store, shard: Shard, *, num_hypotheses: int) -> list[dict[PairPlace, SeenPair]]:
     """Return what `read_seen_pairs` does of each artifact that a shard has by `with_views`."""
     return [
         read_seen_pairs(store, annotations, views, num_hypotheses=num_hypotheses)[0]
@@ -206,7 +206,7 @@ def gather(
     """
     keypoints, frames = read_people(store, annotations), read_people(store, annotations, is_between=True)
     pairs, scales, directions, weights, which = [], [], [], [], []
-    index: dict[Place, int] = {}
+    index: dict[PairPlace, int] = {}
     for ref in views:
         if "views" not in store.manifest(ref).tables:
             continue
@@ -238,7 +238,7 @@ def gather(
     )
 
 
-def _moments(places: Sequence[Place], stills: frozenset[str]) -> np.ndarray:
+def _moments(places: Sequence[PairPlace], stills: frozenset[str]) -> np.ndarray:
     """Return when each pair was, in frames: videos lie far apart, and so do stills, whatever their numbers."""
     numbers = {name: at for at, name in enumerate(sorted({place.sequence_id for place in places}))}
     apart = [SAME_MOMENT if place.sequence_id in stills else 1 for place in places]

@@ -97,7 +97,7 @@ class VariantFacts(PeopleFacts):
     origin: VariantOrigin | None = None
 
 
-class Couple(Settings):
+class CoupleFact(Settings):
     """Two people of a sequence who were taken for partners, in so many frames near each other."""
 
     sequence_id: str
@@ -130,7 +130,7 @@ class SequenceFacts(PeopleFacts):
     layout: str = ""
     num_skipped_frames: int = 0
     skipped_files: tuple[str, ...] = ()
-    couples: tuple[Couple, ...] = ()
+    couples: tuple[CoupleFact, ...] = ()
     why_no_video: dict[str, str] = Field({})
     camera_height_m: float | None = None
     statures_m: dict[int, float] = Field({})

@@ -33,7 +33,7 @@ from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
+from tasks.annotated_pairs import PLACE_COLUMNS, PairPlace, SeenPair, read_seen_pairs
 from tasks.committing import commit
 from tasks.draw_sets import (
     DrawSet,
@@ -153,7 +153,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
     wanted = sorted({*chosen, *(end for span in spans for end in span)})
     rows: list[Row] = []
-    fitted: dict[Place, np.ndarray] = {}
+    fitted: dict[PairPlace, np.ndarray] = {}
     over_time = _over_time(shard, store, in_time, set(wanted), options.pitches_deg)
     for place in wanted:
         known = lifted_from.get(place[:3], ())
@@ -222,7 +222,7 @@ def _compared(store: Store, refs: tuple[ArtifactRef, ...], names: tuple[str, ...
     return {name: DrawIndex(found.pairs_m) for name, found in read_draw_sets(store, own).items()}
 
 
-def _spans(places: Sequence[Place], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
+def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[PairPlace, PairPlace]]:
     """Return two places each of one pair, spread over all: `gap` frames apart, or key frames up to twice that."""
     there = set(places)
     spans = [(place, place._replace(frame=place.frame + gap)) for place in places]
@@ -271,14 +271,14 @@ class _Together(NamedTuple):
 
 
 def _over_time(
-    shard: Shard, store: Store, places: Sequence[Place], wanted: set[Place], pitches_deg: Pitches
-) -> dict[Place, _Together]:
+    shard: Shard, store: Store, places: Sequence[PairPlace], wanted: set[PairPlace], pitches_deg: Pitches
+) -> dict[PairPlace, _Together]:
     """Return both people at the wanted ones of these places of videos, from them and some between."""
     stated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
-    couples: dict[Place, list[Place]] = {}
+    couples: dict[PairPlace, list[PairPlace]] = {}
     for place in places:
         couples.setdefault(place._replace(frame=0), []).append(place)
-    found: dict[Place, _Together] = {}
+    found: dict[PairPlace, _Together] = {}
     for couple, own in couples.items():
         between = {own[at] for at in evenly_spread(len(own), _NUM_OVER_TIME)}
         chosen = sorted(between.union(wanted.intersection(own)))
@@ -406,7 +406,9 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
     return found
 
 
-def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[Place, SeenPair]) -> list[Row]:
+def _baselines(
+    shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[PairPlace, SeenPair]
+) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
     options = shard.options(LiftingShard)
     whole = [one.image_m for one in every.values() if one.is_seen.all()]
@@ -431,7 +433,7 @@ def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Ma
     return rows
 
 
-def _fill(span: tuple[Place, Place], fitted: dict[Place, np.ndarray], draws: DrawSet) -> list[Row]:
+def _fill(span: tuple[PairPlace, PairPlace], fitted: dict[PairPlace, np.ndarray], draws: DrawSet) -> list[Row]:
     """Return the rows between two lifted pairs of a sequence."""
     first, last = (end.frame for end in span)
     ends = [fitted[end] - fitted[end].reshape(-1, 3).mean(axis=0) for end in span]

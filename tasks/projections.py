@@ -255,7 +255,7 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int = MA
     return np.concatenate(pairs)
 
 
-class _Group(NamedTuple):
+class _PosesTogether(NamedTuple):
     """People who were there together: the take of each frame, and everybody's poses and rotations, frame by frame.
 
     Draws are frames of one group that have no past: each begins a sequence.
@@ -269,7 +269,7 @@ class _Group(NamedTuple):
     has_past: bool = True
 
 
-def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
+def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_PosesTogether]:
     """Return the poses of every person of a take at the database's rate."""
     take, rest_m = TakeFacts.of(store.manifest(ref)), read_rest(store, ref)
     poses = read_motion(store, ref, "op14_m", "body22_m", "body22_world_unitquat")
@@ -278,21 +278,21 @@ def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
     return [_resampled(take, op14, turned, rate_hz)]
 
 
-def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_Group]:
+def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_PosesTogether]:
     """Return both people of every draw."""
     draws = store.read(ref, "draws", columns=["pair17_m", "take_id"])
     pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17).swapaxes(0, 1)
     take_ids = [take_id or "" for take_id in draws["take_id"]]
-    return [_Group(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)]
+    return [_PosesTogether(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)]
 
 
-def _resampled(facts: TakeFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarray], rate_hz: float) -> _Group:
+def _resampled(facts: TakeFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarray], rate_hz: float) -> _PosesTogether:
     """Return people at another rate."""
     rates = {"from_hz": facts.rate_hz, "to_hz": rate_hz}
     moved = np.stack([resample_positions(own, **rates) for own in op14_m])
     motions = [Motion(BODY22, REFERENCE_REST_M, np.zeros((len(one), 3)), one, facts.rate_hz) for one in unitquat]
     turned = np.stack([motion.resample(rate_hz).local_unitquat for motion in motions])
-    return _Group([facts.take_id] * moved.shape[1], moved, turned)
+    return _PosesTogether([facts.take_id] * moved.shape[1], moved, turned)
 
 
 def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
@@ -300,7 +300,7 @@ def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
     return pose_body(body_of(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M), retarget_proportions(op14_m))[1]
 
 
-def _rows(groups: Sequence[_Group]) -> dict[str, Any]:
+def _rows(groups: Sequence[_PosesTogether]) -> dict[str, Any]:
     """Return who and when each row is, person after person, and for two people where the other's row is."""
     rows: dict[str, list[Any]] = {}
     for group in groups:

@@ -60,7 +60,7 @@ class SelectedPairs:
 
 
 @dataclass(frozen=True)
-class _Chain:
+class _ChainWorth:
     """A chain: for how many independent pairs a draw stands, and what is thought of it."""
 
     share: float
@@ -69,7 +69,7 @@ class _Chain:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _PlausibleRows:
     """Plausible pairs of an artifact: number of the first of them, and their rows."""
 
     first: int
@@ -93,7 +93,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     limits = read_limits(store, refs)
     chains = _read_chains(store, manifests)
     selector = PairSelector(count)
-    parts: list[_Part] = []
+    parts: list[_PlausibleRows] = []
     first = num_plausible = 0
     num_independent = 0.0
     for manifest in (*grown, *drawn):
@@ -111,7 +111,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
             rows = rows[PairSelector(1, min_room=len(rows)).add(pairs[rows], *np.ones((2, len(rows))))]
         selector.add(pairs[rows], np.full(len(rows), share), log_prior[rows])
         num_independent += share * len(rows)
-        parts.append(_Part(first, manifest, rows))
+        parts.append(_PlausibleRows(first, manifest, rows))
         first += len(rows)
     found = selector.selection()
     which = np.searchsorted([part.first for part in parts], found.index, side="right") - 1
@@ -132,7 +132,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     )
 
 
-def _read_chains(store: Store, manifests: Sequence[Manifest]) -> dict[tuple[Any, ...], _Chain]:
+def _read_chains(store: Store, manifests: Sequence[Manifest]) -> dict[tuple[Any, ...], _ChainWorth]:
     """Return all chains by density, seed and number; one that never moved is worth one pair."""
     found = {}
     for manifest in manifests:
@@ -142,7 +142,7 @@ def _read_chains(store: Store, manifests: Sequence[Manifest]) -> dict[tuple[Any,
                 num_draws = float(table["num_draws"][row])
                 size = float(np.clip(np.nan_to_num(table["ess_min"][row], nan=1.0), 1.0, num_draws))
                 place = (str(table["density"][row]), int(table["seed_index"][row]), int(table["chain"][row]))
-                found[place] = _Chain(size / num_draws, table["verdict"][row], table["reason"][row])
+                found[place] = _ChainWorth(size / num_draws, table["verdict"][row], table["reason"][row])
     return found
 
 
@@ -150,7 +150,7 @@ def _table(manifest: Manifest) -> str:
     return "seeds" if "seeds" in manifest.tables else "draws"
 
 
-def _chain_of(chains: Mapping[tuple[Any, ...], _Chain], manifest: Manifest) -> _Chain:
+def _chain_of(chains: Mapping[tuple[Any, ...], _ChainWorth], manifest: Manifest) -> _ChainWorth:
     """Return the chain that a segment is of."""
     facts = DrawFacts.of(manifest)
     if (place := (facts.density, facts.seed_index, facts.chain)) not in chains:
@@ -165,7 +165,7 @@ def _origin_of(manifest: Manifest) -> str:
 
 
 def _origins(
-    store: Store, chosen: Sequence[tuple[_Part, np.int64]], chains: Mapping[tuple[Any, ...], _Chain]
+    store: Store, chosen: Sequence[tuple[_PlausibleRows, np.int64]], chains: Mapping[tuple[Any, ...], _ChainWorth]
 ) -> dict[str, list[Any]]:
     """Return what is known of the chosen rows of artifacts, as columns, reading each artifact once."""
     found: dict[int, dict[str, Any]] = {}

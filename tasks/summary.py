@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from graphlib import TopologicalSorter
 
 from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
-from pasdedeux.evaluation.verdicts import Judged, merge_verdicts, part_name
+from pasdedeux.evaluation.verdicts import NamedVerdict, merge_verdicts, part_name
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
 from tasks.facts import (
@@ -102,7 +102,7 @@ def _skipped(manifest: Manifest, facts: Facts) -> list[str]:
     return found
 
 
-def judge(manifests: Sequence[Manifest]) -> list[Judged]:
+def judge(manifests: Sequence[Manifest]) -> list[NamedVerdict]:
     """Return a verdict for each part of a stage and partition, or for the whole of it; stages after what they read."""
     reads: dict[str, set[str]] = {}
     groups: dict[tuple[str, str], list[Verdict]] = {}
@@ -114,7 +114,7 @@ def judge(manifests: Sequence[Manifest]) -> list[Judged]:
     order = list(TopologicalSorter({stage: sorted(before) for stage, before in sorted(reads.items())}).static_order())
     judged = {place: merge_verdicts(found) for place, found in groups.items()}
     return [
-        Judged(stage, partition, whole)
+        NamedVerdict(stage, partition, whole)
         for (stage, partition), whole in sorted(judged.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
         if whole is not None
     ]

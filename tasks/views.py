@@ -11,7 +11,7 @@ import numpy as np
 from pasdedeux.cameras.views import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, pairs_by_place, place_columns
+from tasks.annotated_pairs import PairPlace, pairs_by_place, place_columns
 from tasks.committing import commit
 from tasks.facts import SequenceFacts, ViewFacts, merge_takes, shares_takes
 from tasks.priors import default_origin, read_torso_basis
@@ -125,16 +125,16 @@ def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: i
 
 
 @dataclass(frozen=True)
-class _Pairs:
+class _AnnotatedPartners:
     """Annotated partners in the order of their places, the smaller id first as person A; what is no pair, in words."""
 
-    places: tuple[Place, ...]
+    places: tuple[PairPlace, ...]
     px: np.ndarray
     confidence: np.ndarray
     skipped: tuple[str, ...]
 
 
-def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
+def _read_pairs(store: Store, ref: ArtifactRef) -> _AnnotatedPartners:
     table = store.read(
         ref,
         "annotations",
@@ -147,7 +147,7 @@ def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
         others = Counter(place.sequence_id for place, rows in people.items() if len(rows) == number)
         skipped += _in_words(others, "one of the pair is annotated" if number else "nobody has a partner")
     rows = np.array([[row for _, row in sorted(people[place].items())] for place in places], dtype=int).reshape(-1, 2)
-    return _Pairs(
+    return _AnnotatedPartners(
         places=places,
         px=np.asarray(table["pair17_px"], dtype=np.float64)[rows],
         confidence=np.asarray(table["pair17_confidence"], dtype=np.float64)[rows],

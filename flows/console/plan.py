@@ -24,7 +24,7 @@ from flows.console.context import (
 from flows.console.display import cost_lines, plan_lines
 from flows.console.run import ForceOption, FromOption, OnlyOption, UntilOption, with_page
 from flows.costs import estimate_cost, planned_work
-from flows.planning import PlanError, Selection, make_plan, refuse_nothing
+from flows.planning import PlanError, StageSelection, make_plan, refuse_nothing
 from flows.records import uncollected
 from flows.study import load_study
 
@@ -62,7 +62,7 @@ def plan(
     """
     if not cost and (workers or measured):
         raise PlanError("--workers and --measured are for --cost; give that too")
-    selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
+    selection = StageSelection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     graph = with_page(chosen, graph, open_store(store), selection)
     made = make_plan(chosen, graph, open_store(store), selection)

@@ -24,7 +24,7 @@ from flows.console.context import (
 from flows.console.run import build_and_report
 from flows.machine import cluster_settings
 from flows.outcomes import Run
-from flows.planning import PlanError, Selection
+from flows.planning import PlanError, StageSelection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree
 from flows.study_files import HEAD, PUBLISH, StudyTree
@@ -93,7 +93,7 @@ def restart(
         path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
     if not as_json:
         echo(f"the draw is the seed in {path}; its study is {name}")
-    build_and_report(Run(study, graph, opened, Selection(until="chains")), cluster, as_json=as_json)
+    build_and_report(Run(study, graph, opened, StageSelection(until="chains")), cluster, as_json=as_json)
     if not as_json:
         echo(f"new draws: {next_command('show', f'draws:{name}', store=store)}")
         echo(f"how the chains went: {next_command('show', f'chain_info:{name}', store=store)}")

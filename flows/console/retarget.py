@@ -14,7 +14,7 @@ from flows.console.display import format_table
 from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
 from flows.exports import RestPose, Units, write_credits
 from flows.exports.export_format import write_text
-from flows.exports.own_skeletons import Person, RigFiles, people_of_take
+from flows.exports.own_skeletons import RigFiles, TakePerson, people_of_take
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.augmentation.variations import Variation
@@ -142,7 +142,7 @@ def _retarget_take(
     people = people_of_take(store, ref)
     bone_scale = np.ones((count, BODY22.num_joints))
     rows = []
-    contradictions: list[tuple[Person, float]] = []
+    contradictions: list[tuple[TakePerson, float]] = []
     for index, (person, target) in enumerate(zip(people, targets, strict=False)):
         if target is None:
             continue
@@ -186,7 +186,7 @@ def _retarget_take(
     echo(verdict_words(verdict))
 
 
-def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:
+def _said(person: TakePerson, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:
     """Describe a fitted body: size, scales of bones, and misfit to the target."""
     misfit_m = {ends: abs(value) for ends, value in fit.misfit_m.items()}
     worst = max(misfit_m, key=misfit_m.__getitem__)

@@ -39,7 +39,7 @@ from flows.console.display import make_listener, outcome_lines, summary_lines
 from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
 from flows.outcomes import Outcome, Run
-from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
+from flows.planning import Plan, PlanError, StageSelection, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, writable_home
 from flows.publishing import Published, publish, refuse_bad_verdicts, refuse_unpublished
 from flows.signals import ENDING
@@ -114,7 +114,7 @@ def run(
       pasdedeux run my.toml --scheduler tcp://cluster:8786
       pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
     """
-    selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
+    selection = StageSelection(tuple(only or ()), start, until, tuple(force or ()))
     given = selection.words
     short = [f"ingest.take_seconds={PREVIEW_S}"] if is_preview else []
     chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
@@ -139,7 +139,7 @@ def _has_takes(study: Study) -> bool:
     return isinstance(ingest, IngestParameters) and bool(ingest.take_ids())
 
 
-def with_page(study: Study, graph: Graph, store: Store, selection: Selection) -> Graph:
+def with_page(study: Study, graph: Graph, store: Store, selection: StageSelection) -> Graph:
     """Return the graph for a selection: with `until`, of what that needs and the page on it, unless all is fresh."""
     if selection.until is None or selection.until not in graph.names:
         return graph

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, RestPose
-from flows.exports.own_skeletons import Person, people_of_take, rig_of
+from flows.exports.own_skeletons import TakePerson, people_of_take, rig_of
 from pasdedeux.arrays import Array
 from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.own_skeleton import OwnSkeleton
@@ -71,11 +71,11 @@ class Rig:
     motion: Motion
     radii_m: Array
     positions_m: Array | None = None
-    own: tuple[Person, OwnSkeleton, Array | None] | None = None
+    own: tuple[TakePerson, OwnSkeleton, Array | None] | None = None
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenCast:
     """What was made from annotations, as their camera sees it.
 
     Args:
@@ -121,7 +121,7 @@ class Cast:
     axes: str = WORLD
     said: str = ""
     labels: Sequence[str] = ()
-    seen: Seen | None = None
+    seen: SeenCast | None = None
     ref: ArtifactRef | None = None
     make_rigs: Callable[[RestPose], list[Rig]] | None = field(default=None, repr=False)
 
@@ -241,7 +241,7 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
         )
 
 
-def _own_rig(person: Person, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose) -> Rig:
+def _own_rig(person: TakePerson, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose) -> Rig:
     drawn = rig_of(own, rest_pose)
     names = zip(drawn.body.joint_names(drawn.motion.skeleton), BODY22.joint_names, strict=True)
     lengths = np.median(bone_lengths(BODY22, own.body.of(own.motion)), axis=0)
@@ -283,7 +283,7 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
             rate_hz,
             _level(store, ref),
             said=f"{who} of the sequence; the first is frame {first} of the video; floor at y = 0, +Z to the camera",
-            seen=Seen(sequence_id, tuple(ids), range(first, first + len(positions)), OP14, seen_m, is_pair=False),
+            seen=SeenCast(sequence_id, tuple(ids), range(first, first + len(positions)), OP14, seen_m, is_pair=False),
             ref=ref,
             make_rigs=rigs,
         )
@@ -325,7 +325,9 @@ def _pairs(export: Export) -> Iterator[Cast]:
         level = Level(key[0]) if ref is None else max(judged, key=lambda one: one.rank)
         positions = np.concatenate([rows["pair17_m"][part] for _, rows, part, _ in parts]).astype(np.float64)
         is_video = table in ANNOTATED and "stills" not in key
-        seen = Seen(key[0], (int(key[1]), int(key[2])), frames, PAIR17, positions, is_pair=True) if is_video else None
+        seen = (
+            SeenCast(key[0], (int(key[1]), int(key[2])), frames, PAIR17, positions, is_pair=True) if is_video else None
+        )
         yield Cast(
             (table, *key) if row is None else (_name_of_row(export, parts[0][3][0]),),
             PAIR17,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flows.exports.cast_files import CastFiles
-from flows.exports.casts import ANNOTATED, Cast, Seen, casts, holds_poses
+from flows.exports.casts import ANNOTATED, Cast, SeenCast, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat, write_film
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, named
@@ -53,7 +53,7 @@ FORMAT = ExportFormat(
 )
 
 
-def _drawn(export: Export, cast: Cast, seen: Seen) -> Iterator[Any]:
+def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
     """Yield the images of the video of one cast."""
     given_px, is_given, size, placed_hz = _annotation(export.store, cast, seen)
     blank = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
@@ -69,7 +69,7 @@ def _drawn(export: Export, cast: Cast, seen: Seen) -> Iterator[Any]:
         yield image
 
 
-def _bones(image: Any, points_px: Array, seen: Seen, colour: tuple[int, int, int], thick: int) -> None:
+def _bones(image: Any, points_px: Array, seen: SeenCast, colour: tuple[int, int, int], thick: int) -> None:
     """Draw the bones whose ends are known."""
     import cv2
 
@@ -97,7 +97,7 @@ def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: boo
     return laid
 
 
-def _annotation(store: Store, cast: Cast, seen: Seen) -> tuple[Array, Flags, tuple[int, int], float | None]:
+def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags, tuple[int, int], float | None]:
     """Return the annotation of a cast (frame, P, J, 2) in pixels, which of it is given, and the size of its images.
 
     And the rate on which ingest placed it, where that of the film is not constant.

@@ -29,7 +29,7 @@ _EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") fo
 
 
 @dataclass(frozen=True)
-class Person:
+class TakePerson:
     """A person of a take.
 
     Args:
@@ -49,7 +49,7 @@ class Person:
     up_axis: str = "y"
 
 
-def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
+def people_of_take(store: Store, ref: ArtifactRef) -> list[TakePerson]:
     """Return the people of a take, A first, from the artifact that holds it."""
     takes = store.read(ref, "takes")
     poses = store.read(ref, "poses", columns=["person", "root_translation_m", "local_unitquat"])
@@ -75,7 +75,7 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
         letter = person_name(int(take["person"]))
         own = OwnSkeleton(motion, body)
         unit, layout, up_axis = float(take["metres_per_unit"]), str(take["layout"]), str(take["up_axis"])
-        people.append(Person(str(take["take_id"]), letter, own, unit, layout, up_axis))
+        people.append(TakePerson(str(take["take_id"]), letter, own, unit, layout, up_axis))
     return people
 
 
@@ -103,7 +103,7 @@ class RigFiles:
     def write(
         self,
         parts: Sequence[str | int],
-        person: Person,
+        person: TakePerson,
         own: OwnSkeleton,
         wanted_m: np.ndarray | None = None,
         *,
@@ -144,7 +144,7 @@ class RigFiles:
         self._paths[-1].write_bytes(write_motion_npz(motion, axes=axes, **facts))
 
     def write_variant(
-        self, variant_id: str, people: Sequence[Person], motion_m: np.ndarray, bone_scale: np.ndarray
+        self, variant_id: str, people: Sequence[TakePerson], motion_m: np.ndarray, bone_scale: np.ndarray
     ) -> None:
         """Write a variant's motion (frame, P, 22, 3), metres, with scales (P, 22), on the skeletons of its people."""
         for person, wanted_m, scale in zip(people, np.moveaxis(motion_m, 1, 0), bone_scale, strict=True):

@@ -25,7 +25,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, SeenPair, place_of, read_seen_pairs
+from tasks.annotated_pairs import PairPlace, SeenPair, place_of, read_seen_pairs
 from tasks.facts import MotionFacts
 from tasks.judgements import verdicts_of_parts
 from tasks.projections import read_database
@@ -276,7 +276,7 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
 
 
 def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
-    columns = [*Place._fields, "residual_m", "expected_error_m", "num_joints_seen", "draw"]
+    columns = [*PairPlace._fields, "residual_m", "expected_error_m", "num_joints_seen", "draw"]
     data, people, rows = _pairs(shelf, part, item, columns)
     places = [place_of(data, row) for row in range(data.num_rows)]
     truths = np.full(people.positions_m.shape, np.nan)

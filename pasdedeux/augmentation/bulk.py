@@ -21,9 +21,9 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.augmentation.bulk_kernels import (
     Batch,
+    BonePairs,
     Form,
     Memory,
-    Pairs,
     add_stencils,
     advance,
     fade_over_time,
@@ -35,7 +35,7 @@ from pasdedeux.augmentation.bulk_kernels import (
 from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import Factor, factorise, solve
-from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
+from pasdedeux.augmentation.problem import AXIS_GROUP, MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import build_targets, right_hand_side
 from pasdedeux.augmentation.weights import GIRDLE, LAPLACIAN
 from pasdedeux.skeletons import BODY22
@@ -79,7 +79,7 @@ _TINY_M = 1e-9
 
 
 @dataclass(frozen=True)
-class _End:
+class _Settled:
     """When a variant has settled; means over frames, of edges and of joints.
 
     Args:
@@ -96,8 +96,8 @@ class _End:
     moved_m: float
 
 
-_COARSE_END = _End(10, 1e-5, 1e-4, 1e-4)
-_FINE_END = _End(4, 2e-5, 3e-5, 3e-5)
+_COARSE_END = _Settled(10, 1e-5, 1e-4, 1e-4)
+_FINE_END = _Settled(4, 2e-5, 3e-5, 3e-5)
 _MOST_FINE = 24
 """Most iterations at all frames, which see what is faster than the coarse rate shows."""
 _GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 250.0, 2.0
@@ -120,10 +120,10 @@ class BulkResult:
     num_iterations: Integers
 
 
-class _Level:
+class _Factored:
     """A problem with its factor, at which variants are iterated."""
 
-    def __init__(self, problem: Problem, dtype: type[np.floating]) -> None:
+    def __init__(self, problem: MeshProblem, dtype: type[np.floating]) -> None:
         self.problem, self.dtype = problem, dtype
         self.edges, self.num_bones = _edges(problem.source.num_people)
         self.num_points, self.num_edges = problem.source.num_points, len(self.edges)
@@ -159,9 +159,9 @@ class _Level:
 
     def _pairs(
         self, is_used: Flags, points: Integers, shares: Array, weights: Array, normals: Array | None = None
-    ) -> Pairs:
+    ) -> BonePairs:
         """Return the pairs of each frame (T, M) without empty places."""
-        return Pairs(
+        return BonePairs(
             first=np.concatenate([[0], np.cumsum(is_used.sum(axis=1))]),
             points=points[is_used],
             shares=self._narrow(shares[is_used]),
@@ -254,7 +254,7 @@ class _Level:
         return now.offsets[: self.problem.num_frames][..., variants], now.state[self._edge_rows][..., variants]
 
 
-def _pair_vectors(pairs: Pairs, frame: Integers, x: AnyFloat) -> AnyFloat:
+def _pair_vectors(pairs: BonePairs, frame: Integers, x: AnyFloat) -> AnyFloat:
     """Return the vector of each pair (pair, 3, variant) of x (T, point, 3, variant)."""
     parts = [pairs.shares[:, corner, None, None] * x[frame, pairs.points[:, corner]] for corner in range(4)]
     return (parts[0] + parts[1]) + (parts[2] + parts[3])
@@ -312,15 +312,15 @@ class BulkSolver:
         dtype: Precision of the iteration; targets and the final projection stay in 64 bits.
     """
 
-    def __init__(self, problem: Problem, *, dtype: type[np.floating] = np.float32) -> None:
+    def __init__(self, problem: MeshProblem, *, dtype: type[np.floating] = np.float32) -> None:
         self.problem = problem
         rate = problem.source.rate_hz
         stride = max(round(rate / _COARSE_HZ), 1)
         if problem.num_frames < _FEWEST_COARSE * stride:
             stride = 1
         self._thinning: Thinning | None = thin_out(problem, stride) if stride > 1 else None
-        self._coarse = _Level(self._thinning.problem if self._thinning else problem, dtype)
-        self._fine = _Level(problem, dtype) if self._thinning else self._coarse
+        self._coarse = _Factored(self._thinning.problem if self._thinning else problem, dtype)
+        self._fine = _Factored(problem, dtype) if self._thinning else self._coarse
 
     def solve(self, targets: Targets) -> BulkResult:
         """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
@@ -371,7 +371,13 @@ class _Ended:
 
 
 def _settle(
-    level: _Level, now: Batch, end: _End, most: int, start: AnyFloat | None = None, *, is_accelerated: bool
+    level: _Factored,
+    now: Batch,
+    end: _Settled,
+    most: int,
+    start: AnyFloat | None = None,
+    *,
+    is_accelerated: bool,
 ) -> _Ended:
     """Iterate until every variant hardly changes, `most` times at most; those that have ended leave the batch."""
     frames, count = level.problem.num_frames, now.state.shape[-1]
@@ -415,7 +421,7 @@ def _edges(num_people: int) -> tuple[Integers, int]:
     return np.ascontiguousarray(np.concatenate([bones, girdle_pairs(num_people)])), len(bones)
 
 
-def _edge_penalties(problem: Problem, edges: Integers) -> Array:
+def _edge_penalties(problem: MeshProblem, edges: Integers) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.zeros((problem.num_frames, problem.source.num_points))
     at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)

@@ -22,7 +22,7 @@ from pasdedeux.compiled import compiled, inner_kernel
 AnyFloat = npt.NDArray[np.floating]
 
 
-class Pairs(NamedTuple):
+class BonePairs(NamedTuple):
     """Pairs of bones, those of frame t from `first[t]` to `first[t + 1]`.
 
     Args:
@@ -58,8 +58,8 @@ class Form(NamedTuple):
     edges: Integers
     num_bones: int
     penalties: AnyFloat
-    near: Pairs
-    contacts: Pairs
+    near: BonePairs
+    contacts: BonePairs
     directions: AnyFloat
     constants: AnyFloat
 
@@ -187,7 +187,7 @@ def pull(form: Form, now: Batch) -> None:
 
 
 @compiled()
-def _spread(pairs: Pairs, e: int, aims: AnyFloat, row: int, rhs: AnyFloat, t: int) -> None:
+def _spread(pairs: BonePairs, e: int, aims: AnyFloat, row: int, rhs: AnyFloat, t: int) -> None:
     """Add weight B^T a to the right-hand side (point, 3 variant) of a frame."""
     for corner in range(4):
         factor, point = pairs.weights[e] * pairs.shares[e, corner], pairs.points[e, corner]
@@ -225,7 +225,7 @@ def advance(form: Form, now: Batch) -> None:
 
 
 @inner_kernel()
-def _combine(pairs: Pairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, row: int) -> None:
+def _combine(pairs: BonePairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, row: int) -> None:
     """Leave what x of a frame's points makes of a pair's vector in a row of `vectors`."""
     a, b, c, d = pairs.points[e, 0], pairs.points[e, 1], pairs.points[e, 2], pairs.points[e, 3]
     p, q, r, s = pairs.shares[e, 0], pairs.shares[e, 1], pairs.shares[e, 2], pairs.shares[e, 3]

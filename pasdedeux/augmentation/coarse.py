@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.mesh import InteractionMesh
-from pasdedeux.augmentation.problem import Problem
+from pasdedeux.augmentation.problem import MeshProblem
 from pasdedeux.augmentation.terms import temporal_couplings
 
 Indices = npt.NDArray[np.intp]
@@ -33,13 +33,13 @@ class Thinning:
         shares: Their shares (T, 4); they sum to 1.
     """
 
-    problem: Problem
+    problem: MeshProblem
     frames: Indices
     neighbours: Indices
     shares: Array
 
 
-def thin_out(problem: Problem, stride: int) -> Thinning:
+def thin_out(problem: MeshProblem, stride: int) -> Thinning:
     """Keep every `stride`-th frame; as many are dropped before the first as after the last."""
     total = problem.num_frames
     frames = np.arange((total - 1) % stride // 2, total, stride)

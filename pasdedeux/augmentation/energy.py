@@ -12,7 +12,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.contacts import ContactTerm
-from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
+from pasdedeux.augmentation.problem import AXIS_GROUP, MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import right_hand_side
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitResult, FitSettings, fit_bones
@@ -20,13 +20,13 @@ from pasdedeux.fitting.terms import DistanceTerm, HalfSpaceTerm, QuadraticTerm, 
 from pasdedeux.skeletons import BODY22
 
 
-def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
+def laplacian_residual(problem: MeshProblem, targets: Targets, offsets: Array) -> Array:
     """Return L x - L_c (s q - r) (variant, T, n, 3), metres, of offsets x = p - r (variant, T, n, 3)."""
     kept = np.matmul(problem.mesh.laplacian[None], offsets)
     return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
 
 
-def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
+def fit_terms(problem: MeshProblem, targets: Targets, variant: int) -> list[Term]:
     """State the energy of one variant as terms of a fit."""
     one = targets.select([variant])
     groups = list(AXIS_GROUP)
@@ -59,7 +59,7 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     return [quadratic, girdle, clearance, ContactTerm(contacts, (1.0 - direction) * problem.contact_weights, lengths)]
 
 
-def _constant(problem: Problem, one: Targets) -> float:
+def _constant(problem: MeshProblem, one: Targets) -> float:
     """Return what the quadratic terms weigh at x = 0, where nothing is left of them but their targets."""
     difference = one.difference[0]
     parts = (

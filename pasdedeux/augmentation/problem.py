@@ -40,7 +40,7 @@ def girdle_pairs(num_people: int) -> Integers:
 
 
 @dataclass(frozen=True)
-class Problem:
+class MeshProblem:
     """What all variants of a take share: the source and the quadratic form of its energy.
 
     Args:

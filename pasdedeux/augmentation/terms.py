@@ -30,7 +30,7 @@ from pasdedeux.augmentation import weights
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.mesh import build_mesh
-from pasdedeux.augmentation.problem import Problem, Targets, girdle_pairs
+from pasdedeux.augmentation.problem import MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
@@ -51,7 +51,7 @@ _SHORTEST_SPINE_BONE_M = 0.03
 
 def build_problem(
     source: Source, settings: AugmentationSettings | None = None, *, user_contacts: Sequence[UserContact] = ()
-) -> Problem:
+) -> MeshProblem:
     """Find the terms of a take and add them up to its quadratic form."""
     mesh = build_mesh(source, smoothing_s=_MESH_SMOOTHING_S)
     frames = source.num_frames
@@ -80,7 +80,7 @@ def build_problem(
     diagonal, lag1, lag2 = temporal_couplings(stance, smoothness, frames)
     diagonal[1] += floor
     matrix[..., range(count), range(count)] += diagonal
-    return Problem(
+    return MeshProblem(
         source=source,
         mesh=mesh,
         matrix=matrix,
@@ -126,7 +126,7 @@ def temporal_couplings(stance: Array, smoothness: float, frames: int) -> tuple[A
     return diagonal, lag1, lag2
 
 
-def build_targets(problem: Problem, bone_scale: Array) -> Targets:
+def build_targets(problem: MeshProblem, bone_scale: Array) -> Targets:
     """Return the reference motion and the targets of a batch of variants (variant, P, 22)."""
     source = problem.source
     bone_scale = complete_scales(source, bone_scale)
@@ -147,7 +147,7 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
     )
 
 
-def right_hand_side(problem: Problem, targets: Targets) -> Array:
+def right_hand_side(problem: MeshProblem, targets: Targets) -> Array:
     """Return b (variant, T, n, axis=3) of the normal equations K x = b of the quadratic terms."""
     rhs = np.matmul(problem.coupling, targets.difference)
     rhs += (problem.anchor - weights.REFERENCE)[:, None] * targets.difference

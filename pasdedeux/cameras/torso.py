@@ -152,7 +152,7 @@ def _lift_block(torso_px: Array, weights: Array, basis: TorsoBasis) -> LiftedTor
     # Joints of the mean torso that lie on one line (within 2 cm) do not fix the turn about that line.
     is_lifted = (num_seen >= MIN_TORSO_JOINTS) & (extent > 0) & (spread > 0.02**2)
     rows = np.flatnonzero(is_lifted)
-    lifted = _Fit(image[rows] / extent[rows, None, None], weight[rows], basis)
+    lifted = _TorsoFit(image[rows] / extent[rows, None, None], weight[rows], basis)
     lifted.start(plane[rows], gram[rows])
     lifted.refine()
     shape = (len(image), 2)
@@ -174,7 +174,7 @@ def _lift_block(torso_px: Array, weights: Array, basis: TorsoBasis) -> LiftedTor
     return out
 
 
-class _Fit:
+class _TorsoFit:
     """All torsos and both twins at once; the image is centred and of extent 1, y up."""
 
     def __init__(self, image: Array, weight: Array, basis: TorsoBasis) -> None:

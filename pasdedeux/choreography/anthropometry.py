@@ -35,7 +35,7 @@ CAPSULE_RADII: dict[str, float] = {
 
 
 @dataclass(frozen=True)
-class Body:
+class Physique:
     """A person's size on `body22`.
 
     Args:
@@ -60,7 +60,7 @@ class Body:
         """Return a joint's height over the floor when the body stands upright at rest."""
         return self.height_m * t_pose(joint_name)[1]
 
-    def rest_distance_m(self, other: Body, *bones: str) -> float:
+    def rest_distance_m(self, other: Physique, *bones: str) -> float:
         """Return the distance of this body's wrist from the middle of another's bone on which its hand rests.
 
         Cloth is between them.  Of several bones the thickest counts.
@@ -75,7 +75,7 @@ class Body:
         return "spine3", (height_m - low) / (chest - low)
 
 
-def make_body(height_m: float) -> Body:
+def make_body(height_m: float) -> Physique:
     """Return a body of a height, with the proportions of Drillis and Contini."""
     low, high = HEIGHT_LIMITS_M
     if not low <= height_m <= high:
@@ -86,4 +86,4 @@ def make_body(height_m: float) -> Body:
     for parent, child in BODY22.bones:
         offsets[child] = positions[child] - positions[parent]
         radii[child] = CAPSULE_RADII[BODY22.joint_names[child].removeprefix("left_").removeprefix("right_")] * height_m
-    return Body(height_m=float(height_m), rest_offsets_m=offsets, radii_m=radii)
+    return Physique(height_m=float(height_m), rest_offsets_m=offsets, radii_m=radii)

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body, make_body
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.anthropometry import Physique, make_body
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import SIDES
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
@@ -62,7 +62,7 @@ class DuetStyle(Settings):
         return float(np.mean(self.heights_m))
 
     @property
-    def bodies(self) -> tuple[Body, ...]:
+    def bodies(self) -> tuple[Physique, ...]:
         """The bodies of all people."""
         missing = (self.mean_m,) * (self.num_people - len(self.heights_m))
         return tuple(map(make_body, (*self.heights_m, *missing)))
@@ -80,11 +80,11 @@ class Dance(DuetStyle):
     """A built-in duet: its style, where everybody's trunk and feet are, and where hands touch."""
 
     @abstractmethod
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Return a person with trunk and feet over time; the arms hang."""
 
     @abstractmethod
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Bring everybody's hands where they belong, and return the contacts; what lies outside the duet is cut off."""
 
     def make(self, name: str) -> Duet:
@@ -175,7 +175,7 @@ class Duet:
 
     name: str
     motions: tuple[Motion, ...]
-    bodies: tuple[Body, ...]
+    bodies: tuple[Physique, ...]
     contacts: tuple[Contact, ...]
     stances: tuple[Stance, ...]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import soft_minimum
 from pasdedeux.choreography.geometry import SIDES, STRETCH, Part, columns, facing, reach, turn
 from pasdedeux.choreography.steps import FootPath
@@ -30,7 +30,7 @@ humerus up to the horizontal: Inman, Saunders and Abbott 1944)."""
 _PELVIS_SOFTNESS_M = 0.010
 
 
-class Figure:
+class DancerFrames:
     """World positions (frame, 22, 3) and rotations (frame, 22, 4) of one person, filled in step by step.
 
     A new figure has trunk and legs, and its arms hang.  Then comes `reach_hand` for both arms, then `motion`.
@@ -48,7 +48,7 @@ class Figure:
 
     def __init__(
         self,
-        body: Body,
+        body: Physique,
         feet: tuple[FootPath, FootPath],
         *,
         floor_m: Array,

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import halfway, mix, moves, window
 from pasdedeux.choreography.duet import Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import SIDES, on_floor
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 
@@ -45,7 +45,7 @@ class Hug(Dance):
         near = -_NEAR * self.mean_m
         return far, near, near + 0.5 * (far - near)
 
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Place trunk and feet: A comes along +Z, B along -Z; each keeps to its own left."""
         body, other, time_s, vary = self.bodies[person], self.bodies[1 - person], self.time_s, self.vary
         height = body.height_m
@@ -65,7 +65,7 @@ class Hug(Dance):
         walking = 0.05 * (1.0 - closed)
         nod = 0.05 * np.sin(2.0 * np.pi * time_s / sway_s) * closed
         left, right = (self._foot(side, body, yaw) for side in SIDES)
-        return Figure(
+        return DancerFrames(
             body,
             (left, right),
             floor_m=on_floor(yaw, _LEFT * self.mean_m + sign * sway + weight, ahead),
@@ -75,7 +75,7 @@ class Hug(Dance):
             head=(-0.05 - (0.9 * lean + 0.1) * closed + nod, 0.30 * closed, -0.20 * closed),
         )
 
-    def _foot(self, side: str, body: Body, yaw: float) -> FootPath:
+    def _foot(self, side: str, body: Physique, yaw: float) -> FootPath:
         """Walk up in three steps (right, left, right), stand through the embrace, and step back (left, right)."""
         sign = SIDES[side]
         far, near, back = self.stops_m
@@ -90,7 +90,7 @@ class Hug(Dance):
         floor = on_floor(yaw, left_m, ahead - 0.02 * body.height_m)
         return walk_foot(self.time_s, body, Plant.series(floor, yaw + sign * 0.14, land_s, lift_s), heel=1.15)
 
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Swing the arms, open them, close them round the partner, and let go again."""
         contacts, time_s, open_s = [], self.time_s, self.open_s
         for person, figure in enumerate(figures):
@@ -121,7 +121,7 @@ class Hug(Dance):
         return contacts
 
 
-def _resting_place(body: Body, other: Body, *, is_over: bool) -> tuple[str, float, float]:
+def _resting_place(body: Physique, other: Physique, *, is_over: bool) -> tuple[str, float, float]:
     """Return the partner's bone, the share of it, and how far round the back (radians from the front) a wrist rests."""
     if is_over:
         chest, neck = other.standing_m("spine3"), other.standing_m("neck")

@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import halfway, mix, moves, window
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import SIDES, on_floor
 from pasdedeux.choreography.steps import Plant, walk_feet
 
@@ -117,7 +117,7 @@ class Judo(Dance):
         turned = _TURN_RAD * (1.0 + 0.02 * vary[2]) * inside
         return centre + on_floor(yaw, inside * (_ASIDE * mean_m), ahead), yaw + turned
 
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Place trunk and feet: A turns in, sinks and leans away with B on the hip; B stoops when taller."""
         time_s, body = self.time_s, self.bodies[person]
         floor, yaw = self._station(person, time_s)
@@ -136,7 +136,7 @@ class Judo(Dance):
             spine = (0.10 + 0.06 * loaded + stoop * inside, 0.04 * breath - 0.08 * inside, 0.05 * inside)
             head = (np.full_like(inside, -0.12), -0.25 * inside, 0.0 * inside)
         left, right = (self._plants(person, side, body) for side in SIDES)
-        return Figure(
+        return DancerFrames(
             body,
             walk_feet(time_s, body, left, right, heel=0.8),
             floor_m=floor,
@@ -146,7 +146,7 @@ class Judo(Dance):
             head=head,
         )
 
-    def _plants(self, person: int, side: str, body: Body) -> list[Plant]:
+    def _plants(self, person: int, side: str, body: Physique) -> list[Plant]:
         """Plan a foot: it lands where the pelvis will be when the pair, or A alone, has moved."""
         sign = SIDES[side]
         # Right feet lead for A, left feet for B; the other foot follows half a second later.
@@ -164,7 +164,7 @@ class Judo(Dance):
         floor = floor + on_floor(yaw, lateral * body.height_m, -0.02 * body.height_m)
         return Plant.series(floor, yaw + sign * 0.22, np.append(-1.0, lands), np.append(lifts, 1e6))
 
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Bring all hands where they belong.
 
         Right hands first: lapels and backs depend on the trunks alone.  Then left hands: sleeves depend on the right
@@ -195,7 +195,7 @@ class Judo(Dance):
         return contacts
 
     def _to_back(
-        self, figures: Sequence[Figure], target: Array, pole: Array, held: Contact, hold: _BackHold
+        self, figures: Sequence[DancerFrames], target: Array, pole: Array, held: Contact, hold: _BackHold
     ) -> tuple[Array, Array, list[Contact]]:
         """Return target and elbow pole (frame, 3) of a hand that goes to the other's back and returns, and contacts."""
         uke, wrist = figures[1], held.point_a
@@ -210,14 +210,14 @@ class Judo(Dance):
         return mix(target, back, share) + detour, mix(pole, uke.chest_vector(*hold.pole), share), contacts
 
 
-def _lapel(body: Body, other: Body) -> tuple[str, float]:
+def _lapel(body: Physique, other: Physique) -> tuple[str, float]:
     """Return partner's bone and the share of it where the lapel is held: level with the own shoulder if possible."""
     wanted = body.standing_m("left_shoulder") - 0.03 * body.height_m
     return other.trunk_at(float(np.clip(wanted, 0.70 * other.height_m, 0.785 * other.height_m)))
 
 
 def _on_trunk(
-    wrist: BonePoint, figures: Sequence[Figure], bone: str, share: float, angle_deg: float
+    wrist: BonePoint, figures: Sequence[DancerFrames], bone: str, share: float, angle_deg: float
 ) -> tuple[Array, Contact]:
     """Return where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
     figure, other = figures[wrist.person], figures[1 - wrist.person]
@@ -226,7 +226,7 @@ def _on_trunk(
     return point, Contact(wrist, BonePoint(1 - wrist.person, bone, share), rest_m)
 
 
-def _sleeve(wrist: BonePoint, figures: Sequence[Figure]) -> tuple[Array, Array, Contact]:
+def _sleeve(wrist: BonePoint, figures: Sequence[DancerFrames]) -> tuple[Array, Array, Contact]:
     """Return where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
     figure, other = figures[wrist.person], figures[1 - wrist.person]
     rest_m = figure.body.rest_distance_m(other.body, "left_elbow")

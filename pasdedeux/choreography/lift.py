@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import halfway, mix, moves, window
 from pasdedeux.choreography.duet import Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import OTHER_SIDE, SIDES, on_floor, square_to, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_feet, walk_foot
 from pasdedeux.kinematics.rotations import normalise
@@ -63,7 +63,7 @@ class Lift(Dance):
         """How high B is lifted, and how far A comes up with B in the air, 0 to 1: B must be high enough for A."""
         lifter, lifted = self.bodies
 
-        def reach_m(body: Body, across_m: float) -> float:
+        def reach_m(body: Physique, across_m: float) -> float:
             arm_m = _REACH * (body.length_m("left_elbow") + body.length_m("left_wrist"))
             return float(np.sqrt(max(arm_m**2 - across_m**2, 0.0)))
 
@@ -84,7 +84,7 @@ class Lift(Dance):
         floor = on_floor(0.5 * yaw, 0.0, stride_m * progress)
         return (floor, yaw) if person == 0 else (floor + on_floor(yaw, 0.0, _APART * self.mean_m), yaw + np.pi)
 
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Place trunk and feet.
 
         A bends to take B, comes up with the load and walks leaning back.  B stands before A, hangs in A's hands with
@@ -97,7 +97,7 @@ class Lift(Dance):
         if person == 1:
             stoop = (0.06 + 0.5 * max(0.0, -self._taller)) * bent
             left, right = (self._hanging(side, body, floor, yaw, up) for side in SIDES)
-            return Figure(
+            return DancerFrames(
                 body,
                 (left, right),
                 floor_m=floor,
@@ -110,7 +110,7 @@ class Lift(Dance):
         # A much taller A leans more.
         lean = 0.10 + 0.6 * max(0.0, self._taller)
         left_plants, right_plants = (self._plants(side, body) for side in SIDES)
-        return Figure(
+        return DancerFrames(
             body,
             walk_feet(time_s, body, left_plants, right_plants, heel=0.7),
             floor_m=floor,
@@ -120,7 +120,7 @@ class Lift(Dance):
             head=(-0.5 * lean * bent - 0.08 * up, 0.0, 0.0),
         )
 
-    def _plants(self, side: str, body: Body) -> list[Plant]:
+    def _plants(self, side: str, body: Physique) -> list[Plant]:
         """Plan a foot of A: it lands where the pelvis will be; the foot on the inside of the turn leads."""
         sign = SIDES[side]
         wait_s = 0.0 if side == "left" else 0.55
@@ -129,7 +129,7 @@ class Lift(Dance):
         floor = floor + on_floor(yaw, sign * _TRACK * body.height_m, -0.02 * body.height_m)
         return Plant.series(floor, yaw + sign * 0.2, [-1.0, *(lift + 0.55 for lift in lifts)], [*lifts, 1e6])
 
-    def _hanging(self, side: str, body: Body, floor: Array, yaw: Array, up: Array) -> FootPath:
+    def _hanging(self, side: str, body: Physique, floor: Array, yaw: Array, up: Array) -> FootPath:
         """Return a foot of B: it stands, hangs below the hips with the toes down, and stands where A came to."""
         sign = SIDES[side]
         aside, ahead = sign * _NARROW_TRACK * body.height_m, -0.02 * body.height_m
@@ -142,7 +142,7 @@ class Lift(Dance):
         ankle = np.stack([x, self._lift_m[0] * up + drawn + height, z], axis=-1)
         return FootPath(ankle, turn(yaw + turned, 0.55 * up), yaw + turned, tuple(plants))
 
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Raise the arms, lay A's hands on B's waist and B's on A's upper arms, and let go."""
         contacts = []
         for person, figure in enumerate(figures):

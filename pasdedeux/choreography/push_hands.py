@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import columns, on_floor, square_to
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 from pasdedeux.kinematics.rotations import normalise
@@ -38,7 +38,7 @@ class PushHands(Dance):
         phase = 2.0 * np.pi * self.time_s / (_CIRCLE_S * (1.0 + 0.08 * vary[0])) + np.pi * vary[1]
         return phase + 0.15 * (1.0 + vary[2]) * np.sin(0.37 * phase)
 
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Place trunk and feet: A stands at -Z and looks along +Z, B opposite."""
         body, phase = self.bodies[person], self.phase
         yaw, sign = (0.0, 1.0) if person == 0 else (np.pi, -1.0)
@@ -46,7 +46,7 @@ class PushHands(Dance):
         forward = sign * (_SHIFT * self.mean_m * np.cos(phase - 0.35))
         left, right = (self._stand(body, middle, yaw, *foot) for foot in _FEET)
         waist = 0.24 * np.sin(phase + 0.3) + 0.10
-        return Figure(
+        return DancerFrames(
             body,
             (left, right),
             floor_m=middle + on_floor(yaw, 0.004 * body.height_m * np.sin(phase), forward - 0.01 * body.height_m),
@@ -56,12 +56,12 @@ class PushHands(Dance):
             head=(0.05, -0.12 - 0.7 * waist, 0.0),
         )
 
-    def _stand(self, body: Body, middle: Array, yaw: float, aside: float, ahead: float, out_rad: float) -> FootPath:
+    def _stand(self, body: Physique, middle: Array, yaw: float, aside: float, ahead: float, out_rad: float) -> FootPath:
         at = middle + on_floor(yaw, aside * body.height_m, ahead * body.height_m)
         # It stands long before the beginning and long after the end.
         return walk_foot(self.time_s, body, Plant.series(at[None], yaw + out_rad, -1.0, 1e3))
 
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Bring right wrists to the point of touch, then left wrists to the other's right elbow."""
         bodies, phase, mean_m = self.bodies, self.phase, self.mean_m
         # The point of touch, nearer to the shorter arm; level circle and upright circle in turn.

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from pasdedeux.arrays import Array, Flags
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import blend, bump, curve_through
 from pasdedeux.choreography.geometry import SIDES, Part, on_floor, turn
 from pasdedeux.kinematics.rotations import rotate
@@ -68,7 +68,7 @@ class FootPath:
     plants: tuple[Plant, ...]
 
 
-def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float = 1.0) -> FootPath:
+def walk_foot(time_s: Array, body: Physique, plants: Sequence[Plant], *, heel: float = 1.0) -> FootPath:
     """Walk a foot from plant to plant.
 
     Between plants the heel rises over the standing ball of the foot, which then swings over in an arc.
@@ -105,7 +105,7 @@ def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float
 
 
 def walk_feet(
-    time_s: Array, body: Body, left: Sequence[Plant], right: Sequence[Plant], *, heel: float = 1.0
+    time_s: Array, body: Physique, left: Sequence[Plant], right: Sequence[Plant], *, heel: float = 1.0
 ) -> tuple[FootPath, FootPath]:
     """Walk both feet from plant to plant, kept apart from each other where they land and where they pass."""
     left, right = spread_feet(body, left, right)
@@ -140,7 +140,7 @@ class Rhythm:
         return curve_through(self.time_s, float(self.beats[0] + _MID_STANCE) * self.beat_s, self.beat_s, keys)
 
     def walk_feet(
-        self, body: Body, floor_m: Array, yaw_rad: Array, is_left: Flags, *, track: float, out_rad: float
+        self, body: Physique, floor_m: Array, yaw_rad: Array, is_left: Flags, *, track: float, out_rad: float
     ) -> tuple[FootPath, FootPath]:
         """Step with the left or the right foot on each beat.
 
@@ -169,7 +169,7 @@ def _ball(plant: Plant, ankle_to_toe: Array) -> Array:
     return np.array([plant.x_m + forward * np.sin(plant.yaw_rad), 0.0, plant.z_m + forward * np.cos(plant.yaw_rad)])
 
 
-def spread_feet(body: Body, left: Sequence[Plant], right: Sequence[Plant]) -> tuple[list[Plant], list[Plant]]:
+def spread_feet(body: Physique, left: Sequence[Plant], right: Sequence[Plant]) -> tuple[list[Plant], list[Plant]]:
     """Move plants outward where a foot would land too near the one that stands, each against the one before."""
     plants = sorted([(p, 1.0) for p in left] + [(p, -1.0) for p in right], key=lambda item: item[0].land_s)
     moved = plants[:1]
@@ -186,7 +186,7 @@ def spread_feet(body: Body, left: Sequence[Plant], right: Sequence[Plant]) -> tu
     return [p for p, sign in moved if sign > 0], [p for p, sign in moved if sign < 0]
 
 
-def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant]) -> list[Plant]:
+def clear_other_foot(body: Physique, plants: Sequence[Plant], other: Sequence[Plant]) -> list[Plant]:
     """Bow swings sideways, away from the foot that stands meanwhile, so that the feet do not touch."""
     result = [plants[0]]
     for before, after in pairwise(plants):

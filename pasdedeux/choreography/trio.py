@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import on_circle, on_floor
 from pasdedeux.choreography.steps import Rhythm
 
@@ -35,7 +35,7 @@ class Trio(Dance):
         rhythm = Rhythm.of(self.time_s, self.duration_s, _TEMPO_BPM * (1.0 + 0.05 * self.vary[0]))
         return rhythm, 0.5 - 0.5 * np.cos(2.0 * np.pi * (rhythm.beats / _ROUND + 0.5 * self.vary[1]))
 
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Place trunk and feet of one dancer.
 
         B steps with the other foot, and everybody looks round and bends at another time.
@@ -50,7 +50,7 @@ class Trio(Dance):
         sway = 0.016 * body.height_m * np.where(is_left, 1.0, -1.0)
         phase = np.pi * (self.time_s / rhythm.beat_s + person)
         look = 0.25 * phase + 2.0 * np.pi * person / 3.0
-        return Figure(
+        return DancerFrames(
             body,
             rhythm.walk_feet(body, floor, yaw, is_left, track=0.068, out_rad=0.10),
             floor_m=rhythm.curve(floor + on_floor(yaw, sway, 0.0)),
@@ -60,14 +60,14 @@ class Trio(Dance):
             head=(0.05, 0.5 * np.sin(look), 0.0),
         )
 
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Clasp hands all round, raised as the ring closes."""
         rhythm, closed = self._rhythm()
         raised_m = self.mean_m * (_RISE * rhythm.curve(closed) - 0.10)
         return [_clasp(figures, person, (person + 1) % len(figures), raised_m) for person in range(len(figures))]
 
 
-def _clasp(figures: Sequence[Figure], one: int, other: int, raised_m: Array) -> Contact:
+def _clasp(figures: Sequence[DancerFrames], one: int, other: int, raised_m: Array) -> Contact:
     """Bring a left and a right wrist together between two shoulders, so that both arms are as straight."""
     giver, taker = figures[one], figures[other]
     shoulders = giver.joint("left_shoulder"), taker.joint("right_shoulder")

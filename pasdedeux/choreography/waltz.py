@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import Figure
+from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import on_circle, on_floor, square_to
 from pasdedeux.choreography.steps import Rhythm
 from pasdedeux.skeletons import BODY22
@@ -40,7 +40,7 @@ class Waltz(Dance):
     B's left wrist on A's right upper arm.
     """
 
-    def place(self, person: int) -> Figure:
+    def place(self, person: int) -> DancerFrames:
         """Place trunk and feet of one dancer."""
         body = self.bodies[person]
         rhythm = Rhythm.of(self.time_s, self.duration_s, _TEMPO_BPM * (1.0 + 0.05 * self.vary[0]))
@@ -55,7 +55,7 @@ class Waltz(Dance):
         sign = 1.0 if person == 0 else -1.0
         heights = self.heights_m
         lean = 0.65 * max(0.0, heights[0] / heights[1] - 1.0) if person == 0 else 0.0
-        return Figure(
+        return DancerFrames(
             body,
             rhythm.walk_feet(body, floor, yaw, is_left, track=0.055, out_rad=0.08),
             floor_m=rhythm.curve(floor + on_floor(yaw, sway, 0.0)),
@@ -81,7 +81,7 @@ class Waltz(Dance):
         offset = on_floor(yaw, -0.5 * sign * _ASIDE * self.mean_m, 0.5 * sign * _APART * self.mean_m)
         return on_circle(radius_m, angle) + offset, yaw + np.pi * person
 
-    def hold(self, figures: Sequence[Figure]) -> list[Contact]:
+    def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
         """Bring the four hands into closed hold."""
         leader, follower = figures
         # Clasped hands: wrists either side of a point out on the leader's left, between the two chests.
@@ -115,7 +115,7 @@ class Waltz(Dance):
             hand_contact(1, "left", "right_elbow", share, radius_m),
         ]
 
-    def _round_the_back(self, leader: Body, follower: Body, bone: str, share: float, rest_m: float) -> float:
+    def _round_the_back(self, leader: Physique, follower: Physique, bone: str, share: float, rest_m: float) -> float:
         """Return how far round the follower's back the leader's wrist goes, radians from her front over her left side.
 
         As far as 92 % of the leader's arm reaches when both stand upright, at most to the shoulder blade.
@@ -132,7 +132,7 @@ class Waltz(Dance):
         return float(angles[max(num_reached - 1, 0)])
 
 
-def _back_height(leader: Body, follower: Body) -> tuple[str, float]:
+def _back_height(leader: Physique, follower: Physique) -> tuple[str, float]:
     """Return follower's bone and the share of it where the leader's wrist rests: under her arm, not far below his."""
     wanted = leader.standing_m("left_shoulder") - 0.21 * leader.height_m
     wanted = min(wanted, follower.standing_m("left_shoulder") - 0.045 * follower.height_m)

@@ -36,7 +36,7 @@ _BATCH = 32_768
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestDraws:
     """Draws nearest to an image, nearest first.
 
     Args:
@@ -79,7 +79,7 @@ class DrawIndex:
         if not np.isfinite(self._points).all():
             raise InputError("an index needs draws with finite coordinates")
 
-    def nearest(self, image_m: Array, directions: Array, *, count: int = 1) -> Nearest:
+    def nearest(self, image_m: Array, directions: Array, *, count: int = 1) -> NearestDraws:
         """Return the draws nearest to an image under any of some views; a draw comes once, under its best view.
 
         Args:
@@ -111,7 +111,7 @@ class DrawIndex:
         squared = self._measured(left, views, image, joints, ceiling_m2=level)
         best = squared.min(axis=1)
         order = np.lexsort((left, best))[:count]
-        return Nearest(
+        return NearestDraws(
             draw=left[order],
             view=np.argmin(squared[order], axis=1).astype(np.int64),
             distance_m=np.sqrt(best[order] / len(joints)),

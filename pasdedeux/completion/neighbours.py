@@ -21,7 +21,7 @@ MIN_KNOWN = 5
 
 
 @dataclass(frozen=True)
-class Neighbours:
+class NearbyDraws:
     """Draws near a pair, nearest first, moved onto it.
 
     Args:
@@ -35,7 +35,7 @@ class Neighbours:
     distance_m: Array
 
 
-def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> Neighbours:
+def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> NearbyDraws:
     """Return the draws nearest over the known joints: root mean square after the best proper rigid motion.
 
     Args:
@@ -61,14 +61,14 @@ def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> Neighbours:
     near = near[np.lexsort((near, squared[near]))]
     found = flat[near].astype(np.float64)
     moved = align_rigid(found[:, joints], np.broadcast_to(known, (count, *known.shape))).apply(found)
-    return Neighbours(
+    return NearbyDraws(
         pairs_m=moved.reshape(count, *pair_m.shape),
         draw=near.astype(np.int64),
         distance_m=np.sqrt(np.maximum(squared[near], 0.0) / len(joints)),
     )
 
 
-def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ranked: int) -> Neighbours:
+def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ranked: int) -> NearbyDraws:
     """Return the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) taken over the known joints alone.
 
     D_I is measured for the `num_ranked` draws nearest by `nearest_rigid`; with `num_ranked` as large as the number of
@@ -83,4 +83,4 @@ def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ran
     moved = merge_axes(ranked.pairs_m, 1, -1)[:, None, is_known]
     distance = interaction_distances(moved, known[None, None])[:, 0]
     order = np.argsort(distance, kind="stable")[:count]
-    return Neighbours(pairs_m=ranked.pairs_m[order], draw=ranked.draw[order], distance_m=distance[order])
+    return NearbyDraws(pairs_m=ranked.pairs_m[order], draw=ranked.draw[order], distance_m=distance[order])

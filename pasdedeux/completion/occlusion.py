@@ -12,7 +12,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.completion.fit import fit_people
-from pasdedeux.completion.neighbours import Draws, Neighbours, nearest_by_interaction
+from pasdedeux.completion.neighbours import Draws, NearbyDraws, nearest_by_interaction
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
@@ -37,7 +37,7 @@ class Completion:
     pair_m: Array
     fitted_m: Array
     median_m: Array
-    neighbours: Neighbours
+    neighbours: NearbyDraws
 
 
 def complete_pair(

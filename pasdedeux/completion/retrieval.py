@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.frames import project_pair
-from pasdedeux.completion.draw_index import DrawIndex, Nearest
+from pasdedeux.completion.draw_index import DrawIndex, NearestDraws
 from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.nearest import image_distances
 
@@ -42,7 +42,7 @@ class Retrieval:
 
     pairs_m: Array
     weight: Array
-    nearest: Nearest
+    nearest: NearestDraws
 
     @property
     def mean_m(self) -> Array:
@@ -67,7 +67,7 @@ def retrieve(
     near = index.nearest(image_m, directions, count=_NUM_NEIGHBOURS + len(without))
     others = np.flatnonzero(~np.isin(near.draw, without))[:_NUM_NEIGHBOURS]
     chosen = others if len(others) else slice(None)
-    nearest = Nearest(near.draw[chosen], near.view[chosen], near.distance_m[chosen])
+    nearest = NearestDraws(near.draw[chosen], near.view[chosen], near.distance_m[chosen])
     squared = nearest.distance_m**2
     weight = np.exp(-0.5 * (squared - squared[0]) / _NEIGHBOUR_DEVIATION_M**2)
     pairs = index.placed(nearest.draw, np.asarray(directions)[nearest.view], image_m)

@@ -223,7 +223,7 @@ class ShownPerson:
 
 
 @dataclass(frozen=True)
-class Panel:
+class PlayerPanel:
     """What is shown beside others: a title, people, ends (frame, n, 2, 3) of contacts and of objects' axes, NaN: none.
 
     A flat panel is not turned: it shows an image, whose middle is the origin.
@@ -244,7 +244,7 @@ def people_panel(
     objects_m: Array | None = None,
     *,
     truth_m: Array | None = None,
-) -> Panel:
+) -> PlayerPanel:
     """Return the panel of people (frame, person, joint, 3) in everybody's colour, over the thin grey ground truth."""
     behind = [] if truth_m is None else [truth_m[:, person] for person in range(truth_m.shape[1])]
     colours = zip(range(people_m.shape[1]), cycle(PERSON_COLOURS), strict=False)
@@ -252,10 +252,10 @@ def people_panel(
         *(ShownPerson(skeleton, one, _TRUTH_COLOUR, is_thin=True) for one in behind),
         *(ShownPerson(skeleton, people_m[:, person], colour) for person, colour in colours),
     )
-    return Panel(title, figures, links_m, objects_m)
+    return PlayerPanel(title, figures, links_m, objects_m)
 
 
-def image_panel(title: str, skeleton: Skeleton, people_px: Array, size_px: tuple[int, int]) -> Panel:
+def image_panel(title: str, skeleton: Skeleton, people_px: Array, size_px: tuple[int, int]) -> PlayerPanel:
     """Return the panel of an image and its edge: people (frame, person, joint, 2), pixels, y down, NaN: missing."""
     width, height = size_px
     edge = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
@@ -280,7 +280,7 @@ def shown_frames(num_frames: int, rate_hz: float) -> tuple[Integers, float]:
 
 
 def pack_player(
-    panels: Sequence[Panel], *, rate_hz: float, labels: Sequence[str] = (), has_floor: bool = True
+    panels: Sequence[PlayerPanel], *, rate_hz: float, labels: Sequence[str] = (), has_floor: bool = True
 ) -> bytes:
     """Return what the page's player shows, as JSON; the same panels always give the same bytes.
 

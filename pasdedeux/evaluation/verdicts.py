@@ -324,7 +324,7 @@ def _mean(values: Iterable[tuple[float, int]]) -> float:
 
 
 @dataclass(frozen=True)
-class Judged:
+class NamedVerdict:
     """What is thought of a stage's partition, or of a topic of the evaluation."""
 
     stage: str
@@ -332,7 +332,7 @@ class Judged:
     verdict: Verdict
 
 
-def verdict_columns(judged: Sequence[Judged]) -> dict[str, list[object]]:
+def verdict_columns(judged: Sequence[NamedVerdict]) -> dict[str, list[object]]:
     """Return verdicts as columns of the `verdicts` table, in the order of stage and partition."""
     rows = sorted(judged, key=lambda one: (one.stage, one.partition))
     names = ("level", "reason", "figure", "value", "unit", "baseline", "baseline_name", "count", "thing")

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.energy import descend, fit_terms, laplacian_residual
-from pasdedeux.augmentation.problem import Problem
+from pasdedeux.augmentation.problem import MeshProblem
 from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.weights import FIXED
@@ -24,7 +24,7 @@ from pasdedeux.learning.key_frames import KeyFrames
 from pasdedeux.learning.model import Arrays, Config, Trained, Training, VariantModel, VariantRequest
 from pasdedeux.settings import Settings
 
-WindowProblems = tuple[list[slice], list[Problem]]
+WindowProblems = tuple[list[slice], list[MeshProblem]]
 """Windows of a take, and the problem of each."""
 
 

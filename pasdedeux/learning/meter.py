@@ -22,7 +22,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.energy import fit_terms
-from pasdedeux.augmentation.problem import Problem
+from pasdedeux.augmentation.problem import MeshProblem
 from pasdedeux.augmentation.quality import FIGURES, QualityMeter
 from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.terms import build_targets
@@ -285,5 +285,5 @@ class ModelMeter:
         return np.asarray(np.linalg.norm(vectors[self.contacts.is_held], axis=-1))
 
     @cached_property
-    def _problems(self) -> tuple[list[slice], list[Problem]]:
+    def _problems(self) -> tuple[list[slice], list[MeshProblem]]:
         return window_problems(self._request)

@@ -48,7 +48,7 @@ class Break:
 
 
 @dataclass(frozen=True)
-class _End:
+class _TrackEnd:
     """Where a track begins or ends: frame, place (2,) and speed (2,) of the middle of the joints, and size, pixels."""
 
     frame: int
@@ -74,7 +74,7 @@ def find_breaks(
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
     rows = np.flatnonzero(is_seen.any(axis=1))
     rows = rows[np.argsort(frame[rows], kind="stable")]
-    ends: dict[int, tuple[_End, _End]] = {}
+    ends: dict[int, tuple[_TrackEnd, _TrackEnd]] = {}
     spans: dict[int, tuple[int, int]] = {}
     for person in np.unique(person_id[rows]).tolist():
         own, listed = rows[person_id[rows] == person], frame[person_id == person]
@@ -105,13 +105,13 @@ def find_breaks(
     return _nearest([one for _, one in sorted(found, key=lambda one: one[0])])
 
 
-def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, is_last: bool) -> _End:
+def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, is_last: bool) -> _TrackEnd:
     """Return the beginning or the end of a track from its rows there."""
     middle = np.nanmedian(points, axis=1)
     times = (frame - frame.mean()) / rate_hz
     speed = times @ (middle - middle.mean(axis=0)) / max(float(times @ times), 1e-9)
     size = np.nanmax(body_size_px(points, confidence), initial=0.0)
-    return _End(int(frame[-1 if is_last else 0]), np.median(middle, axis=0), speed, float(size))
+    return _TrackEnd(int(frame[-1 if is_last else 0]), np.median(middle, axis=0), speed, float(size))
 
 
 def _nearest(found: Sequence[Break]) -> list[Break]:

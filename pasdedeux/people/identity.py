@@ -70,7 +70,7 @@ class FollowedRows:
 
 
 @dataclass
-class _Person:
+class _Followed:
     """State of one followed person."""
 
     track_id: int
@@ -102,7 +102,7 @@ class Follower:
     """Follows people frame by frame, as frames arrive; the state is theirs alone."""
 
     def __init__(self) -> None:
-        self._people: list[_Person] = []
+        self._people: list[_Followed] = []
         self._num_tracks = 0
         self.part_of: dict[int, int] = {}
         """Tracks that turned out to be a part of a person, such as the legs alone, with the track of that person."""
@@ -128,7 +128,7 @@ class Follower:
         track_id = np.full(len(points), -1, dtype=np.int64)
         usable = np.flatnonzero(is_usable)
         self._people = [p for p in self._people if time_s - p.last_time_s <= MAX_ABSENT_S]
-        matched: dict[int, _Person] = {}
+        matched: dict[int, _Followed] = {}
         if len(usable) and self._people:
             cost, limit = self._costs(time_s, points[usable], trust[usable], size[usable])
             if given_id is not None:
@@ -153,7 +153,7 @@ class Follower:
                 twin = _other_part(index, matched, time_s, points, is_seen)
             if twin is None:
                 self._num_tracks += 1
-                matched[index] = _Person(
+                matched[index] = _Followed(
                     self._num_tracks - 1,
                     np.nan_to_num(points[index]),
                     np.zeros(points[index].shape),
@@ -176,7 +176,7 @@ class Follower:
                 person.given_id = int(given_id[index])
         return FollowedRows(track_id, points, seen, twins)
 
-    def _join_parts(self, matched: dict[int, _Person], time_s: float, points: Array, is_seen: Flags) -> None:
+    def _join_parts(self, matched: dict[int, _Followed], time_s: float, points: Array, is_seen: Flags) -> None:
         """End the tracks that are parts of a person who is seen whole in this frame."""
         tracked = {person.track_id for person in matched.values()}
         for index, person in matched.items():
@@ -258,7 +258,7 @@ def _faded(passed_s: float, fade_s: float) -> float:
     return fade_s * (1.0 - float(np.exp(-passed_s / fade_s)))
 
 
-def _twin(index: int, matched: dict[int, _Person], points: Array, is_seen: Flags, size: Array) -> int | None:
+def _twin(index: int, matched: dict[int, _Followed], points: Array, is_seen: Flags, size: Array) -> int | None:
     """Return the matched detection that this one is a double of, None where it is somebody of its own."""
     for other in matched:
         both = is_seen[index] & is_seen[other]
@@ -270,7 +270,7 @@ def _twin(index: int, matched: dict[int, _Person], points: Array, is_seen: Flags
     return None
 
 
-def _fits(person: _Person, time_s: float, points: Array, is_seen: Flags) -> bool:
+def _fits(person: _Followed, time_s: float, points: Array, is_seen: Flags) -> bool:
     """Tell whether some joints (joint, 2) are where those of the person are expected; three must be known at least."""
     both = person.is_known & is_seen
     if both.sum() < MIN_JOINTS:
@@ -279,7 +279,7 @@ def _fits(person: _Person, time_s: float, points: Array, is_seen: Flags) -> bool
     return float(np.mean(apart)) < _FRAGMENT * person.size_px
 
 
-def _other_part(index: int, matched: dict[int, _Person], time_s: float, points: Array, is_seen: Flags) -> int | None:
+def _other_part(index: int, matched: dict[int, _Followed], time_s: float, points: Array, is_seen: Flags) -> int | None:
     """Return the matched detection that shows another part of the person that this one shows; None without one."""
     for other, person in matched.items():
         is_part = _are_parts(points[index], is_seen[index], points[other], is_seen[other], person.size_px)
@@ -312,7 +312,7 @@ def _joined_rows(
     return track_id, twin, points, seen
 
 
-def _update(person: _Person, time_s: float, points: Array, trust: Array, size_px: float) -> None:
+def _update(person: _Followed, time_s: float, points: Array, trust: Array, size_px: float) -> None:
     """Move a person's state to a detection that is theirs."""
     passed, state = time_s - person.last_time_s, (person.place_px, person.speed_px_s, person.is_known)
     fade = float(np.exp(-passed / _LIMB_FADE_S))

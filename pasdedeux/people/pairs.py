@@ -29,7 +29,7 @@ _MIN_COMMON = (0.5, 0.1)
 
 
 @dataclass(frozen=True)
-class Paired:
+class NearPeople:
     """Two people who are a pair, the smaller number first, and in how many frames they are near each other."""
 
     first: int
@@ -43,7 +43,7 @@ def choose_pairs(
     keypoints_px: Array,
     confidence: Array,
     couples: Sequence[tuple[int, int]] = (),
-) -> list[Paired]:
+) -> list[NearPeople]:
     """Return the pairs of a sequence, those of the highest score first; a person is in one at most.
 
     The score is the mean closeness over the frames that show both, times exp(-(log size ratio / 0.4)^2), so people who
@@ -64,7 +64,7 @@ def choose_pairs(
     size, at_frame = body_size_px(points, confidence[rows]), frame[rows]
     rows_of = {int(person): np.flatnonzero(person_id[rows] == person) for person in np.unique(person_id[rows])}
     stated = [(min(couple), max(couple)) for couple in couples]
-    ranked: list[tuple[float, Paired]] = []
+    ranked: list[tuple[float, NearPeople]] = []
     for first, second in combinations(rows_of, 2):
         one, other = rows_of[first], rows_of[second]
         common, at, there = np.intersect1d(at_frame[one], at_frame[other], return_indices=True)
@@ -79,9 +79,9 @@ def choose_pairs(
         num_near = int(np.count_nonzero(middle < _NEAR))
         is_alone = len(rows_of) == 2 and num_near >= _MIN_NEAR * len(common)
         if is_stated or is_alone or score >= _MIN_SCORE:
-            pair = Paired(first, second, num_near)
+            pair = NearPeople(first, second, num_near)
             ranked.append((np.inf if is_stated else score * (len(common) / more) ** _COMMON_POWER, pair))
-    pairs: list[Paired] = []
+    pairs: list[NearPeople] = []
     for _, pair in sorted(ranked, key=lambda scored: (-scored[0], scored[1].first, scored[1].second)):
         if not any({pair.first, pair.second} & {taken.first, taken.second} for taken in pairs):
             pairs.append(pair)

@@ -15,7 +15,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.broken import find_breaks, join_breaks
 from pasdedeux.people.decisions import Decision, couples_of, decide, spans_of
 from pasdedeux.people.identity import follow_people, mean_of_two
-from pasdedeux.people.pairs import Paired, choose_pairs
+from pasdedeux.people.pairs import NearPeople, choose_pairs
 from pasdedeux.people.repair import repair_rows
 from pasdedeux.people.video import MAX_REPAIR_GAP_S, typical_gap_s, why_no_video, why_not_followed
 from pasdedeux.settings import Settings
@@ -70,7 +70,7 @@ class SequencePeople:
 
     sequence_id: str
     num_people: int
-    pairs: tuple[Paired, ...]
+    pairs: tuple[NearPeople, ...]
     why_not_followed: str
     num_merged_rows: int = 0
     num_ghost_rows: int = 0
@@ -314,7 +314,7 @@ def _names_of(rows: SequenceRows, track_id: Integers) -> Integers:
 
 def _partners(
     rows: SequenceRows, op14: Keypoints, couples: Sequence[tuple[int, int]], *, has_identities: bool
-) -> tuple[list[Paired], Integers]:
+) -> tuple[list[NearPeople], Integers]:
     """Return the pairs of a sequence, and each row's partner; images whose people have no names are paired singly.
 
     `couples` are those that are stated.
@@ -323,7 +323,7 @@ def _partners(
     groups = [np.arange(len(rows.frame))]
     if not has_identities:
         groups = [np.flatnonzero(rows.frame == number) for number in np.unique(rows.frame)]
-    pairs: list[Paired] = []
+    pairs: list[NearPeople] = []
     for group in groups:
         seen = (rows.frame[group], rows.person_id[group], op14.positions[group], op14.confidence[group])
         pairs = choose_pairs(*seen, couples)

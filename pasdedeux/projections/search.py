@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.tree import Tree, build_tree, search_tree
+from pasdedeux.projections.tree import SearchTree, build_tree, search_tree
 from pasdedeux.skeletons import OP14
 
 Floats32 = npt.NDArray[np.float32]
@@ -75,7 +75,7 @@ class ProjectionIndex:
     """The search tree of a database of `num_yaws` yaw steps."""
 
     num_yaws: int
-    tree: Tree
+    tree: SearchTree
 
     def search(
         self, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50

@@ -35,7 +35,7 @@ Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Tree:
+class SearchTree:
     """A tree of boxes; 16 projections of J joints a leaf, 16 children a node.
 
     Args:
@@ -53,7 +53,7 @@ class Tree:
     level_start: Integers
 
 
-def build_tree(flat: Floats32) -> Tree:
+def build_tree(flat: Floats32) -> SearchTree:
     """Return the tree of projections (n, 2 J), n at least 1: ordered by median splits, boxes bottom-up.
 
     Args:
@@ -69,7 +69,7 @@ def build_tree(flat: Floats32) -> Tree:
     while len(boxes[-1].centre) > 1:
         boxes.append(_boxes_above(boxes[-1].low, boxes[-1].high))
     boxes.reverse()
-    return Tree(
+    return SearchTree(
         number=number.reshape(-1, _LANES),
         leaves=leaves,
         centre=np.concatenate([level.centre for level in boxes]),
@@ -78,7 +78,7 @@ def build_tree(flat: Floats32) -> Tree:
     )
 
 
-class _Level(NamedTuple):
+class _TreeLevel(NamedTuple):
     """Nodes of a level: the boxes under each (node, 2 J, lane), middle and half-width, and their own (node, 2 J)."""
 
     centre: Floats32
@@ -87,7 +87,7 @@ class _Level(NamedTuple):
     high: Floats32
 
 
-def _boxes_above(low: Floats32, high: Floats32) -> _Level:
+def _boxes_above(low: Floats32, high: Floats32) -> _TreeLevel:
     """Return the level above boxes (n, 2 J); the lanes of its last node that are too many are those of the last box."""
     missing = -len(low) % _LANES
     low, high = (
@@ -98,10 +98,12 @@ def _boxes_above(low: Floats32, high: Floats32) -> _Level:
     # One part in a million more than the rounded half-width: the box still holds both ends.
     half = np.maximum(high - middle, middle - low) + np.float32(1e-6) * (np.abs(low) + np.abs(high))
     half[-1, :, _LANES - missing :] = -1.0
-    return _Level(np.ascontiguousarray(middle), np.ascontiguousarray(half), low.min(axis=2), high.max(axis=2))
+    return _TreeLevel(np.ascontiguousarray(middle), np.ascontiguousarray(half), low.min(axis=2), high.max(axis=2))
 
 
-def search_tree(tree: Tree, query: Floats32, weight: Floats32, *, num_neighbours: int) -> tuple[Integers, Floats32]:
+def search_tree(
+    tree: SearchTree, query: Floats32, weight: Floats32, *, num_neighbours: int
+) -> tuple[Integers, Floats32]:
     """Return the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
 
     Args:

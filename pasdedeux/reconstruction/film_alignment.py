@@ -88,7 +88,9 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
     if len(longest) < num_people:
         raise InputError(f"the film shows {len(longest)} people, the take has {num_people}")
     times = np.unique(np.concatenate([one.times_s for one in longest]))
-    film = _Film.of(longest, times[np.linspace(0, len(times) - 1, min(_NUM_TRIED_FRAMES, len(times))).astype(int)])
+    film = _FilmPoints.of(
+        longest, times[np.linspace(0, len(times) - 1, min(_NUM_TRIED_FRAMES, len(times))).astype(int)]
+    )
     tried = []
     for rate in _RATES:
         overlap_s = 0.5 * min(duration_s, rate * float(np.ptp(times)))
@@ -99,7 +101,9 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
                 for people in permutations(range(len(longest)), num_people)
             ]
     tried.sort()
-    whole = _Film.of(longest, times[np.linspace(0, len(times) - 1, min(_NUM_FITTED_FRAMES, len(times))).astype(int)])
+    whole = _FilmPoints.of(
+        longest, times[np.linspace(0, len(times) - 1, min(_NUM_FITTED_FRAMES, len(times))).astype(int)]
+    )
     refined = [whole.refined(truth_m, truth_hz, *one[1:]) for one in tried[:_NUM_REFINED] if np.isfinite(one[0])]
     if not refined:
         raise InputError("no clock brings enough joints that the film shows together with the take")
@@ -114,7 +118,7 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
 
 
 @dataclass(frozen=True)
-class _Film:
+class _FilmPoints:
     """Keypoints (frame, track, 14, 2) at some times (frame,), NaN where not seen."""
 
     keypoints_px: Array
@@ -124,7 +128,7 @@ class _Film:
     person_ids: tuple[int, ...]
 
     @classmethod
-    def of(cls, tracks: Sequence[Track], times_s: Array) -> _Film:
+    def of(cls, tracks: Sequence[Track], times_s: Array) -> _FilmPoints:
         points = np.full((len(times_s), len(tracks), *tracks[0].keypoints_px.shape[1:]), np.nan)
         for number, track in enumerate(tracks):
             at = np.rint((times_s - track.first_time_s) * track.rate_hz).astype(int)

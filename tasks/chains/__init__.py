@@ -1,11 +1,11 @@
 """Stage `chains`: Markov chains over 3D pairs, from every seed and for every density, in segments that continue."""
 
-from tasks.chains.parameters import ChainsParameters, SegmentParameters, SummaryParameters
+from tasks.chains.parameters import ChainSegmentParameters, ChainsParameters, SummaryParameters
 from tasks.chains.plan import CHAINS, plan
 from tasks.chains.run import run_shard
 from tasks.stage import Stage
 
-__all__ = ["STAGE", "ChainsParameters", "SegmentParameters", "SummaryParameters", "plan", "run_shard"]
+__all__ = ["STAGE", "ChainSegmentParameters", "ChainsParameters", "SummaryParameters", "plan", "run_shard"]
 
 STAGE = Stage(
     *CHAINS,

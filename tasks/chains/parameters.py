@@ -90,7 +90,7 @@ class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSetti
         return found | swept
 
 
-class SegmentParameters(Parameters):
+class ChainSegmentParameters(Parameters):
     """What decides the draws of one segment of a chain, and nothing else: asking for more draws extends."""
 
     name: str = Field(description="Name that draws are kept under: that of the density, or of the sweep")

@@ -13,10 +13,10 @@ from pasdedeux.sampling.repair import RepairSettings
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.chains.parameters import (
+    ChainSegmentParameters,
     ChainsParameters,
     RepairParameters,
     RunSettings,
-    SegmentParameters,
     SummaryParameters,
 )
 from tasks.draw_sets import GROWN, is_set
@@ -125,7 +125,7 @@ def _plan_seed(
                 inputs,
                 partition,
                 f"chain{chain}-segment{segment}",
-                SegmentParameters(
+                ChainSegmentParameters(
                     name=name,
                     density=density.name,
                     seed_index=index,

@@ -33,8 +33,8 @@ from pasdedeux.sampling.speeds import Speeds, annotation_speeds
 from pasdedeux.sampling.warm_up import disperse, warm_up
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
-from tasks.chains.parameters import RepairParameters, SegmentParameters, SummaryParameters
+from tasks.annotated_pairs import PairPlace, PlacedPairs, gather, gather_tracks
+from tasks.chains.parameters import ChainSegmentParameters, RepairParameters, SummaryParameters
 from tasks.committing import commit, followed
 from tasks.facts import ChainFacts, DrawFacts, merge_takes
 from tasks.kept import kept
@@ -53,14 +53,14 @@ _ONE_VIEW_RAD = float(np.deg2rad(15.0))
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Run one segment of a chain, summarise the chains of a seed, or repair pairs."""
-    if isinstance(shard.parameters, SegmentParameters):
+    if isinstance(shard.parameters, ChainSegmentParameters):
         return _run_segment(shard, shard.parameters, store)
     if isinstance(shard.parameters, RepairParameters):
         return _repair(shard, shard.parameters, store)
     return _summarise(shard, shard.options(SummaryParameters), store)
 
 
-def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> ArtifactRef:
+def _run_segment(shard: Shard, options: ChainSegmentParameters, store: Store) -> ArtifactRef:
     """Run a segment of a chain on from where the one before ended, or from the seed."""
     problem = chain_problem(shard, options, store)
     chart, target, proposal = problem.chart, problem.target, problem.proposal
@@ -194,10 +194,10 @@ def _repair(shard: Shard, options: RepairParameters, store: Store) -> ArtifactRe
     return commit(shard, store, tables={"draws": columns}, facts=facts, verdict=verdict)
 
 
-def _nearest(evidence: Evidence, pairs_m: np.ndarray) -> dict[str, Any]:
+def _nearest(evidence: AnnotationEvidence, pairs_m: np.ndarray) -> dict[str, Any]:
     """Return the annotation that each pair (draw, 2, 17, 3) is nearest to, the view, and how near, as columns."""
     count, likelihood = len(pairs_m), evidence.likelihood
-    places: list[Place | None] = [None] * count
+    places: list[PairPlace | None] = [None] * count
     views, distances = np.full((count, 3), np.nan), np.full(count, np.nan)
     for draw, pair_m in enumerate(pairs_m if len(likelihood.directions) else ()):
         found = likelihood.nearest(pair_m)
@@ -221,10 +221,10 @@ class ChainProblem:
     chart: PairChart
     target: PairDensity
     proposal: Proposal
-    evidence: Evidence
+    evidence: AnnotationEvidence
 
 
-def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> ChainProblem:
+def chain_problem(shard: Shard, options: ChainSegmentParameters, store: Store) -> ChainProblem:
     """Put together what a segment samples: from seed and evidence to density and proposal.
 
     Raises:
@@ -253,14 +253,14 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
 
 
 @dataclass(frozen=True)
-class Evidence:
+class AnnotationEvidence:
     """What the annotations say about pairs near one seed; nothing but the likelihood where they are not read.
 
     `places` are sequence and frame of each entry of the annotations.
     """
 
     likelihood: Likelihood
-    places: tuple[Place, ...] = ()
+    places: tuple[PairPlace, ...] = ()
     speeds: Speeds | None = None
     num_annotations: int = 0
     view_spread_rad: float = np.pi
@@ -297,17 +297,17 @@ def _evidence(
     seed_index: int,
     *,
     needs_speeds: bool,
-) -> Evidence:
+) -> AnnotationEvidence:
     """Return what the annotations say about pairs near a seed.
 
     This reads every annotation; the segments that one worker runs in a row mostly share it.
     """
     rng = stream(study_seed, "chains", "views", seed_index)
     if not DENSITIES[density].reads_annotations:
-        return Evidence(DENSITIES[density].init(None, rng, None))
+        return AnnotationEvidence(DENSITIES[density].init(None, rng, None))
     placed = _gathered(store, annotations, views)
     pairs = placed.gathered.pairs
-    return Evidence(
+    return AnnotationEvidence(
         likelihood=DENSITIES[density].init(settings, rng, placed.gathered),
         places=tuple(placed.places[one] for one in pairs.annotation_index),
         speeds=annotation_speeds(gather_tracks(placed)) if needs_speeds else None,

@@ -54,7 +54,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return found
 
 
-class _Shown(NamedTuple):
+class _ShownAugmentation(NamedTuple):
     """What is drawn of a take: motions (T, P, 22, 3), metres, by name, and scale and quality of all variants."""
 
     take_id: str
@@ -64,7 +64,7 @@ class _Shown(NamedTuple):
     columns: Mapping[str, Array]
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownAugmentation]:
     """Score the variants of one take, and choose the extremes to be shown."""
     take, parts = shard.ref("take"), shard.refs("variants")
     facts = TakeFacts.of(store.manifest(take))
@@ -108,10 +108,10 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     times_s = np.tile(drifts.frames / source.rate_hz, len(variant_ids))
     values = {method: drift_m.ravel() for method, drift_m in drifts.found_m.items()}
     items = {"": Items(values, [take_id] * len(times_s), times_s, len(variant_ids))} if len(drifts.frames) else {}
-    return TopicResult(scores, notes, items, (_PLAIN,), _Shown(take_id, source, shown, scale, columns))
+    return TopicResult(scores, notes, items, (_PLAIN,), _ShownAugmentation(take_id, source, shown, scale, columns))
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownAugmentation) -> Iterator[Picture]:
     """Show the extremes beside the source, and drift over scale where anything is in contact."""
     take_id = shown.take_id
     caption = (

@@ -48,7 +48,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return shards
 
 
-class _Shown(NamedTuple):
+class _ShownChains(NamedTuple):
     """What is drawn of a shard.
 
     Args:
@@ -60,12 +60,12 @@ class _Shown(NamedTuple):
     neighbours: Mapping[str, Sequence[tuple[str, Sequence[tuple[str, np.ndarray]]]]] = {}
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
     """Summarise the chains, or show draws."""
     return {"draws": _states, "nearest": _nearest, "summary": _summarised}[shard.name](shard, store)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownChains) -> Iterator[Picture]:
     """Show a chain of each density from its seed on, as in Yin et al. 2018, figs. 6 and 7, and beside annotations."""
     for density, (states_m, labels) in shown.states.items():
         panel = people_panel(in_words(density), PAIR17, states_m + np.array([0.0, _STANDING_M, 0.0]))
@@ -109,7 +109,7 @@ def _read_chains(store: Store, shard: Shard) -> Iterator[tuple[str, str, np.ndar
         yield density, parts[-1].partition, pairs.astype(np.float64), log_prior
 
 
-def _states(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _states(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
     """Show states of the chain of each density; score the prior of its draws."""
     scores, states = [], {}
     for density, partition, pairs, log_prior in _read_chains(store, shard):
@@ -117,10 +117,10 @@ def _states(shard: Shard, store: Store) -> TopicResult[_Shown]:
         # The first chain is the first in its partition.
         states[density] = pairs[at], [f"draws:STUDY/{partition}#{index}" for index in at]
         scores += summarise({density: log_prior}, "log_prior", item="first chain")
-    return TopicResult(scores, baselines=(PRIOR_ONLY,), shown=_Shown(states))
+    return TopicResult(scores, baselines=(PRIOR_ONLY,), shown=_ShownChains(states))
 
 
-def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
     """Show states of a chain of each density beside the annotations most like them (Yin et al. 2018, fig. 11)."""
     seen = [pair for pairs in read_all_seen(store, shard, num_hypotheses=1) for pair in pairs.values()]
     known = some_of([pair for pair in seen if not pair.is_left_out], _MAX_KNOWN)
@@ -135,10 +135,10 @@ def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
             row = [("draw", project_pair(pairs[at], directions[nearest[:1]])[0])]
             row += [(f"annotation, {100 * far:.0f} cm", images[n]) for n, far in zip(nearest, distance, strict=True)]
             neighbours[density].append((f"draw {at + 1:,}", row))
-    return TopicResult(shown=_Shown(neighbours=neighbours))
+    return TopicResult(shown=_ShownChains(neighbours=neighbours))
 
 
-def _summarised(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _summarised(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
     """Summarise the chains of each density and seed."""
     scores = []
     notable: dict[str, list[str]] = {}

@@ -37,7 +37,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     ]
 
 
-class _Shown(NamedTuple):
+class _ShownClips(NamedTuple):
     """The first seconds of a sequence: keypoints (drawn frame, person, 14, 2), pixels, all times, the image's size."""
 
     sequence_id: str
@@ -46,7 +46,7 @@ class _Shown(NamedTuple):
     size_px: tuple[int, int]
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownClips]:
     """Read the first seconds of one sequence."""
     sequence_id, annotations = shard.options(ClipParameters).sequence_id, shard.ref("annotations")
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "image_width_px", "image_height_px"]
@@ -56,10 +56,10 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     keypoints, times = _by_frame(data, is_here)
     step = max(1, round(rate_of(times) / _RATE_HZ))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    return TopicResult(shown=_Shown(sequence_id, keypoints, times, size))
+    return TopicResult(shown=_ShownClips(sequence_id, keypoints, times, size))
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownClips) -> Iterator[Picture]:
     """Show the clip."""
     step = max(1, round(rate_of(shown.times_s) / _RATE_HZ))
     panel = image_panel(shown.sequence_id, OP14, shown.keypoints_px, shown.size_px)

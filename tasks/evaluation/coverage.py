@@ -119,7 +119,7 @@ class _Dots(NamedTuple):
     of_panel: dict[int, npt.NDArray[np.intp]]
 
 
-class _Shown(NamedTuple):
+class _ShownCoverage(NamedTuple):
     """What is drawn of a part of the real frames, in `words`: curves, real pairs and draws, and the first seed."""
 
     split: str
@@ -131,7 +131,7 @@ class _Shown(NamedTuple):
     seed_m: Array | None
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
     """Measure coverage on one part of the real frames."""
     options = shard.options(CoverageParameters)
     split, draw_refs = options.split, shard.refs("draws")
@@ -164,11 +164,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
         name: Items(nearest_m, *where) if where else Items()
         for name, nearest_m in (("", nearest), (_ALONE, alone(nearest)))
     }
-    shown = _Shown(split, words, curves, levels, truth, dots, _first_seed(store, shard.refs("first_seed")))
+    shown = _ShownCoverage(split, words, curves, levels, truth, dots, _first_seed(store, shard.refs("first_seed")))
     return TopicResult(scores, notes, items, _baselines({score.method for score in scores}), shown)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
     """Draw coverage against the number of draws, and a map of real pairs and draws unless the pairs are all alike."""
     caption = (
         f"Distance from {shown.words} real pairs to their nearest draw against the number of draws; lower is better, "

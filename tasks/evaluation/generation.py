@@ -57,7 +57,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     return shards
 
 
-class _Shown(NamedTuple):
+class _ShownGeneration(NamedTuple):
     """A test take and motions (T, 2, 22, 3), metres, that were generated for it."""
 
     take_id: str
@@ -65,7 +65,7 @@ class _Shown(NamedTuple):
     motions_m: Mapping[str, Array]
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
     """Score what was generated for every test take; as a distribution where the study asks for these."""
     facts, settings = ModelFacts.of(store.manifest(shard.ref("model"))), shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
@@ -87,7 +87,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
         times_s = np.tile(drifts.frames / source.rate_hz, len(items))
         parts.append(Items({method: ours_mm, _PLAIN: plain_mm}, [take_id] * len(times_s), times_s, len(items)))
         if shown is None:
-            shown = _Shown(take_id, source, {item.variant_id: item.motion_m for item in items[:_SHOWN]})
+            shown = _ShownGeneration(take_id, source, {item.variant_id: item.motion_m for item in items[:_SHOWN]})
     more = {"split": f"{facts.split} test"}
     scores = [
         score
@@ -112,7 +112,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     return TopicResult(scores, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS), shown)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownGeneration) -> Iterator[Picture]:
     """Show the first take beside what was generated for it."""
     caption = f"{shown.take_id}, and what was generated for it; contacts of the take are green."
     player = variant_player(shown.source, {"take": shown.source.positions_m, **shown.motions_m})

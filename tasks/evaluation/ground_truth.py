@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.cameras.pinhole import PinholeCamera
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place
+from tasks.annotated_pairs import PairPlace
 from tasks.facts import SequenceFacts, TakeFacts
 from tasks.takes import read_motion
 
@@ -70,7 +70,7 @@ class GroundTruth:
         """Return take and time of these takes and frames, as `Items` have them."""
         return [take for take, _ in places], [self.time_s(*place) for place in places]
 
-    def pair(self, place: Place) -> TruePair | None:
+    def pair(self, place: PairPlace) -> TruePair | None:
         """Return the pair behind an annotated pair.
 
         None where it is not known: no virtual video, a take that was not read, or somebody who is not of it.

@@ -36,7 +36,7 @@ from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_all_seen, with_views
+from tasks.annotated_pairs import PairPlace, SeenPair, annotated_pairs, read_all_seen, with_views
 from tasks.draw_sets import density_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
@@ -45,7 +45,7 @@ from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
 from tasks.takes import takes_of
 
-Nearest = Mapping[int, Array]
+NearestCurve = Mapping[int, Array]
 """Least d_I of each annotation (annotation,), metres, to any of the first draws, by their number."""
 
 _NUM_JUDGED = 24
@@ -67,13 +67,13 @@ _NEAREST, _REAL = "nearest_annotation", "real_frames"
 _BASELINES = (PRIOR_ONLY, _NEAREST, _REAL)
 
 
-class _Shown(NamedTuple):
+class _ShownLeaveOneOut(NamedTuple):
     """What is drawn: curves by part and method, annotations (n, 2, 17, 2), and those that draws of methods are nearest.
 
     `left_out_m` (k, 2, 17, 2) are annotations that draws were not made from.
     """
 
-    curves: Mapping[str, Mapping[str, Nearest]]
+    curves: Mapping[str, Mapping[str, NearestCurve]]
     images_m: Array
     nearest_m: Mapping[str, Array]
     left_out_m: Array
@@ -93,12 +93,12 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return [TOPIC.shard(inputs, "images", draws=draws, takes=takes, **with_views([*learned, *held_out], inputs))]
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLeaveOneOut]:
     """Measure how near draws come to images that they were not made from."""
     annotations, draw_refs = shard.refs("annotations"), shard.refs("draws")
     facts = SequenceFacts.read(store, annotations)
-    used: dict[Place, SeenPair] = {}
-    unused: dict[str, dict[Place, SeenPair]] = {"leave_one_out": {}, "held_out": {}}
+    used: dict[PairPlace, SeenPair] = {}
+    unused: dict[str, dict[PairPlace, SeenPair]] = {"leave_one_out": {}, "held_out": {}}
     for fact, pairs in zip(facts, read_all_seen(store, shard, num_hypotheses=_NUM_HYPOTHESES), strict=True):
         for place, seen in pairs.items():
             group = unused["held_out"] if fact.is_held_out else unused["leave_one_out"] if seen.is_left_out else used
@@ -117,7 +117,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     if real := [pair.pair_m for pair in map(truth.pair, used) if pair is not None]:
         draws[_REAL] = np.array(real)[generator.permutation(len(real))].astype(np.float32)
     known = some_of(list(used.values()), _MAX_KNOWN)
-    curves: dict[str, dict[str, Nearest]] = {}
+    curves: dict[str, dict[str, NearestCurve]] = {}
     items = Items()
     for split, every in unused.items():
         chosen = some_of(list(every.values()), _NUM_JUDGED)
@@ -134,11 +134,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
         _images(some_of(list(group.values()), count))
         for group, count in ((used, _NUM_MAPPED), (unused["leave_one_out"], _NUM_UNUSED_MAPPED))
     ]
-    shown = _Shown(curves, mapped[0], _nearest_annotations(store, draw_refs, used), mapped[1])
+    shown = _ShownLeaveOneOut(curves, mapped[0], _nearest_annotations(store, draw_refs, used), mapped[1])
     return TopicResult(scores, _notes(unused, curves), {"": items} if curves else {}, _BASELINES, shown)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownLeaveOneOut) -> Iterator[Picture]:
     """Draw how near draws come as they grow in number, and a map of annotations unless they are all alike."""
     if shown.curves:
         caption = (
@@ -159,7 +159,7 @@ def _draw(shown: _Shown) -> Iterator[Picture]:
 
 
 def _takes_and_times(
-    facts: Sequence[SequenceFacts], truth: GroundTruth, places: Sequence[Place], stills: Collection[str]
+    facts: Sequence[SequenceFacts], truth: GroundTruth, places: Sequence[PairPlace], stills: Collection[str]
 ) -> tuple[list[str], list[float]]:
     """Return the take of each image and its time there, seconds; each still of one's own is a moment of its own."""
     own = {name: fact.rate_hz for fact in facts for name in fact.sequence_ids}
@@ -174,7 +174,7 @@ def _takes_and_times(
     return takes, times_s
 
 
-def _notes(unused: Mapping[str, Collection[Place]], curves: Collection[str]) -> list[str]:
+def _notes(unused: Mapping[str, Collection[PairPlace]], curves: Collection[str]) -> list[str]:
     counts = [f"{len(unused[split])} {_WORDS[split]}" for split in curves]
     if not counts:
         return [
@@ -186,8 +186,8 @@ def _notes(unused: Mapping[str, Collection[Place]], curves: Collection[str]) -> 
 
 
 def _apart(
-    left_out: Mapping[Place, SeenPair], used: Collection[Place], stills: Collection[str]
-) -> dict[Place, SeenPair]:
+    left_out: Mapping[PairPlace, SeenPair], used: Collection[PairPlace], stills: Collection[str]
+) -> dict[PairPlace, SeenPair]:
     """Return those of a video that are far enough from every frame that is used, and all stills."""
     frames: dict[str, list[int]] = {}
     for place in used:
@@ -205,7 +205,9 @@ def _images(pairs: Sequence[SeenPair]) -> Array:
     return np.array([seen.image_m for seen in pairs])
 
 
-def nearest_curve(images_m: Iterable[Array], directions: Sequence[Array], pairs_m: npt.NDArray[np.floating]) -> Nearest:
+def nearest_curve(
+    images_m: Iterable[Array], directions: Sequence[Array], pairs_m: npt.NDArray[np.floating]
+) -> NearestCurve:
     """Return how near draws come to images, as draws grow in number.
 
     Args:
@@ -223,7 +225,7 @@ def nearest_curve(images_m: Iterable[Array], directions: Sequence[Array], pairs_
     return found
 
 
-def nearest_draw_scores(curves: Mapping[str, Nearest], *, split: str) -> list[Score]:
+def nearest_draw_scores(curves: Mapping[str, NearestCurve], *, split: str) -> list[Score]:
     """Return how near draws of each method come to the annotations, of all draws and as they grow in number."""
     scores = summarise({name: list(curve.values())[-1] for name, curve in curves.items()}, _METRIC, "m", split=split)
     for method, curve in curves.items():
@@ -235,7 +237,7 @@ def nearest_draw_scores(curves: Mapping[str, Nearest], *, split: str) -> list[Sc
     return scores
 
 
-def nearest_draw_figure(curves: Mapping[str, Mapping[str, Nearest]]) -> bytes:
+def nearest_draw_figure(curves: Mapping[str, Mapping[str, NearestCurve]]) -> bytes:
     """Draw how near draws come as they grow in number, a panel for each part; a method with one point is a level."""
     panels = []
     for split, methods in curves.items():
@@ -257,7 +259,7 @@ def nearest_draw_figure(curves: Mapping[str, Mapping[str, Nearest]]) -> bytes:
 
 
 def _nearest_annotations(
-    store: Store, draw_refs: Sequence[ArtifactRef], used: Mapping[Place, SeenPair]
+    store: Store, draw_refs: Sequence[ArtifactRef], used: Mapping[PairPlace, SeenPair]
 ) -> dict[str, Array]:
     """Return the annotation (m, 2, 17, 2) that each draw is nearest to, metres, by density in order."""
     images = {place[:3]: seen.image_m for place, seen in used.items()}

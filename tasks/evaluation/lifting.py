@@ -33,7 +33,15 @@ from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_all_seen, with_views
+from tasks.annotated_pairs import (
+    PLACE_COLUMNS,
+    PairPlace,
+    SeenPair,
+    annotated_pairs,
+    place_of,
+    read_all_seen,
+    with_views,
+)
 from tasks.draw_sets import GROWN, draw_manifests, knows_annotations, read_all_draws, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
@@ -70,7 +78,7 @@ class LiftedPairsSettings(Parameters):
     )
 
 
-class _Shown(NamedTuple):
+class _ShownLifting(NamedTuple):
     """What is drawn of a shard.
 
     Args:
@@ -106,13 +114,13 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     return shards
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Score or show one of the four."""
     kinds = {"lifted": _lifted, "nearest": _nearest, "completed": _completed, "between": _between}
     return kinds[shard.name](shard, store)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownLifting) -> Iterator[Picture]:
     """Draw expected errors over true ones, examples of each part, and lifted pairs beside what is most like them."""
     if shown.expected_m:
         caption = (
@@ -137,7 +145,7 @@ def _draw(shown: _Shown) -> Iterator[Picture]:
         yield Picture("nearest.svg", caption, rows_figure(shown.neighbours))
 
 
-def _lifted(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _lifted(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Score lifted pairs and frames between them, and what was expected of their errors; show some of each part."""
     truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
     rows = [row for ref in shard.refs("lifted") for row in _read_lifted(store, ref, truth)]
@@ -168,15 +176,15 @@ def _lifted(shard: Shard, store: Store) -> TopicResult[_Shown]:
             for same in some_of(places, _NUM_EXAMPLES, has_ends=False)
             for made in [{row.method: row.pair_m for row in same}]
         ]
-    return TopicResult(scores, items=items, baselines=_BASELINES, shown=_Shown(expected_m, examples))
+    return TopicResult(scores, items=items, baselines=_BASELINES, shown=_ShownLifting(expected_m, examples))
 
 
 @dataclass(frozen=True)
-class _Lifted:
+class _LiftedRow:
     """A row of `lifted_pairs` or `in_betweens` with its ground truth, pairs (2, 17, 3) in camera axes, metres."""
 
     table: str
-    place: Place
+    place: PairPlace
     split: str
     method: str
     pair_m: Array
@@ -190,7 +198,7 @@ class _Lifted:
         return float(lifted_errors(self.pair_m[None], self.true_m[None])["lifted_pair_error"][0])
 
 
-def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Lifted]:
+def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_LiftedRow]:
     """Return the rows whose ground truth is known."""
     manifest, found = store.manifest(ref), []
     facts = LiftedFacts.of(manifest)
@@ -208,7 +216,7 @@ def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Li
                 continue
             learned = "annotated" if facts.purpose == "random_views" else "unannotated"
             found.append(
-                _Lifted(
+                _LiftedRow(
                     table=name,
                     place=place,
                     split="held_out" if true.take_id in truth.held_out else learned,
@@ -222,21 +230,21 @@ def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Li
     return found
 
 
-def _grouped(rows: Iterable[_Lifted], key: Callable[[_Lifted], K]) -> dict[K, list[_Lifted]]:
+def _grouped(rows: Iterable[_LiftedRow], key: Callable[[_LiftedRow], K]) -> dict[K, list[_LiftedRow]]:
     """Return rows by key, sorted."""
     return {name: list(same) for name, same in groupby(sorted(rows, key=key), key)}
 
 
-def _by_place(rows: Sequence[_Lifted], split: str) -> dict[Place, list[_Lifted]]:
+def _by_place(rows: Sequence[_LiftedRow], split: str) -> dict[PairPlace, list[_LiftedRow]]:
     """Return the rows of a part by annotation."""
-    found: dict[Place, list[_Lifted]] = {}
+    found: dict[PairPlace, list[_LiftedRow]] = {}
     for row in rows:
         if row.split == split:
             found.setdefault(row.place, []).append(row)
     return found
 
 
-def _items(rows: Sequence[_Lifted]) -> Items:
+def _items(rows: Sequence[_LiftedRow]) -> Items:
     """Return the errors of one annotation by method."""
     return Items({row.method: np.array([row.error_m]) for row in rows}, [rows[0].truth.take_id], [rows[0].truth.time_s])
 
@@ -280,7 +288,7 @@ def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
     return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
 
 
-def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Show some lifted pairs, each with the annotations and draws most like it (Yin et al. 2018, fig. 11)."""
     index = DrawIndex(read_all_draws(store, shard.refs("draws")).pairs_m)
     every = read_all_seen(store, shard, num_hypotheses=_NUM_HYPOTHESES)
@@ -288,7 +296,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
     is_known = [ref in shard.refs("known") for ref in shard.refs("annotations")]
     learned = [pair for pairs in compress(every, is_known) for pair in pairs.values() if not pair.is_left_out]
     known = some_of(learned, _MAX_KNOWN)
-    pairs: dict[Place, tuple[Array, list[float]]] = {}
+    pairs: dict[PairPlace, tuple[Array, list[float]]] = {}
     scores: list[Score] = []
     for ref in shard.refs("lifted"):
         table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "pair17_m", *_EXPECTED])
@@ -304,7 +312,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult[_Shown]:
         (_label(place, expected), _row(seen[place], pair_m, known, index))
         for place, (pair_m, expected) in some_of(list(pairs.items()), _NUM_NEAREST_SHOWN, has_ends=False)
     ]
-    return TopicResult(scores, shown=_Shown(neighbours=neighbours))
+    return TopicResult(scores, shown=_ShownLifting(neighbours=neighbours))
 
 
 def _expected(table: TableData, row: int) -> list[float] | None:
@@ -313,7 +321,7 @@ def _expected(table: TableData, row: int) -> list[float] | None:
     return None if math.isnan(found[0]) else found
 
 
-def _label(place: Place, expected_m: Sequence[float]) -> str:
+def _label(place: PairPlace, expected_m: Sequence[float]) -> str:
     value, low, high = (100.0 * value for value in expected_m)
     return f"{place.sequence_id}, frame {place.frame}: expected error {value:.0f} cm, {low:.0f} to {high:.0f}"
 
@@ -353,7 +361,7 @@ def rows_figure(rows: Sequence[tuple[str, Sequence[tuple[str, Array]]]]) -> byte
     return figure_svg(figure)
 
 
-def _completed(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _completed(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Hide joints of real pairs, and score what is put in their place."""
     truth, pool, generator = _truth_and_pool(shard, store)
     scores: list[Score] = []
@@ -370,7 +378,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult[_Shown]:
     return TopicResult(scores, notes, {_COMPLETED: Items.joined(judged)}, _BASELINES)
 
 
-def _between(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _between(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Hide frames of takes, and score what is put in their place."""
     truth, pool, _ = _truth_and_pool(shard, store)
     scores: list[Score] = []

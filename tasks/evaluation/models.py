@@ -71,7 +71,7 @@ def _split_name(facts: ModelFacts) -> str:
     return facts.split if facts.skeleton == BODY22.name else f"{facts.split}_{facts.skeleton}"
 
 
-class _Shown(NamedTuple):
+class _ShownModels(NamedTuple):
     """What is drawn of a split.
 
     Args:
@@ -91,7 +91,7 @@ class _Shown(NamedTuple):
     cases: tuple[str, Mapping[str, tuple[TrainingItem, Array]]]
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     """Score every model of a split on its test variants, and choose the best, a middling and the worst of them."""
     stored = [store.manifest(ref) for ref in shard.refs("models")]
     facts = ModelFacts.of(stored[0])
@@ -182,11 +182,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
         ),
     ]
     judged = {split_name.replace("_", " "): Items.joined(parts)}
-    drawing = _Shown(split_name, caption, tested, distances, baselines, (said, shown))
+    drawing = _ShownModels(split_name, caption, tested, distances, baselines, (said, shown))
     return TopicResult(scores, notes, judged, baselines, drawing)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownModels) -> Iterator[Picture]:
     """Draw errors against scales, and show cases of the best model."""
     scales = [key.furthest_scale for key in shown.keys]
     drawn = model_figure(scales, shown.errors, baselines=shown.baselines, split=shown.split)

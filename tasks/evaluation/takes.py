@@ -31,14 +31,14 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return [TOPIC.shard(inputs, TakeFacts.of(take).take_id, take=[take]) for take in inputs.of("poses")]
 
 
-class _Shown(NamedTuple):
+class _ShownTakes(NamedTuple):
     """A take: its facts, and its people (frame, person, 22, 3), metres."""
 
     facts: TakeFacts
     people_m: Array
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownTakes]:
     """Describe one take."""
     manifest = store.manifest(shard.ref("take"))
     facts, verdict = TakeFacts.of(manifest), verdict_of(manifest)
@@ -46,10 +46,10 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
     if verdict is not None and verdict.level is not Level.PASS:
         notes = [f"Take {facts.take_id}: {verdict.level}: {verdict.reason}."]
     people = read_motion(store, shard.ref("take"), "body22_m")["body22_m"]
-    return TopicResult(take_scores(facts.take_id, people, facts.rate_hz), notes, shown=_Shown(facts, people))
+    return TopicResult(take_scores(facts.take_id, people, facts.rate_hz), notes, shown=_ShownTakes(facts, people))
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownTakes) -> Iterator[Picture]:
     """Show the take."""
     take_id, people = shown.facts.take_id, shown.people_m
     frames, shown_hz = shown_frames(len(people), shown.facts.rate_hz)

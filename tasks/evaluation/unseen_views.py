@@ -68,7 +68,7 @@ class UnseenViewsSettings(Parameters):
     )
 
 
-class TakeParameters(Parameters):
+class UnseenTakeParameters(Parameters):
     """One take in one condition, by number."""
 
     take_id: str
@@ -89,7 +89,7 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
             PARALLEL_VIEWS.shard(
                 inputs,
                 f"{take_id}-{number}",
-                settings.part(TakeParameters, take_id=take_id, condition=number),
+                settings.part(UnseenTakeParameters, take_id=take_id, condition=number),
                 take=[take],
                 parts=parts,
                 clusters=clusters,
@@ -99,7 +99,7 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
     return shards
 
 
-class _Shown(NamedTuple):
+class _ShownUnseenViews(NamedTuple):
     """A motion in words, and what a camera saw and a fit made of its first seconds, (frame, 14, 3) in camera axes."""
 
     item: str
@@ -109,14 +109,14 @@ class _Shown(NamedTuple):
     found_m: Array
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_Shown]]:
+def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_ShownUnseenViews]]:
     """Score one take in one condition."""
-    options = shard.options(TakeParameters)
+    options = shard.options(UnseenTakeParameters)
     searcher = _database(shard, store)
     condition = CONDITIONS[options.condition]
     scores: list[Score] = []
     parts: list[Items] = []
-    shown: list[_Shown] = []
+    shown: list[_ShownUnseenViews] = []
     for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
@@ -127,7 +127,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_Shown]]:
             start = replace(motion, world_m=motion.world_m[: round(_SHOWN_S * motion.rate_hz)])
             seen = see(start, condition, motion.yaws_deg[0], draw(0))
             fit = reconstruct_seen(searcher, seen, has_clean_up=False)[Method.FIT.value]
-            shown.append(_Shown(motion.item, condition.name, motion.rate_hz, seen, fit))
+            shown.append(_ShownUnseenViews(motion.item, condition.name, motion.rate_hz, seen, fit))
     note = (
         f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is a bound that "
         "knows the ground truth."
@@ -135,7 +135,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_Shown]]:
     return TopicResult(scores, [note], {"": Items.joined(parts)}, _BASELINES, shown)
 
 
-def _draw(shown: Sequence[_Shown]) -> Iterator[Picture]:
+def _draw(shown: Sequence[_ShownUnseenViews]) -> Iterator[Picture]:
     """Show the fit beside its image."""
     for motion in shown:
         name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
@@ -232,7 +232,7 @@ def _mean(values: Array) -> float:
 def _database(shard: Shard, store: Store) -> Searcher:
     """Return the database of the shard's parts."""
     parts = shard.refs("parts")
-    take_id = shard.options(TakeParameters).take_id
+    take_id = shard.options(UnseenTakeParameters).take_id
     refuse_overlap("the projection database", merge_takes(*map(store.manifest, parts)), [take_id])
     database, _, _ = read_database(store, parts)
     # To compare with the paper, parallel rays see the database too, whatever the study's camera.
@@ -242,7 +242,7 @@ def _database(shard: Shard, store: Store) -> Searcher:
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
     """Return the motion of every person of the shard's take at the database's rate."""
-    take, options = shard.ref("take"), shard.options(TakeParameters)
+    take, options = shard.ref("take"), shard.options(UnseenTakeParameters)
     people = read_motion(store, take, "op14_m")["op14_m"]
     from_hz = TakeFacts.of(store.manifest(take)).rate_hz
     return [

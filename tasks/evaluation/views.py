@@ -31,7 +31,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return [TOPIC.shard(inputs, "accuracy", views=estimated, annotations=annotations, takes=inputs.of("poses"))]
 
 
-class _Shown(NamedTuple):
+class _ShownViews(NamedTuple):
     """Hypotheses of all views (hypothesis,): angles and weights."""
 
     psi_rad: Array
@@ -39,7 +39,7 @@ class _Shown(NamedTuple):
     weight: Array
 
 
-def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
+def _compute(shard: Shard, store: Store) -> TopicResult[_ShownViews]:
     """Score the views."""
     truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
     tables = [store.read(ref, "views") for ref in shard.refs("views")]
@@ -61,11 +61,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_Shown]:
             items = Items(errors, [pair.take_id for pair in pairs], [pair.time_s for pair in pairs])
     skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
     notes = [*skipped, *([] if scores else ["No true camera is known, so views have no error."])]
-    shown = _Shown(*(np.concatenate([table[name] for table in tables]) for name in _Shown._fields))
+    shown = _ShownViews(*(np.concatenate([table[name] for table in tables]) for name in _ShownViews._fields))
     return TopicResult(scores, notes, {"": items} if scores else {}, ("mean_view",), shown)
 
 
-def _draw(shown: _Shown) -> Iterator[Picture]:
+def _draw(shown: _ShownViews) -> Iterator[Picture]:
     """Draw all hypotheses."""
     caption = (
         "Estimated view directions: round the pair, and from straight above (0) over level (90 degrees) to straight "

@@ -77,7 +77,7 @@ class ChosenSeed(PriorSettings, Parameters):
     seed_index: int
 
 
-class LiftedSeeds(PriorSettings, Parameters):
+class LiftedSeedsShard(PriorSettings, Parameters):
     """All seeds lifted from 2D alone."""
 
     first_index: int

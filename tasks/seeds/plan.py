@@ -20,7 +20,7 @@ from tasks.seeds.parameters import (
     FilledSeeds,
     FrameSeed,
     GrownSeeds,
-    LiftedSeeds,
+    LiftedSeedsShard,
     SeedsParameters,
 )
 from tasks.stage import Shard, StageInputs
@@ -57,7 +57,9 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     read = {"joint_limits": inputs.of("joint_limits"), "annotations": annotated, "views": views}
     if num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
-        lifted = parameters.model_copy(update={"num_lifted": num_lifted}).part(LiftedSeeds, first_index=len(shards))
+        lifted = parameters.model_copy(update={"num_lifted": num_lifted}).part(
+            LiftedSeedsShard, first_index=len(shards)
+        )
         shards.append(SEEDS.shard(inputs, "lifted", "lifted", lifted, {**read, "torso_basis": bases}))
     if num_grown and shards:
         first = len(shards) + max(num_lifted - 1, 0)

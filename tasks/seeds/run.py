@@ -22,7 +22,7 @@ from tasks.committing import commit, followed
 from tasks.facts import SeedFacts, TakeFacts, merge_takes
 from tasks.priors import read_limits, read_torso_basis
 from tasks.seeds.files import FileSeed, credits_of, read_seed
-from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeeds
+from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeedsShard
 from tasks.stage import Shard
 from tasks.streams import stream
 from tasks.takes import read_motion
@@ -43,7 +43,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return _commit_frame(shard, store, options, *_choose(shard, store, options))
         case FileSeed() as options:
             return _take_in(shard, store, options)
-        case LiftedSeeds() as options:
+        case LiftedSeedsShard() as options:
             return _lift(shard, store, options)
         case FilledSeeds() as options:
             return _fill(shard, store, options)
@@ -131,7 +131,7 @@ def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
     }
 
 
-def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
+def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
     """Lift annotations that stand for all of them from 2D alone."""
     placed = _annotated(shard, store)
     seeds = lift_seeds(

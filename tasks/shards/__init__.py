@@ -2,7 +2,17 @@
 
 from tasks.shards.cluster import ClusterSettings, connect, worker_environment
 from tasks.shards.errors import ClusterError, ShardError, Stopped, in_one_line, joined
-from tasks.shards.running import Call, ClusterPool, HereClient, HerePool, Place, Pool, ShardDone, ShardFailed, run
+from tasks.shards.running import (
+    Call,
+    ClusterPool,
+    HereClient,
+    HerePool,
+    Pool,
+    ShardDone,
+    ShardFailed,
+    WhereComputed,
+    run,
+)
 
 __all__ = [
     "Call",
@@ -11,12 +21,12 @@ __all__ = [
     "ClusterSettings",
     "HereClient",
     "HerePool",
-    "Place",
     "Pool",
     "ShardDone",
     "ShardError",
     "ShardFailed",
     "Stopped",
+    "WhereComputed",
     "connect",
     "in_one_line",
     "joined",

@@ -44,7 +44,7 @@ _GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the schedu
 
 
 @dataclass(frozen=True)
-class Place:
+class WhereComputed:
     """Where and when a shard was computed, and what it took there.
 
     Args:
@@ -65,7 +65,7 @@ class Result(NamedTuple):
 
     ref: ArtifactRef
     seconds: float
-    place: Place | None
+    place: WhereComputed | None
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class ShardDone:
     shard: Shard
     ref: ArtifactRef
     seconds: float
-    place: Place | None = None
+    place: WhereComputed | None = None
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
         failure = ShardError(_where(shard), type(error).__name__, reason, trace)
     else:
         spent_s = time.thread_time() - spent_s
-        place = Place(f"{platform.node()} {os.getpid()}", began_s, spent_s, peak_memory_bytes(None))
+        place = WhereComputed(f"{platform.node()} {os.getpid()}", began_s, spent_s, peak_memory_bytes(None))
         return Result(ref, time.perf_counter() - started, place)
     raise failure  # out here it drags no original error along, which may not be picklable
 

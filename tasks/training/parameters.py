@@ -117,7 +117,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
         return {one: NamedModel(kind, settings, start, self, seed) for one, seed in zip(names, seeds, strict=True)}
 
 
-class SegmentParameters(Parameters):
+class TrainingSegmentParameters(Parameters):
     """What decides one segment of a model's training on a split."""
 
     split: SplitName

@@ -15,7 +15,7 @@ from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, StageName
 from tasks.streams import stream
 from tasks.training.items import interaction_of
-from tasks.training.parameters import SegmentParameters, TrainingParameters
+from tasks.training.parameters import TrainingParameters, TrainingSegmentParameters
 
 TRAINING = StageName("training", 13)
 
@@ -52,7 +52,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
                     inputs,
                     name,
                     model if num_segments == 1 else f"{model}-segment{segment}",
-                    SegmentParameters(
+                    TrainingSegmentParameters(
                         split=name,
                         test_takes=test_takes,
                         name=model,

@@ -21,7 +21,7 @@ from tasks.facts import ModelFacts
 from tasks.stage import Shard
 from tasks.streams import stream
 from tasks.training.items import StoredVariants
-from tasks.training.parameters import SegmentParameters
+from tasks.training.parameters import TrainingSegmentParameters
 from tasks.training.plan import split_variants
 
 _JUDGED = 24
@@ -34,7 +34,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     Raises:
         InputError: Every variant to train on failed, training came to numbers that are not finite, or torch is missing.
     """
-    options = shard.options(SegmentParameters)
+    options = shard.options(TrainingSegmentParameters)
     kind = model_class(options.model)
     if kind.needs_torch:
         refuse_without_torch(options.name, "training.models=MODELS, with those that need none")
@@ -166,7 +166,7 @@ def _by_take(keys: Sequence[VariantKey]) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def _array_rows(options: SegmentParameters, arrays: Arrays) -> dict[str, list[Any]]:
+def _array_rows(options: TrainingSegmentParameters, arrays: Arrays) -> dict[str, list[Any]]:
     names, count = sorted(arrays), len(arrays)
     return {
         "split": [options.split] * count,
@@ -178,7 +178,7 @@ def _array_rows(options: SegmentParameters, arrays: Arrays) -> dict[str, list[An
     }
 
 
-def _log_rows(options: SegmentParameters, log: Sequence[LogEntry]) -> dict[str, list[Any]]:
+def _log_rows(options: TrainingSegmentParameters, log: Sequence[LogEntry]) -> dict[str, list[Any]]:
     ordered = sorted(log, key=lambda entry: (entry.step, entry.quantity))
     return {
         "split": [options.split] * len(ordered),

@@ -3,11 +3,11 @@
 import numpy as np
 
 from pasdedeux.augmentation import weights as w
-from pasdedeux.augmentation.problem import Problem, Targets, girdle_pairs
+from pasdedeux.augmentation.problem import MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import bending_rows
 
 
-def plain_residuals(problem: Problem, targets: Targets, offsets: np.ndarray) -> np.ndarray:
+def plain_residuals(problem: MeshProblem, targets: Targets, offsets: np.ndarray) -> np.ndarray:
     """Return all residuals of one variant at offsets (T, 44, 3); the energy is the sum of their squares."""
     apart = offsets - targets.difference[0]
     mesh, contacts, direction = problem.mesh, problem.contacts, w.CONTACT_DIRECTION

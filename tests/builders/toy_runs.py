@@ -18,7 +18,7 @@ from distributed import Client
 from flows.console.app import run_command_line
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
-from flows.planning import Plan, Selection, make_plan
+from flows.planning import Plan, StageSelection, make_plan
 from flows.study import load_study
 from storage_schema import Store, read_latest
 from tasks.graph import Graph
@@ -36,7 +36,7 @@ def write_study(folder: Path, text: str = STUDY) -> Path:
 
 
 def plan_toys(
-    study: Path, store: Path, *settings: str, selection: Selection | None = None, graph: Graph = TOYS
+    study: Path, store: Path, *settings: str, selection: StageSelection | None = None, graph: Graph = TOYS
 ) -> Plan:
     chosen, stages = load_study(str(study), graph, settings=settings, environment={})
     return make_plan(chosen, stages, Store(store), selection)
@@ -46,13 +46,13 @@ def run_toys(
     study: Path,
     store: Path,
     *settings: str,
-    selection: Selection | None = None,
+    selection: StageSelection | None = None,
     graph: Graph = TOYS,
     pool: Pool | None = None,
 ) -> Outcome:
     """Run in this process, without Prefect and Dask."""
     chosen, stages = load_study(str(study), graph, settings=settings, environment={})
-    run = Run(chosen, stages, Store(store), selection or Selection())
+    run = Run(chosen, stages, Store(store), selection or StageSelection())
     plan = make_plan(chosen, stages, run.store, selection)
     return execute(run, begin(run, plan), plan, pool or HerePool(str(store)))
 

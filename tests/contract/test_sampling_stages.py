@@ -22,7 +22,7 @@ from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks import chains
 from tasks.annotated_pairs import gather, gather_tracks
-from tasks.chains import ChainsParameters, SegmentParameters
+from tasks.chains import ChainSegmentParameters, ChainsParameters
 from tasks.chains.run import chain_problem
 from tasks.judgements import verdict_of
 from tasks.stage import StageInputs
@@ -83,7 +83,7 @@ def test_every_draw_keeps_the_annotation_it_is_nearest_to(inputs: Any) -> None:
     given = with_seeds(store, tables, num_seeds=1)
     planned = [one for one in chains.plan(given, ChainsParameters(**QUICK)) if one.name == "chain1-segment0"]
     for shard in planned:
-        options = shard.options(SegmentParameters)
+        options = shard.options(ChainSegmentParameters)
         table = store.read(chains.run_shard(shard, store), "draws")
         likelihood = chain_problem(shard, options, store).evidence.likelihood
         if likelihood.sigma_l is None:
@@ -213,7 +213,7 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
     planned = [s for s in chains.plan(given, ChainsParameters(**QUICK)) if s.name == "chain0-segment0"]
     for shard in planned:
         table = store.read(chains.run_shard(shard, store), "draws")
-        options = shard.options(SegmentParameters)
+        options = shard.options(ChainSegmentParameters)
         chart = PairChart(np.asarray(store.read(shard.ref("seed"), "seeds")["pair17_m"][0]))
         likelihood = chain_problem(shard, options, store).evidence.likelihood
         assert isinstance(likelihood, PriorOnly) == (options.density == "prior_only")

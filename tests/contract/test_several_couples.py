@@ -8,7 +8,7 @@ import numpy as np
 
 from storage_schema import Manifest, Store
 from tasks import lifting, views
-from tasks.annotated_pairs import PLACE_COLUMNS, Place, gather, gather_tracks, place_of
+from tasks.annotated_pairs import PLACE_COLUMNS, PairPlace, gather, gather_tracks, place_of
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs
 from tasks.views import ViewsParameters
@@ -63,6 +63,6 @@ def test_every_couple_of_an_image_gets_views(inputs: Any) -> None:
     (shard,) = views.plan(StageInputs({"annotations": [ball]}, seed=1), ViewsParameters())
     table = store.read(views.run_shard(shard, store), "views")
     places = {place_of(table, row) for row in range(table.num_rows)}
-    assert {Place("ball/view00000", 0, 0, 1), Place("ball/view00000", 0, 2, 3)} <= places
+    assert {PairPlace("ball/view00000", 0, 0, 1), PairPlace("ball/view00000", 0, 2, 3)} <= places
     keys = list(zip(*(table[name] for name in (*PLACE_COLUMNS, "hypothesis")), strict=True))
     assert keys == sorted(keys)

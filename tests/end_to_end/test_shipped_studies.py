@@ -8,7 +8,7 @@ import pytest
 
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
-from flows.planning import Selection, make_plan
+from flows.planning import StageSelection, make_plan
 from flows.study import Study, load_study
 from storage_schema import Store
 from tasks.evaluation import TOPICS, report
@@ -36,7 +36,7 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
             whole, _ = load_study(name, graph(), folder=folder, environment={})
             study, stages = load_study(name, graph(), folder=folder, environment={}, settings=cut_short(whole))
             write_files(study)
-            run, plan = Run(study, stages, store, Selection()), make_plan(study, stages, store)
+            run, plan = Run(study, stages, store, StageSelection()), make_plan(study, stages, store)
             built[name] = study, store, execute(run, begin(run, plan), plan, HerePool(str(store)))
         return built[name]
 

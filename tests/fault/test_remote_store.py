@@ -24,7 +24,7 @@ import pytest
 from flows.collecting import collect
 from flows.console.app import run_command_line
 from flows.outcomes import Outcome
-from flows.planning import Selection
+from flows.planning import StageSelection
 from flows.viewing.shelf import Shelf
 from flows.viewing.viewer import Viewer
 from storage_schema import (
@@ -85,7 +85,7 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], N
     return lambda: monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / f"cache-{next(number)}"))
 
 
-def run_there(folder: Path, place: str, *settings: str, selection: Selection | None = None) -> Outcome:
+def run_there(folder: Path, place: str, *settings: str, selection: StageSelection | None = None) -> Outcome:
     """Build the toys in a bucket, in this process."""
     with in_use(Store(place)):
         return run_toys(write_study(folder), Path(place), *settings, selection=selection)
@@ -300,7 +300,7 @@ def test_workers_with_an_empty_mirror_fetch_what_they_read_and_push_what_they_ma
     undisturbed: dict[str, list[str]],
     tmp_path: Path,
 ) -> None:
-    run_there(tmp_path, server.place, selection=Selection(until="grow"))
+    run_there(tmp_path, server.place, selection=StageSelection(until="grow"))
     elsewhere()
     with Outside(tmp_path) as outside:
         elsewhere()
@@ -533,7 +533,7 @@ def test_who_reads_what_was_computed_again_since_takes_nothing_back(
 def test_a_part_that_is_lost_is_named_and_computed_again_by_the_next_run(
     server: S3Server, elsewhere: Callable[[], None], undisturbed: dict[str, list[str]], tmp_path: Path
 ) -> None:
-    run_there(tmp_path, server.place, selection=Selection(until="grow"))
+    run_there(tmp_path, server.place, selection=StageSelection(until="grow"))
     store, remote = Store(server.place), RemoteStore(server.place)
     lost, changed = [one for one in store.artifacts("grow") if one.name == "s2"]
     (part,) = {entry.sha256 for entry in lost.data_files.values()}

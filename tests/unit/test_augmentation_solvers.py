@@ -10,7 +10,7 @@ from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import factorise, solve
-from pasdedeux.augmentation.problem import Problem, Targets
+from pasdedeux.augmentation.problem import MeshProblem, Targets
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import (
     Variation,
@@ -30,7 +30,7 @@ from tests.builders.moving_pairs import swaying_pair
 from tests.builders.oracles_augmentation import plain_residuals
 
 
-def _problem(frames: int, scale: float = 0.8, **settings: Any) -> tuple[Problem, Targets]:
+def _problem(frames: int, scale: float = 0.8, **settings: Any) -> tuple[MeshProblem, Targets]:
     problem = build_problem(Source(swaying_pair(frames), 30.0), AugmentationSettings(**settings))
     scales = np.stack([variation.bone_scale for variation in uniform_variations([scale], ["A"])])
     return problem, build_targets(problem, scales)
@@ -42,7 +42,7 @@ def _wild_variations(count: int, seed: int) -> list[Variation]:
     return [Variation(f"wild-{index}", scale) for index, scale in enumerate(scales)]
 
 
-def _oracle_energy(problem: Problem, targets: Targets, start: np.ndarray) -> float:
+def _oracle_energy(problem: MeshProblem, targets: Targets, start: np.ndarray) -> float:
     """Minimise by scipy's trust region over roots and free direction vectors, made unit inside; slow and plain."""
     forest = BoneForest((BODY22, BODY22), targets.lengths_m[0])
     state = forest.state_of(start)
@@ -70,7 +70,7 @@ def test_the_shared_matrix_adds_up_to_the_energy_as_it_is_written() -> None:
     assert total_energy(terms, targets.reference[0] + offsets[0]) == pytest.approx(written, rel=1e-10)
 
 
-def _apply(problem: Problem, x: np.ndarray, group: int) -> np.ndarray:
+def _apply(problem: MeshProblem, x: np.ndarray, group: int) -> np.ndarray:
     product = np.einsum("tij,tj->ti", problem.matrix[group], x)
     for shift, lag in ((1, problem.lag1[group]), (2, problem.lag2[group])):
         product[:-shift] += lag * x[shift:]

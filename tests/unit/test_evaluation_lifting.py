@@ -14,7 +14,7 @@ from pasdedeux.completion.errors import HIDDEN, completion_errors, in_between_er
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
-from tasks.annotated_pairs import Place
+from tasks.annotated_pairs import PairPlace
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.lifting import calibration_scores, expected_figure, lifted_player, rows_figure
 
@@ -43,11 +43,16 @@ def test_a_person_slid_in_depth_shows_between_people_only() -> None:
 def test_the_true_pair_is_of_the_take_and_nobody_knows_it_where_the_take_or_a_person_is_not_there() -> None:
     frames = {("view", 7): ("duet", 3), ("other", 7): ("trio", 3)}
     truth = GroundTruth({"duet": PAIRS}, {"duet": 30.0}, frames=frames)
-    found = truth.pair(Place("view", 7, 0, 1))
+    found = truth.pair(PairPlace("view", 7, 0, 1))
     assert found is not None
     assert (found.take_id, found.time_s) == ("duet", 0.1)
     np.testing.assert_array_equal(found.pair_m, PAIRS[3])
-    unknown = (Place("other", 7, 0, 1), Place("view", 8, 0, 1), Place("view", 7, 0, 2), Place("view", 7, -1, 1))
+    unknown = (
+        PairPlace("other", 7, 0, 1),
+        PairPlace("view", 8, 0, 1),
+        PairPlace("view", 7, 0, 2),
+        PairPlace("view", 7, -1, 1),
+    )
     assert [truth.pair(place) for place in unknown] == [None] * 4
 
 

@@ -16,7 +16,7 @@ import pytest
 from flows.collecting import StoreInUseError, collect, find_garbage
 from flows.console.run import build
 from flows.outcomes import Run
-from flows.planning import Selection
+from flows.planning import StageSelection
 from flows.study import load_study
 from storage_schema import (
     CorruptArtifact,
@@ -95,7 +95,7 @@ def test_what_a_dataset_of_an_older_schema_names_stays(store: Store) -> None:
 
 def test_a_run_of_some_stages_does_not_push_out_the_last_one_of_the_others(store: Store, study: Path) -> None:
     whole = [folder.run_id for folder in list_runs(store)][-1]
-    some = run_toys(study, store.root, "grow.scale=4.0", selection=Selection(until="grow")).run_id
+    some = run_toys(study, store.root, "grow.scale=4.0", selection=StageSelection(until="grow")).run_id
     kept = find_garbage(store, NOW).kept_runs
     assert {whole, some} <= set(kept)
     last = run_toys(study, store.root, "grow.scale=5.0").run_id
@@ -123,7 +123,7 @@ def test_an_unfinished_run_does_not_push_out_the_last_finished_one(store: Store,
 
     with pytest.raises(KeyboardInterrupt):
         run_toys(study, store.root, "grow.scale=4.0", pool=Interrupted(str(store.root)))
-    run_toys(study, store.root, "grow.scale=3.0", selection=Selection(until="grow"))
+    run_toys(study, store.root, "grow.scale=3.0", selection=StageSelection(until="grow"))
     collect(store, NOW)
     assert plan_toys(study, store.root, "grow.scale=3.0").is_fresh
 

@@ -16,7 +16,7 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.machine import usable_cores
-from flows.planning import Selection
+from flows.planning import StageSelection
 from flows.study_files import read_study_tree, shipped_studies
 from storage_schema import Store, list_datasets
 from storage_schema.provenance import code_version
@@ -312,7 +312,7 @@ def test_a_mixture_of_runs_is_no_dataset(
     shutil.copytree(built[1], store)
     create = ("dataset", "create", "d", "--study", "toy", "--store", store)
     for change in ("grow.scale=2", "grow.num_takes=3"):
-        run_toys(Path(study), Path(store), change, selection=Selection(until="grow"))
+        run_toys(Path(study), Path(store), change, selection=StageSelection(until="grow"))
         assert call(*create) == 2
         assert "is a mixture of runs" in capsys.readouterr().err
         assert call(*create, "--stage", "grow") == 0

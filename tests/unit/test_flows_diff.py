@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.planning import Selection
+from flows.planning import StageSelection
 from flows.reasons import MAX_CHARACTERS, shorten
 from tests.builders.toy_runs import call, run_toys, write_study
 
@@ -56,7 +56,7 @@ def test_two_runs_differ_by_what_was_changed_between_them(
 def test_a_run_of_a_part_has_the_licences_of_all_that_the_part_was_computed_from(
     runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    part = Selection(only=("bend",), force=("bend",))
+    part = StageSelection(only=("bend",), force=("bend",))
     settings = ("bend.step=1", f"grow.source={tmp_path / 'source.txt'}", "grow.num_takes=3", "grow.scale=2.0")
     last = run_toys(tmp_path / "toy.toml", tmp_path / "store", *settings, selection=part).run_id
     assert call("diff", runs[1], last, "--store", str(tmp_path / "store"), "--json") == 0

@@ -22,7 +22,7 @@ from flows.building import ShowPartitions, by_urgency, stages_behind
 from flows.console.display import LineListener, progress_text
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
-from flows.planning import Selection, StagePlan, make_plan
+from flows.planning import StagePlan, StageSelection, make_plan
 from flows.progress import Listener, PartitionCount, Progress
 from flows.records import describe_runs
 from flows.study import load_study
@@ -254,7 +254,7 @@ def execute_shown(
     tasks: dict[str, Future[None]] = {}
     shown: dict[str, list[PartitionCount]] = {}
     chosen, known = load_study(str(write_study(tmp_path)), graph, settings=settings, environment={})
-    run = Run(chosen, known, Store(tmp_path / "store"), Selection(until="grow"))
+    run = Run(chosen, known, Store(tmp_path / "store"), StageSelection(until="grow"))
     pool = ManyWorkers(tmp_path / "store", num_workers=2, fail=fail)
     with ThreadPoolExecutor(9) as threads:
 
@@ -340,7 +340,7 @@ def test_an_early_shard_is_no_work_for_a_stage_that_is_forced(tmp_path: Path) ->
     study = write_study(tmp_path)
     run_toys(study, tmp_path / "store")
     forced = run_toys(
-        study, tmp_path / "store", selection=Selection(force=("grow",)), pool=ManyWorkers(tmp_path / "store", 3)
+        study, tmp_path / "store", selection=StageSelection(force=("grow",)), pool=ManyWorkers(tmp_path / "store", 3)
     )
     assert {stage.name: stage.num_computed for stage in forced.stages} == {"grow": 6, "bend": 0, "aside": 0, "judge": 0}
     assert plan_toys(study, tmp_path / "store").is_fresh
@@ -462,7 +462,7 @@ def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(tmp_path: 
     flip(next(store.glob("bend/*/*/models.parquet")))
     problems = verify(Store(store)).problems
     assert [(problem.stage, problem.file_name) for problem in problems] == [("bend", "models.parquet")]
-    run_toys(study, store, selection=Selection(force=("bend",)))
+    run_toys(study, store, selection=StageSelection(force=("bend",)))
     assert verify(Store(store)).is_ok
 
 

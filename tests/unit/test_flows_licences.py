@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from flows.console.app import run_command_line
-from flows.planning import Selection
+from flows.planning import StageSelection
 from storage_schema import Store, list_datasets
 from tests.builders.own_sources import write_walk
 from tests.builders.real_study import graph
@@ -126,7 +126,7 @@ def test_no_dataset_is_made_of_a_report_that_says_an_old_licence(
     study.write_text(f'{text}"CC-BY-4.0"')
     run_toys(study, store, graph=graph())
     study.write_text(f'{text}"CC-BY-NC-ND-4.0"')
-    run_toys(study, store, selection=Selection(until="ingest"), graph=graph())
+    run_toys(study, store, selection=StageSelection(until="ingest"), graph=graph())
     assert run_command_line(create, graph=graph()) == 2
     assert "the report of study 'own' says files given in the study: CC-BY-4.0, which is no" in capsys.readouterr().err
     outcome = run_toys(study, store, graph=graph())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.planning import PlanError, Selection
+from flows.planning import PlanError, StageSelection
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store, create_dataset, read_latest, source_credits, verify
 from tasks.graph import Graph
@@ -98,7 +98,7 @@ def test_a_moved_source_file_changes_nothing(study: Path, store: Path, tmp_path:
 def test_a_changed_take_is_named(study: Path, store: Path) -> None:
     run_toys(study, store, "bend.step=1")
     text = STUDY + "[grow]\nscale = 3.0\n[bend]\nstep = 1\n"
-    run_toys(study, store, "bend.step=1", "grow.scale=3.0", selection=Selection(until="grow"))
+    run_toys(study, store, "bend.step=1", "grow.scale=3.0", selection=StageSelection(until="grow"))
     study.write_text(text)
     plan = plan_toys(study, store)
     assert states(plan)["bend"] == "6 stale"
@@ -142,30 +142,30 @@ def test_what_was_computed_from_what_is_gone_is_computed_again_though_the_like_o
 def test_forced_stages_are_computed_again_and_end_in_the_same_bytes(study: Path, store: Path) -> None:
     run_toys(study, store)
     before = digests(store)
-    plan = plan_toys(study, store, selection=Selection(force=("bend",)))
+    plan = plan_toys(study, store, selection=StageSelection(force=("bend",)))
     assert (states(plan)["bend"], states(plan)["judge"]) == ("6 stale", "pending")
-    outcome = run_toys(study, store, selection=Selection(force=("bend",)))
+    outcome = run_toys(study, store, selection=StageSelection(force=("bend",)))
     assert outcome.num_computed == 6
     assert digests(store) == before
 
 
 def test_until_from_and_only_choose_stages(study: Path, store: Path) -> None:
-    assert [s.name for s in run_toys(study, store, selection=Selection(until="grow")).stages] == ["grow"]
-    bent = run_toys(study, store, selection=Selection(until="bend"))
+    assert [s.name for s in run_toys(study, store, selection=StageSelection(until="grow")).stages] == ["grow"]
+    bent = run_toys(study, store, selection=StageSelection(until="bend"))
     assert [s.name for s in bent.stages] == ["grow", "bend", "judge"], "the page is made of what is there"
     assert bent.report is not None
-    assert [s.name for s in run_toys(study, store, selection=Selection(start="bend")).stages] == ["bend", "judge"]
-    assert [s.name for s in run_toys(study, store, selection=Selection(only=("aside",))).stages] == ["aside"]
+    assert [s.name for s in run_toys(study, store, selection=StageSelection(start="bend")).stages] == ["bend", "judge"]
+    assert [s.name for s in run_toys(study, store, selection=StageSelection(only=("aside",))).stages] == ["aside"]
 
 
 def test_a_selected_stage_whose_input_is_not_there_is_refused(study: Path, store: Path) -> None:
     with pytest.raises(PlanError, match="stage bend needs grow, which is not finished and not selected"):
-        plan_toys(study, store, selection=Selection(only=("bend",)))
+        plan_toys(study, store, selection=StageSelection(only=("bend",)))
 
 
 def test_an_unknown_stage_is_answered_with_the_known_ones(study: Path, store: Path) -> None:
     with pytest.raises(PlanError, match="unknown stage 'chains'; known stages: aside, grow, bend, judge"):
-        plan_toys(study, store, selection=Selection(until="chains"))
+        plan_toys(study, store, selection=StageSelection(until="chains"))
 
 
 def test_a_source_that_is_not_there_is_refused_while_planning(study: Path, store: Path) -> None:
@@ -214,7 +214,9 @@ def test_a_forced_stage_that_gives_other_bytes_takes_its_place_and_what_follows_
     study: Path, store: Path, tmp_path: Path
 ) -> None:
     run_toys(study, store, "bend.step=1")
-    outcome = run_toys(study, store, "bend.step=1", selection=Selection(force=("grow",)), graph=with_longer_steps())
+    outcome = run_toys(
+        study, store, "bend.step=1", selection=StageSelection(force=("grow",)), graph=with_longer_steps()
+    )
     assert {one.name: one.num_computed for one in outcome.stages if one.num_computed} == {
         **dict.fromkeys(("grow", "bend"), 6),
         "judge": 1,
@@ -229,9 +231,9 @@ def test_a_forced_stage_leaves_what_a_dataset_needs_and_says_what_to_do(study: P
     create_dataset(Store(store), "scores", [judged.ref])
     before = digests(store)
     with pytest.raises(ShardError, match=r"dataset scores@1 needs the old one, which stays; raise the version of the"):
-        run_toys(study, store, "bend.step=1", selection=Selection(force=("grow",)), graph=with_longer_steps())
+        run_toys(study, store, "bend.step=1", selection=StageSelection(force=("grow",)), graph=with_longer_steps())
     assert verify(Store(store)).is_ok
-    run_toys(study, store, "bend.step=1", selection=Selection(force=("grow", "bend", "judge")))
+    run_toys(study, store, "bend.step=1", selection=StageSelection(force=("grow", "bend", "judge")))
     assert digests(store) == before
 
 
@@ -240,7 +242,7 @@ def test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again(
 ) -> None:
     run_toys(study, store)
     with pytest.raises(ShardError, match="killed"):
-        run_toys(study, store, selection=Selection(force=("grow",)), graph=with_longer_steps(fail_at="s1"))
+        run_toys(study, store, selection=StageSelection(force=("grow",)), graph=with_longer_steps(fail_at="s1"))
     plan = plan_toys(study, store)
     assert states(plan)["grow"] == "2 fresh, 4 stale"
     assert reasons(plan, "grow") == {"a shard before it was computed again with other bytes"}

@@ -18,7 +18,7 @@ from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22, MODEL_SKELETON
 from storage_schema import Store
 from tasks.evaluation.realism import TOPIC, LearnedSettings
 from tasks.stage import StageInputs
-from tasks.training.parameters import SegmentParameters, TrainingParameters
+from tasks.training.parameters import TrainingParameters, TrainingSegmentParameters
 from tests.builders.moving_pairs import swaying_pair
 from tests.builders.stored_models import put_model
 from tests.builders.walking_takes import put_take
@@ -118,8 +118,8 @@ def test_a_study_says_which_models_may_be_of_18_joints_and_keys_of_body22_stay()
         TrainingParameters.model_validate({"skeleton": "expi18", "models": ["copy", "ridge_adapted"]}).named()
     told = {"split": "random", "test_takes": (), "name": "copy", "model": "copy", "segment": 0}
     told["settings"] = MODELS["copy"].settings()
-    assert "skeleton" not in SegmentParameters.model_validate(told).model_dump(mode="json")
-    other = SegmentParameters.model_validate(told | {"skeleton": "expi18"})
+    assert "skeleton" not in TrainingSegmentParameters.model_validate(told).model_dump(mode="json")
+    other = TrainingSegmentParameters.model_validate(told | {"skeleton": "expi18"})
     assert other.model_dump(mode="json")["skeleton"] == "expi18"
 
 

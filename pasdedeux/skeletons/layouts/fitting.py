@@ -176,7 +176,7 @@ def fit_parts(name: str, meaning: str, parts: Mapping[str, Entry], skeleton: Ske
         skeleton: The joints of the file.
         rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
     """
-    return _Fit(Layout(name, meaning, {}, (), parts), skeleton, rest_offsets).layout()
+    return _LayoutFit(Layout(name, meaning, {}, (), parts), skeleton, rest_offsets).layout()
 
 
 def rest_positions(skeleton: Skeleton, rest_offsets: Array) -> Array:
@@ -268,11 +268,11 @@ def _fitted(layout: Layout, skeleton: Skeleton, rest_offsets: Array) -> Layout:
         if {normal[point.joint], normal[point.unit_bone]} <= joints.keys()
     )
     told = replace(layout, parts=_in_file(layout, joints), points=points)
-    return _Fit(told, skeleton, rest_offsets).layout()
+    return _LayoutFit(told, skeleton, rest_offsets).layout()
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _LayoutFit:
     """A layout in the names of a file, with the file's rest pose."""
 
     told: Layout

@@ -17,7 +17,7 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.committing import commit
-from tasks.facts import Couple, SequenceFacts
+from tasks.facts import CoupleFact, SequenceFacts
 from tasks.ingest.poses2d.parameters import AnnotationParameters
 from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, MAX_NAMED_FILES, FoundAnnotations
 from tasks.stage import Shard
@@ -84,7 +84,9 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
             camera_height_m=parameters.camera_height_m,
             statures_m=dict(parameters.statures_m),
             couples=tuple(
-                Couple(sequence_id=one.sequence_id, person_ids=(pair.first, pair.second), num_near_frames=pair.num_near)
+                CoupleFact(
+                    sequence_id=one.sequence_id, person_ids=(pair.first, pair.second), num_near_frames=pair.num_near
+                )
                 for one in resolved.sequences
                 for pair in one.pairs
             )[:MAX_NAMED_FILES],

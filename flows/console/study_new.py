@@ -226,7 +226,7 @@ def _key(line: str) -> str:
 def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
     """Return people of whom those of one rig, whose drafts have the same joints, share the draft of the first."""
     first: dict[tuple[str, ...], _Person] = {}
-    shared = []
+    shared: list[_Person] = []
     for person in people:
         if person.draft is not None:
             owner = first.setdefault(tuple(part.joint for part in person.draft.parts), person)

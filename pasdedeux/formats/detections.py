@@ -276,7 +276,7 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
     table = np.concatenate([table[:, : asked.num_keypoints], missing], axis=1)
     statuses = [(*one.status, *[0] * missing.shape[1])[: asked.num_keypoints] for one in detections if one.status]
     alike = [one for one in KEYPOINT_LAYOUTS.values() if one.num_keypoints == asked.num_keypoints and one not in known]
-    remarks = ()
+    remarks: tuple[str, ...] = ()
     if layout == "auto" and alike:  # of the same places, so that nothing tells
         remarks = (f"keypoints without names taken as '{asked.name}', not {_either(alike, mark=True)} (layout)",)
     return Arranged(asked, table, np.array(statuses) if len(statuses) == len(detections) else None, remarks)

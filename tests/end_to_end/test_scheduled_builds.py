@@ -87,19 +87,10 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
 ) -> None:
     store = tmp_path / "store"
     settings = ["--set", 'study.stages=["ingest"]', "--set", 'publish.required=["ingest"]']
-    command = ["deploy", "duets", "--store", str(store), "--every", str(EVERY_S), "--workers", "0", *settings]
     for _ in range(2):  # the second time changes it in place
-        found = subprocess.run(
-            [sys.executable, "-m", "flows.console", *command],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=180,
-            check=False,
-        )
-        assert found.returncode == 0, found.stderr
-        assert "pasdedeux-dataset/duets: every 10 s" in found.stdout
-    (deployment,) = _get(environment, "/deployments/filter", {})
+        said = _deploy(environment, store, "--every", str(EVERY_S), "--workers", "0", *settings)
+        assert "pasdedeux-dataset/duets: every 10 s" in said
+    (deployment,) = _get(environment, "/deployments/filter", {"deployments": {"name": {"any_": ["duets"]}}})
     assert [schedule["schedule"]["interval"] for schedule in deployment["schedules"]] == [EVERY_S]
     assert len(_get(environment, "/automations/filter", {})) == 1
 
@@ -140,6 +131,28 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert all(is_watched is (name == dataset.name) for name, is_watched in flows), "stages have no end of their own"
     (version,) = list_datasets(Store(store))
     assert said_of_versions == [f"{version.label} stays: nothing has changed since", f"{version.label} is published"]
+
+
+def test_builds_of_one_store_wait_for_each_other_and_builds_of_two_stores_do_not(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    for name, store in (("one", "store"), ("other", "store"), ("elsewhere", "another")):
+        _deploy(environment, tmp_path / store, "--cron", "0 0 1 1 *", "--set", f"study.name='{name}'")
+    made = {one["name"]: one for one in _get(environment, "/deployments/filter", {})}
+    queues = {one["name"]: one["concurrency_limit"] for one in _get(environment, "/work_queues/filter", {})}
+    used = [made[name]["work_queue_name"] for name in ("one", "other", "elsewhere")]
+    assert used[0] == used[1] != used[2]
+    assert {queues[name] for name in used} == {1}
+    assert {made[name]["global_concurrency_limit"]["limit"] for name in ("one", "other", "elsewhere")} == {1}
+    options = [made[name]["concurrency_options"]["collision_strategy"] for name in ("one", "other", "elsewhere")]
+    assert options == ["CANCEL_NEW"] * 3, "of one study, a build that is due while another runs"
+
+
+def _deploy(environment: dict[str, str], store: Path, *options: str) -> str:
+    command = [sys.executable, "-m", "flows.console", "deploy", "duets", "--store", str(store), *options]
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
+    assert found.returncode == 0, found.stderr
+    return found.stdout
 
 
 def _flow(event: dict[str, Any]) -> str:

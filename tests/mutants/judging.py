@@ -26,21 +26,19 @@ BUDGET_S = 15.0
 """Tests of a mutant run, the quick ones first, as long as all took together when they were recorded."""
 MAX_CASES = 2
 """So many cases of a parametrised test come before the others."""
-PLAIN_S = 0.2
-"""Only tests that took less than this run with the compiler off: they take a hundred times as long then."""
-MAX_SLOW = 2
-"""A mutant is given up where so many tests fail, or do not end, with the compiler off and without it."""
 FILE_S = 0.3
 """Seconds that collecting one more file is worth."""
 FIRST = 8
 """So many tests run before the files of all others are collected."""
 PATIENCE = 20.0, 8.0
 """A test has failed that takes so many seconds, and so many times what it took, longer."""
+COMPILING_S = 120.0
+"""So much more time has a test of kernels, which are compiled anew for a mutant."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """`killed` by a test, `survived` a number of tests, `not covered` by any, or `not judged`: kernels are too slow."""
+    """`killed` by a test, `survived` a number of tests, or `not covered` by any."""
 
     word: str
     killer: str = ""
@@ -138,6 +136,7 @@ def _texts(root: Path) -> dict[str, str]:
     }
 
 
+@cache
 def _importers(root: Path, file: str) -> list[str]:
     *above, name = Path(file).with_suffix("").parts
     package = ".".join(above)
@@ -149,42 +148,35 @@ def _importers(root: Path, file: str) -> list[str]:
 class Judge:
     """Runs tests over a copy of the sources in which one mutant at a time is planted.
 
-    Files with compiled kernels are judged with the compiler off, which takes minutes for each mutant.  A test kills a
-    mutant only if it passes without it, under the same limits.
+    A test kills a mutant only if it passes without it, under the same limits.
     """
 
     def __init__(self, root: Path, tests: Tests, scratch: Path) -> None:
         self._root, self._tests = root, tests
         self._answer, self._log = scratch / "answer.json", scratch / "pytest.log"
-        self._broken: dict[bool, set[str]] = {False: set(), True: set()}
-        self._sound: dict[bool, set[str]] = {False: set(), True: set()}
+        self._broken: set[str] = set()
+        self._sound: set[str] = set()
         _import_heavy_packages()
 
     def judge(self, mutant: Mutant) -> Outcome:
         """Return what the tests of a mutant say."""
-        plain = "@compiled" in (text := (self._root / mutant.file).read_text()) or "@inner_kernel" in text
         waiting = self._tests.of(self._root, mutant)
-        if not waiting:
-            return Outcome("not covered")
-        if plain:
-            waiting = [test for test in waiting if self._tests.seconds[test] < PLAIN_S] or waiting[:1]
-        waiting = self._within_budget([test for test in waiting if test not in self._broken[plain]])
-        num_run = num_slow = 0
+        waiting = self._within_budget([test for test in waiting if test not in self._broken])
+        more_s = COMPILING_S if _has_kernels(self._root / mutant.file) else 0.0
+        num_run = 0
         while waiting:
             tests = waiting[:FIRST] if num_run == 0 else waiting
             with _planted(self._root, mutant):
-                killer, num_passed = self._run(tests, plain)
+                killer, num_passed = self._run(tests, more_s)
             num_run += num_passed
             waiting = waiting[num_passed:] if killer else waiting[len(tests) :]
             if killer is None:
                 continue
-            if killer in self._sound[plain] or self._run([killer], plain)[0] is None:
-                self._sound[plain].add(killer)
+            if killer in self._sound or self._run([killer], more_s)[0] is None:
+                self._sound.add(killer)
                 return Outcome("killed", killer, num_run + 1)
-            self._broken[plain].add(killer)
+            self._broken.add(killer)
             waiting.remove(killer)
-            if plain and (num_slow := num_slow + 1) == MAX_SLOW:
-                return Outcome("not judged", num_tests=num_run)
         return Outcome("survived" if num_run else "not covered", num_tests=num_run)
 
     def _within_budget(self, tests: list[str]) -> list[str]:
@@ -196,13 +188,13 @@ class Judge:
             chosen.append(test)
         return chosen
 
-    def _run(self, tests: list[str], plain: bool) -> tuple[str | None, int]:
+    def _run(self, tests: list[str], more_s: float) -> tuple[str | None, int]:
         """Return the first test that fails, or None, and the number of those before it that passed."""
         self._answer.write_text(json.dumps([tests[0], 0, "began"]))
-        limits = {test: PATIENCE[0] + PATIENCE[1] * self._tests.seconds[test] for test in tests}
+        limits = {test: more_s + PATIENCE[0] + PATIENCE[1] * self._tests.seconds[test] for test in tests}
         child = os.fork()
         if child == 0:
-            os._exit(_run_here(self._root, limits, plain, self._answer, self._log))
+            os._exit(_run_here(self._root, limits, self._answer, self._log))
         limit = time.monotonic() + 60.0 + sum(limits.values())
         while os.waitpid(child, os.WNOHANG)[0] == 0:
             if time.monotonic() > limit:
@@ -242,7 +234,7 @@ class _Chosen:
             self._path.write_text(json.dumps(["", self._num_passed, "passed"]))
 
 
-def _run_here(root: Path, limits: dict[str, float], plain: bool, answer: Path, log: Path) -> int:
+def _run_here(root: Path, limits: dict[str, float], answer: Path, log: Path) -> int:
     os.setsid()
     handle = os.open(log, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
     for stream in (1, 2):
@@ -252,11 +244,6 @@ def _run_here(root: Path, limits: dict[str, float], plain: bool, answer: Path, l
     sys.path.insert(0, str(root))
     for name in [name for name in sys.modules if name.partition(".")[0] == "tests"]:
         del sys.modules[name]
-    if plain:
-        os.environ["NUMBA_DISABLE_JIT"] = "1"
-        import numba
-
-        numba.config.DISABLE_JIT = 1
     files = list(dict.fromkeys(test.partition("::")[0] for test in limits))
     options = ["-q", "-x", "-p", "no:cacheprovider", "--hypothesis-profile", "planted"]
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
@@ -267,15 +254,40 @@ def _run_here(root: Path, limits: dict[str, float], plain: bool, answer: Path, l
 
 @contextmanager
 def _planted(root: Path, mutant: Mutant) -> Iterator[None]:
+    """Put a mutant in its place; kernels that it may change compile anew, and their code is gone afterwards."""
     path = root / mutant.file
     kept = path.with_suffix(".kept")
     text = mutant.text(root)
     shutil.copy2(path, kept)
+    compiled = _code_of_kernels(root, mutant.file)
+    for file in compiled:
+        file.rename(f"{file}.kept")
     try:
         path.write_text(text)
         yield
     finally:
         kept.replace(path)
+        for file in _code_of_kernels(root, mutant.file):
+            file.unlink()
+        for file in compiled:
+            Path(f"{file}.kept").rename(file)
+
+
+def _has_kernels(path: Path) -> bool:
+    return any(word in path.read_text() for word in ("@compiled(", "@inner_kernel("))
+
+
+def _code_of_kernels(root: Path, file: str) -> list[Path]:
+    """Return what numba has kept of the kernels of a file and of all that import it, which may hold them."""
+    if not _has_kernels(root / file):
+        return []
+    waiting, files = [file], {file}
+    while waiting:
+        found = set(_importers(root, waiting.pop())) - files
+        waiting += found
+        files |= found
+    modules = [root / file for file in files]
+    return [code for path in modules for code in path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]")]
 
 
 def _import_heavy_packages() -> None:

@@ -227,6 +227,7 @@ def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: p
     for label, drawn in zip(scene["labels"], points[:, :34] * scene["unit_m"], strict=True):
         pair = pair_of_draw(store, label.replace("STUDY", "edited")).pair.pair_m.reshape(34, 3)
         np.testing.assert_allclose(np.ptp(drawn - pair, axis=0), 0.0, atol=2.5 * scene["unit_m"])
+        assert -0.3 < drawn[:, 1].min() < 0.3, "feet are about where the ground is drawn"
 
 
 def test_what_is_no_draw_cannot_be_restarted_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,7 +23,7 @@ from flows.console.display import LineListener, progress_text
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
 from flows.planning import StagePlan, StageSelection, make_plan
-from flows.progress import Listener, PartitionCount, Progress
+from flows.progress import Listener, PartitionCount, Progress, Tally
 from flows.records import describe_runs
 from flows.study import load_study
 from pasdedeux.errors import InputError
@@ -31,7 +31,18 @@ from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, CorruptArtifact, RunFolder, Store, create_dataset, read_latest, verify
 from storage_schema.errors import FullDisk
 from tasks.graph import Graph
-from tasks.shards import Call, ClusterPool, ClusterSettings, HereClient, HerePool, Pool, ShardDone, ShardError, connect
+from tasks.shards import (
+    Call,
+    ClusterPool,
+    ClusterSettings,
+    HereClient,
+    HerePool,
+    Pool,
+    ShardDone,
+    ShardError,
+    ShardFailed,
+    connect,
+)
 from tasks.stage import EarlyPlan, Parameters, Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
@@ -484,6 +495,28 @@ def test_how_far_a_run_is_counts_every_shard_and_what_is_left_shrinks_to_nothing
         assert (kept[-1].num_shards, kept[-1].running, kept[-1].left_s) == (len(EVERYBODY), (), 0.0)
     assert not first.kept[0].is_all, "nothing is known of what was never built"
     assert all(one.is_all and one.num_shards == len(EVERYBODY) and one.left_s > 0 for one in second.kept[:-1])
+
+
+def test_what_is_left_is_told_by_what_ended_and_by_what_a_stage_had_that_cannot_be_planned_yet(tmp_path: Path) -> None:
+    """Of six shards, two took 2 and 4 s, one failed and one was not tried; of the seven of another, one took 10 s."""
+    tally = Tally(Store(tmp_path), "toy")
+    grow = [Shard("grow", 1, "a" if at < 5 else "b", f"s{at}", Parameters(), seed=at) for at in range(6)]
+    early = Shard("bend", 1, "a", "s0", Parameters())
+    for priority, shard in enumerate([*grow, early]):
+        tally.add(shard, priority)
+    at_fault = ShardError("stage grow, a, shard s2", "InputError", "no")
+    tally.end(ShardFailed(grow[2], at_fault))
+    tally.end(ShardFailed(grow[3], at_fault))
+    for shard, seconds in ((grow[0], 2.0), (grow[1], 4.0), (early, 10.0)):
+        tally.end(ShardDone(shard, ArtifactRef(shard.stage, shard.key, "0" * 64), seconds))
+    (bend,) = (stage for stage in TOYS.stages if stage.name == "bend")
+    waiting = StagePlan(bend, is_selected=True, pending_on=("grow",), last_partitions=(("a", 3), ("b", 4)))
+    found = tally.progress([waiting], 2)
+    assert (found.num_done, found.num_shards) == (4, 4 + 2 + 6)
+    assert (found.left_s, found.is_all) == ((2 * 3.0 + 6 * 10.0) / 2, True)
+    assert found.running == (grow[5], grow[4])
+    assert found.partitions == {("grow", "a"): (4, 5), ("grow", "b"): (0, 1)}
+    assert tally.partitions("grow") == [PartitionCount("a", 5, 2, 2, 6.0), PartitionCount("b", 1)]
 
 
 def test_silence_is_broken_with_how_far_the_run_is(

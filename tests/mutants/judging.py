@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import os
 import re
+import resource
 import shutil
 import signal
 import sys
@@ -31,9 +33,11 @@ FILE_S = 0.3
 FIRST = 8
 """So many tests run before the files of all others are collected."""
 PATIENCE = 20.0, 8.0
-"""A test has failed that takes so many seconds, and so many times what it took, longer."""
+"""Tests have failed that take so many seconds of the processor, and so many times what they took, longer."""
 COMPILING_S = 60.0
-"""So much more time has a test of kernels, which are compiled anew for a mutant."""
+"""So much more time have tests of kernels, which are compiled anew for a mutant."""
+MAX_WAIT = 6.0
+"""A test has failed as well that takes so many times longer by the clock: others may be at work on the machine."""
 
 
 @dataclass(frozen=True)
@@ -192,10 +196,13 @@ class Judge:
         """Return the first test that fails, or None, and the number of those before it that passed."""
         self._answer.write_text(json.dumps([tests[0], 0, "began"]))
         limits = {test: more_s + PATIENCE[0] + PATIENCE[1] * self._tests.seconds[test] for test in tests}
+        processor_s = max(limits.values()) + PATIENCE[1] * sum(self._tests.seconds[test] for test in tests)
+        limits = {test: MAX_WAIT * limit for test, limit in limits.items()}
         child = os.fork()
         if child == 0:
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(processor_s), resource.RLIM_INFINITY))
             os._exit(_run_here(self._root, limits, self._answer, self._log))
-        limit = 60.0 + max(limits.values())  # compiled code does not hear the signal that ends a test
+        limit = 60.0 + max(limits.values())  # compiled code does not notice the signal that ends a test
         while os.waitpid(child, os.WNOHANG)[0] == 0:
             if time.time() - self._answer.stat().st_mtime > limit:
                 with suppress(ProcessLookupError):

@@ -62,7 +62,7 @@ def pair_depths(
         database: What people were matched to, at the pitch of the camera.
         people: Matches and reconstruction of each.
     """
-    number = {track.person_id: at for at, (_, track) in enumerate(people)}
+    number: dict[int | None, int] = {track.person_id: at for at, (_, track) in enumerate(people)}
     partners = [number.get(track.track.partner_id, -1) for _, track in people]
     couples = [(first, second) for first, second in enumerate(partners) if first < second]
     if not couples or not len(pairs_m):
@@ -80,7 +80,8 @@ def _depth(
     numbers: tuple[int, int],
 ) -> PairDepth | None:
     tracks = [track for _, track in couple]
-    frames = np.intersect1d(*(track.track.frames for track in tracks))
+    first, second = (track.track.frames for track in tracks)
+    frames = np.intersect1d(first, second)
     at = [frames - track.track.first_frame for track in tracks]
     roots = np.stack([track.root_m[rows] for track, rows in zip(tracks, at, strict=True)], axis=1)
     middle = roots.mean(axis=1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.reconstruction.terms.placed import PlacedPeople, Unknown, beside
 from pasdedeux.reconstruction.terms.term import Jacobian, SceneTerm
 
@@ -35,7 +35,7 @@ class ImageTerm(SceneTerm):
         columns = self._columns(scene)
         return Jacobian(columns, np.broadcast_to(np.array([1.0, -1.0, -1.0]) / self.deviation, columns.shape))
 
-    def _columns(self, scene: PlacedPeople) -> Array:
+    def _columns(self, scene: PlacedPeople) -> Integers:
         seen = scene.seen
         shown = seen.distances(self.person)[seen.people[self.person].shown]
         return np.asarray(beside(shown, seen.sizes[self.person], Unknown.LENS))

@@ -341,7 +341,7 @@ def plan_stage(
         read = [m for artifacts in inputs.manifests.values() for m in artifacts]
         return Reasons(stage, study.sections_of(stage.name), read, last(stage.name))
 
-    there = {one.ref.place for artifacts in (*inputs.manifests.values(), inputs.empty) for one in artifacts}
+    there = {artifact.ref.place for artifacts in (*inputs.manifests.values(), inputs.empty) for artifact in artifacts}
     shards: list[ShardPlan] = []
     seen: dict[str, Shard] = {}
     digests: dict[str, str] = {}

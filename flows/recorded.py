@@ -50,8 +50,10 @@ class Recorded:
     def licences(self) -> dict[str, str]:
         """Return licence and credit of every source by its name."""
         found: dict[str, str] = {}
-        for one in self.credits:
-            found[one.name] = " / ".join(filter(None, (found.get(one.name), f"{one.licence}; {one.credit}")))
+        for credit in self.credits:
+            found[credit.name] = " / ".join(
+                filter(None, (found.get(credit.name), f"{credit.licence}; {credit.credit}"))
+            )
         return found
 
     @property
@@ -77,7 +79,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
     else:
         label, folder, refs = name, _finished_run(store, name), made_by(store, name)
     artifacts = artifacts_by_place(store, refs)
-    sources = dataset.sources if "@" in name else merge_credits(*(one.sources for one in artifacts.values()))
+    sources = dataset.sources if "@" in name else merge_credits(*(artifact.sources for artifact in artifacts.values()))
     named = frozenset(ref.stage for ref in refs)
     return Recorded(label, _read(folder, STUDY_FILE), _read(folder, ENVIRONMENT_FILE), artifacts, named, sources)
 

@@ -134,7 +134,7 @@ def write_choices(path: Path, choices: Iterable[Choice]) -> None:
     there = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     comments = [f"{line}\n" for line in there if line.startswith("#") and f"{line}\n" != _HEADER]
     new = path.with_name(f".{path.name}.new")
-    lines = [_HEADER, *comments, *sorted(f"{one.line}\n" for one in choices)]
+    lines = [_HEADER, *comments, *sorted(f"{choice.line}\n" for choice in choices)]
     new.write_text("".join(lines), encoding="utf-8")
     new.replace(path)
 

@@ -131,7 +131,7 @@ class Clip:
     def picture(self) -> Picture:
         """What the player shows: the clip, a variant beside its source, with contacts."""
         clips = [one for one in (self.source, self) if one is not None]
-        frames, rate_hz = shown_frames(min(len(one.positions_m) for one in clips), self.rate_hz)
+        frames, rate_hz = shown_frames(min(len(clip.positions_m) for clip in clips), self.rate_hz)
         panels = []
         for one in clips:
             links = links_of(one._contacts, one.positions_m)[frames]
@@ -274,7 +274,7 @@ class Data:
 
     def _kept(self, reference: str, clips: Iterable[Clip]) -> Iterator[Clip]:
         left_out = self.left_out(reference)
-        return (one for one in clips if one.identity not in left_out)
+        return (clip for clip in clips if clip.identity not in left_out)
 
     def _takes(self, reference: str) -> Iterator[Clip]:
         yield from map(self._take, resolve(reference, self.store))
@@ -350,7 +350,7 @@ class PairDataset:
         data = Data(store, curation)
         left_out = data.left_out(reference)
         clips = [one for one in data.all_variants(reference) if one.verdict != "fail"]
-        sides = _sides([one.take for one in clips], seed, is_by_take=by == "take")
+        sides = _sides([clip.take for clip in clips], seed, is_by_take=by == "take")
         self.window = window
         self._read: dict[int, npt.NDArray[np.float64]] = {}
         kept = [clip for clip in clips if clip.identity not in left_out]
@@ -408,8 +408,8 @@ def _why_no_window(clips: Sequence[Clip], on_side: Sequence[Clip], window: int, 
 
 def _sides(takes: Sequence[Manifest], seed: int, *, is_by_take: bool) -> dict[ArtifactRef, SplitName]:
     """Return the side that each take stands on; takes whose interaction is tested stand on none."""
-    group = {one.ref: TakeFacts.of(one).take_id if is_by_take else interaction_of(one) for one in takes}
-    held = {one.ref for one in takes if TakeFacts.of(one).is_held_out}
+    group = {take.ref: TakeFacts.of(take).take_id if is_by_take else interaction_of(take) for take in takes}
+    held = {take.ref for take in takes if TakeFacts.of(take).is_held_out}
     tested = {group[ref] for ref in held}
     rest = sorted(
         {name for name in group.values() if name not in tested},

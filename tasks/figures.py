@@ -26,9 +26,9 @@ _TYPES = {"int": "int32", "float": "float64", "str": "string"}
 def figure_columns() -> str:
     """Return the columns of all figures, a line of JSON each."""
     return "".join(
-        json.dumps([table, one.name, _TYPES[one.kind], one.meaning, one.unit, one.is_nullable]) + "\n"
+        json.dumps([table, figure.name, _TYPES[figure.kind], figure.meaning, figure.unit, figure.is_nullable]) + "\n"
         for table, figures in _FIGURES.items()
-        for one in figures.values()
+        for figure in figures.values()
     )
 
 

@@ -124,7 +124,7 @@ def _shard(
     """Plan one source of annotations; joint limits and a torso basis of other takes serve the baselines."""
     read: dict[str, Sequence[Manifest]] = {"annotations": [annotated], "views": [views], "draws": draws}
     if parameters.baselines:
-        bases = [one for one in inputs.of("torso_basis") if not shares_takes(annotated, one)]
+        bases = [manifest for manifest in inputs.of("torso_basis") if not shares_takes(annotated, manifest)]
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
     parts = [(part, ProjectionFacts.of(part)) for part in inputs.of("projections")]
     if SequenceFacts.of(annotated).purpose in _VIDEO:

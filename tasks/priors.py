@@ -44,7 +44,11 @@ class PriorsShard(Parameters):
 
 def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
     """Plan one shard over all prior takes; a take that is held out is never among them."""
-    takes = [one for one in inputs.of("poses") if (facts := TakeFacts.of(one)).is_prior and not facts.is_held_out]
+    takes = [
+        manifest
+        for manifest in inputs.of("poses")
+        if (facts := TakeFacts.of(manifest)).is_prior and not facts.is_held_out
+    ]
     parameters_of_shard = PriorsShard(default_basis=default_origin(inputs.of("poses")))
     return [PRIORS.shard(inputs, "body", "priors", parameters_of_shard, {"poses": takes})]
 

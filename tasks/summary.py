@@ -54,7 +54,7 @@ _THINGS = (
 
 def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
-    found = sorted(manifests, key=lambda one: (one.ref.stage, one.partition, one.name))
+    found = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
     told = [(one, facts_of(one)) for one in found]
     holding: dict[str, list[tuple[Manifest, Facts]]] = {}
     for one, facts in told:
@@ -72,7 +72,7 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
 
 def product_verdicts(manifests: Sequence[Manifest]) -> list[str]:
     """Return the names of the verdicts on the things among these artifacts: of their stages, and of their topics."""
-    products = [(one, thing) for thing in _THINGS for one in manifests if thing.table in one.tables]
+    products = [(manifest, thing) for thing in _THINGS for manifest in manifests if thing.table in manifest.tables]
     stages = {one.ref.stage for one, _ in products}
     topics = tuple(part_name(_APART, f"{topic} ") for _, thing in products for topic in thing.topics)
     return [name for name in summary_of(manifests).verdicts if name in stages or f"{name} ".startswith(topics)]
@@ -80,7 +80,7 @@ def product_verdicts(manifests: Sequence[Manifest]) -> list[str]:
 
 def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
     """Return one verdict over these artifacts of a stage; None where none of them has one."""
-    return merge_verdicts(verdict for one in manifests for verdict in _verdicts(one).values())
+    return merge_verdicts(verdict for manifest in manifests for verdict in _verdicts(manifest).values())
 
 
 def _skipped(manifest: Manifest, facts: Facts) -> list[str]:
@@ -106,10 +106,12 @@ def judge(manifests: Sequence[Manifest]) -> list[NamedVerdict]:
     """Return a verdict for each part of a stage and partition, or for the whole of it; stages after what they read."""
     reads: dict[str, set[str]] = {}
     groups: dict[tuple[str, str], list[Verdict]] = {}
-    for one in manifests:
-        reads.setdefault(one.ref.stage, set()).update({ref.stage for ref in one.inputs} - {one.ref.stage})
-        for name, verdict in _verdicts(one).items():
-            groups.setdefault((one.ref.stage, f"{one.partition} {name}".strip()), []).append(verdict)
+    for manifest in manifests:
+        reads.setdefault(manifest.ref.stage, set()).update(
+            {ref.stage for ref in manifest.inputs} - {manifest.ref.stage}
+        )
+        for name, verdict in _verdicts(manifest).items():
+            groups.setdefault((manifest.ref.stage, f"{manifest.partition} {name}".strip()), []).append(verdict)
     # Sorted: sets of names have another order in every process.
     order = list(TopologicalSorter({stage: sorted(before) for stage, before in sorted(reads.items())}).static_order())
     judged = {place: merge_verdicts(found) for place, found in groups.items()}
@@ -130,9 +132,9 @@ def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     """Return one verdict for each stage, those that others read first; what is evaluated is judged one by one."""
     judged = judge(manifests)
     parts: dict[str, list[Manifest]] = {one.stage: [] for one in judged if one.stage != _APART}
-    for one in manifests:
-        if one.ref.stage in parts:
-            parts[one.ref.stage].append(one)
+    for manifest in manifests:
+        if manifest.ref.stage in parts:
+            parts[manifest.ref.stage].append(manifest)
     found = {name: stage_verdict(own) for name, own in parts.items()}
     apart = {part_name(one.stage, one.partition): one.verdict for one in judged if one.stage == _APART}
     return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
@@ -161,9 +163,9 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], verdicts: Mapp
 def _independent(thing: _Thing, facts: Sequence[Facts], verdicts: Mapping[str, Verdict]) -> tuple[int, str] | None:
     """Return how many of a thing are independent of each other, in words that people count; None where all are."""
     if thing.table == "variant_quality":
-        return len({one.take_id for one in facts if isinstance(one, VariantFacts)}), "takes with variants"
+        return len({fact.take_id for fact in facts if isinstance(fact, VariantFacts)}), "takes with variants"
     if thing.table == "annotations":
-        found = {name for one in facts if isinstance(one, SequenceFacts) for name in one.sequence_ids}
+        found = {name for fact in facts if isinstance(fact, SequenceFacts) for name in fact.sequence_ids}
         return len(found), "annotated sequences"
     chains = verdicts.get("chains")
     if thing.table == "draws" and chains is not None and chains.figure == "effective sample size":

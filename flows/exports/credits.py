@@ -27,7 +27,7 @@ def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef],
     before = _read(path)
     ours = list(_OURS.finditer(before))  # several where somebody has joined the texts of two folders
     exports, sources, artifacts = (
-        {part for one in ours for part in one[name].split(end)} for name, end in _ENDS.items()
+        {part for our in ours for part in our[name].split(end)} for name, end in _ENDS.items()
     )
     exports.add(f"Exported from {text} by pasdedeux.")
     artifacts |= {f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in refs}

@@ -61,14 +61,16 @@ class Export:
     @property
     def credit(self) -> str:
         """Licence and credit of every source in one line."""
-        return "; ".join(f"{one.name}, licence: {one.licence}, credit: {one.credit}" for one in self.sources)
+        return "; ".join(
+            f"{source.name}, licence: {source.licence}, credit: {source.credit}" for source in self.sources
+        )
 
     def batches(self) -> Iterator[TableData]:
         """Return the rows to be given out, some 10,000 at a time."""
         if self.make_rows is not None:
             return self.make_rows(self)
         rows = iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
-        return (without(one, self.left_out) for one in rows)
+        return (without(row, self.left_out) for row in rows)
 
     @cached_property
     def left_out(self) -> Collection[str]:

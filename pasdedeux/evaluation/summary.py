@@ -96,7 +96,7 @@ class Product:
     @property
     def level(self) -> Level:
         """The worst level."""
-        return max((one.level for one in self.verdicts.values()), key=lambda level: level.rank)
+        return max((verdict.level for verdict in self.verdicts.values()), key=lambda level: level.rank)
 
     @property
     def words(self) -> str:
@@ -125,7 +125,10 @@ class Summary:
     @property
     def origin(self) -> str:
         """What it was built from, in one line."""
-        return "; ".join(dict.fromkeys(f"{one.name} (licence: {one.licence})" for one in self.sources)) or "no source"
+        return (
+            "; ".join(dict.fromkeys(f"{source.name} (licence: {source.licence})" for source in self.sources))
+            or "no source"
+        )
 
     @property
     def judgement(self) -> str:

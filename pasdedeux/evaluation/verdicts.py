@@ -41,14 +41,16 @@ class Items:
     @classmethod
     def joined(cls, parts: Sequence[Items]) -> Items:
         """Return the items of all parts; a method that a part lacks has NaN there."""
-        names = dict.fromkeys(name for one in parts for name in one.values)
+        names = dict.fromkeys(name for part in parts for name in part.values)
         values = {
-            name: np.concatenate([np.asarray(one.values.get(name, np.full(len(one.takes), np.nan))) for one in parts])
+            name: np.concatenate(
+                [np.asarray(part.values.get(name, np.full(len(part.takes), np.nan))) for part in parts]
+            )
             for name in names
         }
-        takes = [take for one in parts for take in one.takes]
-        times_s = [float(time) for one in parts for time in one.times_s]
-        counts = [one.count for one in parts if one.count is not None]
+        takes = [take for part in parts for take in part.takes]
+        times_s = [float(time) for part in parts for time in part.times_s]
+        counts = [part.count for part in parts if part.count is not None]
         return cls(values, takes, times_s, sum(counts) if counts else None)
 
     def paired(
@@ -289,11 +291,11 @@ def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
     """Return verdicts with those in one that compared the same methods by the same figure."""
     alone: list[Verdict] = []
     groups: dict[tuple[str, str, tuple[str, ...]], list[Verdict]] = {}
-    for one in verdicts:
-        if one.paired is None:
-            alone.append(one)
+    for verdict in verdicts:
+        if verdict.paired is None:
+            alone.append(verdict)
         else:
-            groups.setdefault((one.figure, one.paired.method, one.paired.baselines), []).append(one)
+            groups.setdefault((verdict.figure, verdict.paired.method, verdict.paired.baselines), []).append(verdict)
     for same in groups.values():
         parts = [one.paired for one in same if one.paired is not None]
         names = (parts[0].method, *parts[0].baselines)

@@ -54,7 +54,7 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
             "the next they move too far to be followed"
         )
     resolved = resolve_people(replace(given, confidence=np.where(given.is_given, given.confidence, 0.0)))
-    why = next((one.why_not_followed for one in resolved.sequences if one.why_not_followed), "")
+    why = next((sequence.why_not_followed for sequence in resolved.sequences if sequence.why_not_followed), "")
     if why:
         raise NobodyError(why)
     return replace(resolved.frames, has_identities=True)

@@ -45,7 +45,7 @@ def edge_table_3d(points: Array) -> EdgeTable:
     is_bad = ~np.isfinite(points).all(axis=(-1, -2))
     if is_bad.any():
         raise InputError(f"point set {int(np.argmax(is_bad))}: a coordinate is not finite")
-    per_set = [delaunay_edges(one) for one in points]
+    per_set = [delaunay_edges(cloud) for cloud in points]
     longest = max((len(edges) for edges in per_set), default=0)
     edges = np.zeros((len(points), longest, 2), dtype=np.int32)
     for row, own in enumerate(per_set):

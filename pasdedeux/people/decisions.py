@@ -100,7 +100,7 @@ def check_sequences(decisions: Sequence[Decision], known: Collection[str]) -> No
 
 def write_decisions(decisions: Iterable[Decision]) -> str:
     """Return the table."""
-    return "".join(f"{row}\n" for row in (",".join(COLUMNS), *(one.in_words() for one in decisions)))
+    return "".join(f"{row}\n" for row in (",".join(COLUMNS), *(decision.in_words() for decision in decisions)))
 
 
 def couples_of(decisions: Iterable[Decision]) -> list[tuple[int, int]]:
@@ -134,16 +134,18 @@ def decide(
     """
     decided = person_id.copy()
     people = [int(one) for one in np.unique(person_id)]
-    for one in decisions:
-        is_meant = (frame >= one.first_frame) & (frame <= one.last_frame) & (person_id == one.person)
-        decided[is_meant] = one.is_person
+    for decision in decisions:
+        is_meant = (frame >= decision.first_frame) & (frame <= decision.last_frame) & (person_id == decision.person)
+        decided[is_meant] = decision.is_person
         if is_start or is_meant.any():
             continue
-        where = f"people of '{sequence_id}', row '{one.in_words()}'"
-        if one.person not in people:
-            raise InputError(f"{where}: there is no person {one.person}; persons: {', '.join(map(str, people))}")
-        own = frame[person_id == one.person]
-        raise InputError(f"{where}: person {one.person} is in none of these frames, but in {own.min()} to {own.max()}")
+        where = f"people of '{sequence_id}', row '{decision.in_words()}'"
+        if decision.person not in people:
+            raise InputError(f"{where}: there is no person {decision.person}; persons: {', '.join(map(str, people))}")
+        own = frame[person_id == decision.person]
+        raise InputError(
+            f"{where}: person {decision.person} is in none of these frames, but in {own.min()} to {own.max()}"
+        )
     order = np.lexsort([decided, frame])
     order = order[decided[order] >= 0]
     for before, after in pairwise(order):

@@ -82,7 +82,9 @@ class SequencePeople:
     def in_words(self) -> str:
         """Say it in a line."""
         words = [f"{self.num_people} {'person' if self.num_people == 1 else 'people'}"]
-        words += [f"{one.first} and {one.second} are partners (near in {one.num_near} frames)" for one in self.pairs]
+        words += [
+            f"{pair.first} and {pair.second} are partners (near in {pair.num_near} frames)" for pair in self.pairs
+        ]
         if self.why_not_followed:
             words.append(self.why_not_followed)
         counts = (
@@ -182,7 +184,7 @@ def resolve_people(
                 rate_hz=frames.rate_hz,
                 has_identities=frames.has_identities,
                 settings=settings,
-                decisions=[one for one in decisions if one.sequence_id == name],
+                decisions=[decision for decision in decisions if decision.sequence_id == name],
                 is_start=is_start,
             )
         )

@@ -215,7 +215,7 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
         parents=np.array(skeleton.parents, dtype=np.int64),
         radius_per_height=radii,
         within=np.array(within, dtype=np.int64).reshape(-1, 2),
-        between=np.array([(one, other) for one in bones for other in bones], dtype=np.int64),
+        between=np.array([(bone, other) for bone in bones for other in bones], dtype=np.int64),
     )
 
 

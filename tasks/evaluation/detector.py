@@ -20,14 +20,16 @@ _MAX_SWITCHES = 1.0  # a minute
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per reconstructed sequence of a detector, with that of the same video beside it."""
-    motions = {one.partition: one for one in inputs.of("motions") if one.tables["motions"].rows}
-    annotations = {name: one for one in inputs.of("annotations") for name in SequenceFacts.of(one).sequence_ids}
+    motions = {manifest.partition: manifest for manifest in inputs.of("motions") if manifest.tables["motions"].rows}
+    annotations = {
+        name: manifest for manifest in inputs.of("annotations") for name in SequenceFacts.of(manifest).sequence_ids
+    }
     found = []
     for name, detected in motions.items():
         plain = motions.get(name.removesuffix(_SUFFIX))
         if name.endswith(_SUFFIX) and plain is not None:
             shown = MotionFacts.of(detected).sequence_takes
-            takes = [one for one in inputs.of("poses") if TakeFacts.of(one).take_id in shown]
+            takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in shown]
             sources = [annotations[one.partition] for one in (detected, plain)]
             found.append(
                 TOPIC.shard(inputs, name, detected=[detected], plain=[plain], annotations=sources, takes=takes)

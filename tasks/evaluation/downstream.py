@@ -303,7 +303,10 @@ def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
     pairs = [pair for pair in _EFFECTS if there.issuperset(pair)]
     rows = []
     for split in sorted({score.split for score in scores}, reverse=True):
-        found = {name: _of_seeds(one for one in scores if (one.split, one.method) == (split, name)) for name in methods}
+        found = {
+            name: _of_seeds(score for score in scores if (score.split, score.method) == (split, name))
+            for name in methods
+        }
         differences = [[found[one][seed] - found[other][seed] for seed in found[one]] for one, other in pairs]
         rows.append((split, *(_spread([*own.values()]) for own in found.values()), *map(_effect, differences)))
     effects = (f"{in_words(one)} - {in_words(other)} (95 %)" for one, other in pairs)
@@ -320,7 +323,7 @@ def _of_seeds(scores: Iterable[Score]) -> dict[str, float]:
 
 
 def _mean(scores: Sequence[Score]) -> str:
-    return f"{np.mean([one.value for one in scores]):.2f}" if scores else "-"
+    return f"{np.mean([score.value for score in scores]):.2f}" if scores else "-"
 
 
 def _spread(values: Sequence[float]) -> str:

@@ -179,12 +179,12 @@ def distribution_scores(
     scores = []
     for method, found in sets.items():
         features = [classifier.features(one) for one in found]
-        rows = [distances(reference, one) | {"diversity": mean_distance(one)} for one in features]
+        rows = [distances(reference, of_set) | {"diversity": mean_distance(of_set)} for of_set in features]
         figures = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         if len(features) > 1:
             figures["multimodality"] = float(np.mean([mean_distance(one) for one in np.stack(features, axis=1)]))
         more: dict[str, Any] = {"split": split, "count": len(first)}
-        low, high = KID_FACTOR * np.mean([kernel_interval(reference, one, *units) for one in features], axis=0)
+        low, high = KID_FACTOR * np.mean([kernel_interval(reference, of_set, *units) for of_set in features], axis=0)
         scores.append(Score("KID", method, figures.pop("KID"), low=float(low), high=float(high), **more))
         scores += scores_of(figures, method, **more)
     return scores

@@ -102,7 +102,7 @@ def credits_of(pair: PairFile) -> list[SourceCredit]:
     """Return the licences and credits of a seed from a file; a file that says nothing of them is named as such."""
     if not pair.sources:
         return [SourceCredit(name="seed files given in the study", licence=NOT_STATED, credit=NOT_STATED)]
-    return [SourceCredit(one.name, one.licence, one.credit) for one in pair.sources]
+    return [SourceCredit(source.name, source.licence, source.credit) for source in pair.sources]
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,11 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         raise InputError(f"seeds.num_filled is {parameters.num_filled}, but none are grown here: say seeds.num_grown")
     read = {"joint_limits": inputs.of("joint_limits"), "annotations": annotated, "views": views}
     if num_lifted:
-        bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
+        bases = [
+            manifest
+            for manifest in inputs.of("torso_basis")
+            if not any(shares_takes(pair, manifest) for pair in annotated)
+        ]
         lifted = parameters.model_copy(update={"num_lifted": num_lifted}).part(
             LiftedSeedsShard, first_index=len(shards)
         )

@@ -221,7 +221,9 @@ class Call:
     def make(self) -> Result:
         """Make the call; raises what futures among its arguments failed with."""
         result: Result
-        result = self.function(*(one.result() if isinstance(one, Future) else one for one in self.arguments))
+        result = self.function(
+            *(argument.result() if isinstance(argument, Future) else argument for argument in self.arguments)
+        )
         return result
 
 

@@ -179,7 +179,7 @@ FAULTS = (
           "float(np.median([value for value, _ in known]))",
           "unit/test_verdict.py::test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards"),
     Fault("what was compared in parts is not compared again", "pasdedeux/evaluation/verdicts.py",
-          "        if one.paired is None:\n            alone", "        if True:\n            alone",
+          "        if verdict.paired is None:\n            alone", "        if True:\n            alone",
           "unit/test_verdict.py::test_parts_that_are_too_small_to_be_judged_are_judged_together"),
     Fault("images that draws were made from are judged with held-out ones", "tasks/evaluation/lifting.py",
           "        if row.split == split:\n", "        if row.split:\n",

@@ -135,11 +135,11 @@ def rotations_from_t_pose(
     return local_rotations(BODY22, REFERENCE_REST_M, body22_m, twisted)
 
 
-def hold_hips(found: ReconstructedTrack) -> ReconstructedTrack:
+def hold_hips(track: ReconstructedTrack) -> ReconstructedTrack:
     """Return a reconstruction whose hips keep their distance, its median; see `held_hips`."""
-    positions = np.array(found.positions_m, dtype=np.float64, order="C")
+    positions = np.array(track.positions_m, dtype=np.float64, order="C")
     positions = held_hips(positions, np.median(bone_lengths(OP14, positions), axis=0), _hip_width(positions))
-    return found.posed(positions)
+    return track.posed(positions)
 
 
 def _hip_width(positions_m: Array) -> float:
@@ -178,11 +178,11 @@ def bends_of(database: Database, rows: npt.ArrayLike) -> Bends:
     return Bends(unitquat, bones[:, _NOSE])
 
 
-def _bends_of_track(database: Database, found: ReconstructedTrack, window: int) -> Bends:
+def _bends_of_track(database: Database, track: ReconstructedTrack, window: int) -> Bends:
     """Return what the matches of a track say, bridged as its poses are, and smooth over a window of frames."""
-    bends = bends_of(database, np.maximum(found.row, 0))
+    bends = bends_of(database, np.maximum(track.row, 0))
     both = np.concatenate([bends.unitquat, bends.nose_unitquat[:, None]], axis=1)
-    both = normalise(bridge_gaps(both, ~found.is_bridged))
+    both = normalise(bridge_gaps(both, ~track.is_bridged))
     if window > 2:
         both = smooth_savitzky_golay(both, num_frames=window)
     return Bends(both[:, :-1], both[:, -1])
@@ -233,17 +233,17 @@ def body_through(positions_m: Array) -> Body:
     return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
 
 
-def embody(database: Database, found: ReconstructedTrack, positions_m: Array, *, window: int) -> EmbodiedMotion:
+def embody(database: Database, track: ReconstructedTrack, positions_m: Array, *, window: int) -> EmbodiedMotion:
     """Return the whole body of a reconstruction.
 
     Args:
         database: What it was matched to.
-        found: The reconstruction.
+        track: The reconstruction.
         positions_m: Its positions (frame, 14, 3) in upright axes, metres, standing ankles at y = 0.
         window: Frames that what the matches say is smoothed over; 1 leaves it as it is.
     """
     body = body_through(positions_m)
-    bends = _bends_of_track(database, found, window)
+    bends = _bends_of_track(database, track, window)
     pelvis, unitquat = pose_body(body, positions_m, bends, floor_m=-body.ankle_height_m)
     return EmbodiedMotion(body, pelvis, unitquat)
 

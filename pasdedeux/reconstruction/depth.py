@@ -138,8 +138,8 @@ def decode_depths(
     for seen, candidates, misfit in zip(observed_m, candidates_m, misfit_m, strict=True):
         before = steps[-1] if steps else None
         steps.append(vote_on_signs(before, seen, candidates, misfit, noise_m=noise_m, passed_s=1.0 / rate_hz))
-    found = [bones_by_votes(step, sign) for step, sign in zip(steps, trace_signs(steps), strict=True)]
-    return np.stack([vector for vector, _ in found]), np.stack([depth for _, depth in found])
+    bones = [bones_by_votes(step, sign) for step, sign in zip(steps, trace_signs(steps), strict=True)]
+    return np.stack([vector for vector, _ in bones]), np.stack([depth for _, depth in bones])
 
 
 @compiled()
@@ -171,9 +171,9 @@ def _vote_signs(image: Array, vectors: Array, log_weight: Array, noise: float) -
                 for bone in range(bones):
                     joint = _GROUP_JOINTS[_FIRST_JOINT[group] + bone]
                     signed = size[joint] if (state >> bone) & 1 else -size[joint]
-                    own = deviation[joint] if np.isfinite(deviation[joint]) else _LENGTHS_M[joint]
+                    width = deviation[joint] if np.isfinite(deviation[joint]) else _LENGTHS_M[joint]
                     away = vectors[candidate, joint, 2] - signed
-                    exponent += away * away / (_KERNEL_M * _KERNEL_M + own * own)
+                    exponent += away * away / (_KERNEL_M * _KERNEL_M + width * width)
                 score[_FIRST_STATE[group] + state] += weight * np.exp(-0.5 * exponent)
     for state in range(_NUM_SIGN_STATES):
         score[state] = np.log(score[state] + _FLOOR * total) if total > 0 else 0.0
@@ -198,9 +198,9 @@ def _extend_signs(
             for bone in range(bones):
                 if (state >> bone) & 1:
                     joint = _GROUP_JOINTS[_FIRST_JOINT[group] + bone]
-                    own = deviation[joint] if np.isfinite(deviation[joint]) else _LENGTHS_M[joint]
+                    spread = deviation[joint] if np.isfinite(deviation[joint]) else _LENGTHS_M[joint]
                     old = old_deviation[joint] if np.isfinite(old_deviation[joint]) else _LENGTHS_M[joint]
-                    change[state] += 2.0 * size[joint] * old_size[joint] / (moved * moved + own * own + old * old)
+                    change[state] += 2.0 * size[joint] * old_size[joint] / (moved * moved + spread * spread + old * old)
         for state in range(1 << bones):
             least, best = np.inf, 0
             for before in range(1 << bones):
@@ -238,9 +238,9 @@ def _prior_of_frame(
     share = np.empty(vectors.shape[0])
     for joint in _ORDER:
         is_seen = np.isfinite(deviation[joint])
-        own = deviation[joint] if is_seen else _LENGTHS_M[joint]
+        spread = deviation[joint] if is_seen else _LENGTHS_M[joint]
         signed = sign[joint] * size[joint]
-        width = _KERNEL_M * _KERNEL_M + own * own
+        width = _KERNEL_M * _KERNEL_M + spread * spread
         most = -np.inf
         for at in range(vectors.shape[0]):
             share[at] = log_weight[at] - 0.5 * (vectors[at, joint, 2] - signed) ** 2 / width
@@ -255,7 +255,7 @@ def _prior_of_frame(
             mean[joint, axis] /= total
         if is_seen:
             # The image says how deep where it is sharp, the candidates where the bone lies in the image.
-            by_image, by_votes = 1.0 / max(2.0 * own, 1e-4) ** 2, 1.0 / (_KERNEL_M * _KERNEL_M)
+            by_image, by_votes = 1.0 / max(2.0 * spread, 1e-4) ** 2, 1.0 / (_KERNEL_M * _KERNEL_M)
             depth[joint] = (signed * by_image + mean[joint, 2] * by_votes) / (by_image + by_votes)
         else:
             depth[joint] = mean[joint, 2]

@@ -44,12 +44,12 @@ def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) ->
     log_ratio, count = np.zeros(OP14.num_joints), np.zeros(OP14.num_joints)
     for parent, child in OP14.bones:
         seen = (weights[:, parent] > 0) & (weights[:, child] > 0) & np.isfinite(matched_m[:, child, 0])
-        own = np.linalg.norm(observed_m[seen, child] - observed_m[seen, parent], axis=-1)
+        seen_length = np.linalg.norm(observed_m[seen, child] - observed_m[seen, parent], axis=-1)
         match = np.linalg.norm(matched_m[seen, child] - matched_m[seen, parent], axis=-1)
-        is_flat = (match > _MIN_IN_IMAGE * REFERENCE_LENGTHS_M[child]) & (own > 0)
+        is_flat = (match > _MIN_IN_IMAGE * REFERENCE_LENGTHS_M[child]) & (seen_length > 0)
         count[child] = is_flat.sum()
         if count[child] >= _MIN_FRAMES:
-            log_ratio[child] = np.median(np.log(own[is_flat] / match[is_flat]))
+            log_ratio[child] = np.median(np.log(seen_length[is_flat] / match[is_flat]))
         else:
             count[child] = 0.0
     mirror = np.array(OP14.mirror)

@@ -156,12 +156,12 @@ def choose_window(
 
     def turned(rows: Integers, yaw: npt.ArrayLike) -> Array:
         """Return the bone rotations (*batch, 14, 4) of rows at yaws in steps, which broadcast to them."""
-        found = np.array(unitquat[np.searchsorted(used, rows)])
+        rotations = np.array(unitquat[np.searchsorted(used, rows)])
         half = np.broadcast_to(0.5 * database.yaw_step_rad * np.asarray(yaw, dtype=np.float64), np.shape(rows))
         zero = np.zeros(half.shape)
         turn = np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
-        found[..., OP14.root, :] = multiply(turn, found[..., OP14.root, :])
-        return found
+        rotations[..., OP14.root, :] = multiply(turn, rotations[..., OP14.root, :])
+        return rotations
 
     chosen: list[Array] = []
     for frame in range(len(ranks)):
@@ -177,9 +177,9 @@ def choose_window(
             rows = row[:, None] - back
             has_past = rows >= start_of[row][:, None]
             rows = np.where(has_past, rows, start_of[row][:, None])
-            own = turned(rows, yaw[:, None])
+            candidates_past = turned(rows, yaw[:, None])
             reconstructed = np.stack(chosen[: -past - 1 : -1])
-            distance = np.sum((0.5 * angle_between(own, reconstructed[None])) ** 2, axis=-1)
+            distance = np.sum((0.5 * angle_between(candidates_past, reconstructed[None])) ** 2, axis=-1)
             weight = np.where(has_past, 1.0, 0.0) / back
             weight[~has_past.any(axis=1), 0] = 1.0
             rank = int(np.argmin(np.sum(weight * np.sqrt(distance), axis=1) / weight.sum(axis=1)))

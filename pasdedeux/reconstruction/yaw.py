@@ -58,8 +58,8 @@ def refine_yaws(
         yaw,
         distance,
     )
-    found = replace(neighbours, projection=projection.reshape(shape), distance_m=distance.reshape(shape))
-    return found, yaw.reshape(shape)
+    refined = replace(neighbours, projection=projection.reshape(shape), distance_m=distance.reshape(shape))
+    return refined, yaw.reshape(shape)
 
 
 @compiled()

@@ -69,12 +69,12 @@ class LivePeople:
         if self._last_frame is not None and frame <= self._last_frame:
             raise InputError(f"frame {frame} comes after frame {self._last_frame}; frames must come in order")
         self._last_frame = frame
-        found = self._follower.step(frame / self._rate_hz, keypoints_px, confidence)
-        if self._lens is None and (found.track_id >= 0).any():
+        followed = self._follower.step(frame / self._rate_hz, keypoints_px, confidence)
+        if self._lens is None and (followed.track_id >= 0).any():
             width, height = self._size or (None, None)
-            self._lens = Lens.assumed(width, height, found.keypoints_px, self._focal_px)
+            self._lens = Lens.assumed(width, height, followed.keypoints_px, self._focal_px)
         poses: list[LivePose] = []
-        at = {int(person): index for index, person in enumerate(found.track_id) if person >= 0}
+        at = {int(person): index for index, person in enumerate(followed.track_id) if person >= 0}
         for person in at:
             if person not in self._people and self._lens is not None:
                 self.person_ids.add(person)
@@ -89,12 +89,12 @@ class LivePeople:
                 )
         for person in sorted(self._people):
             if person in at:
-                self._last_seen[person] = frame
-                poses += self._people[person].push(frame, found.keypoints_px[at[person]], found.confidence[at[person]])
+                self._last_seen[person], row = frame, at[person]
+                poses += self._people[person].push(frame, followed.keypoints_px[row], followed.confidence[row])
             else:
                 poses += self._people[person].advance(frame)
         forgotten = frame - MAX_ABSENT_S * self._rate_hz - self._options.lag
-        for person in [one for one, last in self._last_seen.items() if last < forgotten]:
+        for person in [name for name, last in self._last_seen.items() if last < forgotten]:
             poses += self._people.pop(person).finish()
             del self._last_seen[person]
             self._floor.forget(person)

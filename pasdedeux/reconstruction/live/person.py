@@ -217,7 +217,7 @@ class _Chain:
         self._hip_widths: list[float] = []
         self._camera_rotmat: Array = np.asarray(self._searcher.database.camera.camera_from_upright_rotmat)
         self._rotations, self._root, self._bends = (
-            OneEuroFilter(one, rate_hz) for one in (_OF_BONES, _OF_ROOT, _OF_BENDS)
+            OneEuroFilter(settings, rate_hz) for settings in (_OF_BONES, _OF_ROOT, _OF_BENDS)
         )
         self._clean_up = None if is_learning else person.clean_up
 
@@ -262,10 +262,10 @@ class _Chain:
         ratio = float("nan")
         for _ in range(rounds):
             query = retarget_image((straight - centre) * scale, self._proportions)
-            found = self._searcher.index.search(query, weights, num_neighbours=NUM_CANDIDATES)
-            if found.projection[0] < 0:
+            matches = self._searcher.index.search(query, weights, num_neighbours=NUM_CANDIDATES)
+            if matches.projection[0] < 0:
                 return None
-            best = database.turned(found.row[0], found.yaw_index[0])
+            best = database.turned(matches.row[0], matches.yaw_index[0])
             matched = np.ascontiguousarray(database.camera.project(best))
             fit = match_scale(straight, weights, retarget_image(matched, 1.0 / self._proportions))
             ratio = float(fit[0])
@@ -274,15 +274,15 @@ class _Chain:
                 centre = fit[1:3] - fit[3:] / scale
         if np.isfinite(ratio):
             self._scales.append(ratio)
-        own = (straight - centre) * scale
+        image_m = (straight - centre) * scale
         if self._is_learning:
-            self._learn_proportions(own, weights, matched)
-        refined, yaw_steps = refine_yaws(database, found, retarget_image(own, self._proportions), weights)
+            self._learn_proportions(image_m, weights, matched)
+        refined, yaw_steps = refine_yaws(database, matches, retarget_image(image_m, self._proportions), weights)
         count = np.count_nonzero(refined.projection >= 0)
         row, yaw_steps = refined.row[:count], yaw_steps[:count]
         poses = database.turned(row, yaw_steps) @ self._camera_rotmat.T
         root = turn_with_camera(towards[0], np.array([*(centre * scale), -scale * focal]))
-        return LiveFrame(frame, row, yaw_steps, refined.distance_m[:count], poses, root, own, weights)
+        return LiveFrame(frame, row, yaw_steps, refined.distance_m[:count], poses, root, image_m, weights)
 
     def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:
         """Return the middle of the hips, or where joints are on average says that it is (2,), as `place_track` does."""
@@ -317,7 +317,7 @@ class _Chain:
             self._proportions = self._estimate_proportions()
 
     def _estimate_proportions(self) -> Array:
-        own_m, weights, matched_m = (np.stack(one) for one in zip(*self._spread, strict=True))
+        own_m, weights, matched_m = (np.stack(values) for values in zip(*self._spread, strict=True))
         return estimate_proportions(own_m, weights, matched_m)
 
     def _poses(self, ranks: list[int]) -> list[LivePose]:

@@ -134,38 +134,38 @@ class WindowFit:
             ranks: Candidate that each waiting frame follows by now, the oldest first.
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
-        signs = trace_signs([one.step for one in self._waiting])
+        signs = trace_signs([waiting.step for waiting in self._waiting])
         window = list(islice(self._waiting, MAX_AHEAD + 1))
         # A new frame has signs of 0, which are none.
-        is_kept = np.array([bool((one.sign == signs[at]).all()) for at, one in enumerate(window)])
-        followed_m = np.array([one.step.vectors_m[rank] for one, rank in zip(window, ranks, strict=False)])
+        is_kept = np.array([bool((waiting.sign == signs[at]).all()) for at, waiting in enumerate(window)])
+        followed_m = np.array([waiting.step.vectors_m[rank] for waiting, rank in zip(window, ranks, strict=False)])
         for at in np.flatnonzero(~is_kept):
-            one = window[at]
-            one.sign = signs[at]
-            one.mean_m, one.depth_m = bones_by_votes(one.step, one.sign)
-            own = proportions * one.depth_m, proportions[:, None] * followed_m[at]
-            one.fitted_m = guess_pose(one.seen.image_m, one.distance_m, *own)
+            waiting = window[at]
+            waiting.sign = signs[at]
+            waiting.mean_m, waiting.depth_m = bones_by_votes(waiting.step, waiting.sign)
+            depth_and_bones = proportions * waiting.depth_m, proportions[:, None] * followed_m[at]
+            waiting.fitted_m = guess_pose(waiting.seen.image_m, waiting.distance_m, *depth_and_bones)
         share = share_of_followed(self._noise_m)
-        bones_m = share * followed_m + (1.0 - share) * np.array([one.mean_m for one in window])
-        frames = np.array([*self._held_frames, *(one.seen.frame for one in window)])
-        stop = STOP if all(one.is_whole for one in window) else STOP_MISSING
+        bones_m = share * followed_m + (1.0 - share) * np.array([waiting.mean_m for waiting in window])
+        frames = np.array([*self._held_frames, *(waiting.seen.frame for waiting in window)])
+        stop = STOP if all(waiting.is_whole for waiting in window) else STOP_MISSING
         fitted = fit_window(
             self._held_m,
-            np.array([one.fitted_m for one in window]),
-            np.array([one.seen.image_m for one in window]),
-            np.array([one.distance_m for one in window]),
-            np.array([one.seen.weights for one in window]),
+            np.array([waiting.fitted_m for waiting in window]),
+            np.array([waiting.seen.image_m for waiting in window]),
+            np.array([waiting.distance_m for waiting in window]),
+            np.array([waiting.seen.weights for waiting in window]),
             np.maximum(self._joint_noise_m, max(self._noise_m, self._min_noise_m)),
             is_kept,
             proportions[:, None] * bones_m,
-            np.array([1.0 / one.trust_m**2 for one in window]),
+            np.array([1.0 / waiting.trust_m**2 for waiting in window]),
             (frames[2:] == frames[:-2] + 2) * (self._rate_hz**2 / ACCELERATION_M_S2) ** 2,
             REFERENCE_LENGTHS_M * proportions,
             stop.max_iterations,
             stop.tolerance,
         )
-        for one, pose in zip(window, fitted, strict=True):
-            one.fitted_m = pose
+        for waiting, pose in zip(window, fitted, strict=True):
+            waiting.fitted_m = pose
         due = self._waiting.popleft()
         off = flatten_image(due.seen.image_m, fitted[0], due.distance_m) - fitted[0, :, :2]
         more = np.hypot(off[:, 0], off[:, 1]) / MEAN_OF_RAYLEIGH - self._joint_noise_m

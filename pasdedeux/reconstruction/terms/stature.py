@@ -23,6 +23,6 @@ def stature_term(seen: SeenPeople, statures_m: Mapping[int, float]) -> PriorTerm
         statures_m: Stature by person id, where it is known.
     """
     stated = [statures_m.get(person.track.person_id) for person in seen.people]
-    wanted = [stature_m or _STATURE_M for stature_m in stated] / np.array([one.stature_m for one in seen.people])
+    wanted = [stature_m or _STATURE_M for stature_m in stated] / np.array([person.stature_m for person in seen.people])
     deviations = [_STATURE_DEVIATION if stature_m is None else KNOWN_DEVIATION for stature_m in stated]
     return PriorTerm(seen.sizes, np.log(wanted), np.array(deviations))

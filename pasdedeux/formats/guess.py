@@ -85,27 +85,6 @@ class MirrorGuess:
     confidence: float
 
 
-@dataclass(frozen=True)
-class MotionGuess:
-    """What a motion file seems to be.
-
-    Args:
-        layout: Name of the layout that its joints belong to, None when no known one fits.
-        draft: What its joints seem to be, where no known layout fits.
-        up: Its up axis.
-        unit: Its length unit.
-        mirror: Whether left and right are exchanged in it.
-        rate_hz: Frame rate the file states, None if it states none.
-    """
-
-    layout: str | None
-    draft: Draft | None
-    up: AxisGuess
-    unit: UnitGuess
-    mirror: MirrorGuess
-    rate_hz: float | None
-
-
 def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGuess:
     """Return the axis along which the body stands, feet below head; how clearly is the mean cosine between them.
 
@@ -232,21 +211,6 @@ def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
     else:
         confidence = 0.8 if abs(np.log(metres / USUAL_HEIGHT_M)) < 0.15 else 0.5
     return UnitGuess(UNITS_M[name], confidence, f"in units of one {name} the body is {metres:.2f} m tall", metres)
-
-
-def guess_motion(source: SourceMotion) -> MotionGuess:
-    """Return estimates of everything that a motion file may not state."""
-    known = find_layout(source.skeleton, source.rest_offsets)
-    draft = None if known else draft_motion(source)
-    layout = draft.layout("draft") if draft and draft.is_whole else known
-    return MotionGuess(
-        layout=known.name if known else None,
-        draft=draft,
-        up=guess_up_axis(source, layout),
-        unit=guess_unit(source, layout),
-        mirror=guess_mirrored(source, layout),
-        rate_hz=source.rate_hz,
-    )
 
 
 def draft_motion(source: SourceMotion) -> Draft:

@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.guess import common_up_axis, guess_mirrored, guess_motion, guess_unit, guess_up_axis
+from pasdedeux.formats.guess import common_up_axis, guess_mirrored, guess_unit, guess_up_axis
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics import forward_kinematics, local_rotations
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from pasdedeux.skeletons.layouts.fitting import rest_positions
+from tests.builders.guesses import guess_motion
 from tests.builders.rigs import RIGS, SMALL_BVH, Rig
 from tests.builders.source_samples import bvh_text
 

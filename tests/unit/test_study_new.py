@@ -16,7 +16,6 @@ from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.guess import guess_motion
 from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
 from tasks.ingest.takes.known_sources import note_fetched
@@ -25,6 +24,7 @@ from tasks.projections import ProjectionsParameters
 from tasks.seeds import SeedsParameters
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
+from tests.builders.guesses import guess_motion
 from tests.builders.ingest_runs import planned
 from tests.builders.own_sources import write_walk
 from tests.builders.rigs import RIGS, Rig

@@ -20,8 +20,8 @@ from flows.console.status import describe_store
 from flows.machine import usable_cores
 from pasdedeux.errors import PasdedeuxError
 from storage_schema import ArtifactRef, ShardRecord, Store, record_latest
+from storage_schema.artifact_writer import ArtifactFields
 from storage_schema.manifest import MANIFEST_NAME
-from storage_schema.store import ArtifactFields
 
 _NUM_ARTIFACTS = 2_000
 _NUMS_TAKES = (1, 10, 100)

@@ -16,6 +16,7 @@ from storage_schema import (
     read_latest,
 )
 from storage_schema.datasets import dataset_labels, named_places
+from storage_schema.folder_store import FolderStore
 from storage_schema.garbage import StageKey, Sweep, find_unneeded, folder_bytes, remove_unneeded
 
 _BEGUN = re.compile(r"\d{8}T\d{6}(?=-)")
@@ -84,7 +85,7 @@ def collect(store: Store, since: datetime) -> Collection:
     """
     with in_use(store, alone=True):
         for run in describe_runs(store):
-            if run["status"] == "running" and store.mirror is None:  # who builds in a bucket holds its lease
+            if run["status"] == "running" and isinstance(store, FolderStore):  # who builds in a bucket holds its lease
                 raise StoreInUseError(
                     f"run {run['run_id']} is in progress on {run['host']}, and nothing is removed beside it; let it "
                     "end, or stop it: it goes on later (if it died there, remove its folder in runs/)"

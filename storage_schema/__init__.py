@@ -1,6 +1,7 @@
 """The storage format: every table's columns, the artifact store, references, runs and datasets."""
 
 from storage_schema.ancestry import lineage, source_files
+from storage_schema.artifact_writer import ArtifactFields
 from storage_schema.credits import SourceCredit
 from storage_schema.datasets import Dataset, list_datasets
 from storage_schema.errors import CorruptArtifact, MissingArtifact, SchemaError, StorageError, UnknownReference
@@ -29,7 +30,7 @@ from storage_schema.runs import (
     read_latest,
     record_latest,
 )
-from storage_schema.store import ArtifactFields, Store
+from storage_schema.store import Store
 from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
 from storage_schema.verification import verify

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from storage_schema.errors import CorruptArtifact, MissingArtifact
 from storage_schema.manifest import ArtifactRef, Identity, Manifest
-from storage_schema.store_reader import StoreReader
+
+if TYPE_CHECKING:
+    from storage_schema.store import Store
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,13 @@ def walk(
 
 
 def walk_stored(
-    store: StoreReader, refs: Iterable[ArtifactRef], known: Container[tuple[str, str]] = ()
+    store: Store, refs: Iterable[ArtifactRef], known: Container[tuple[str, str]] = ()
 ) -> Iterator[LineageStep]:
     """Traverse the artifacts of a store; those that are missing or have other content have no manifest."""
     return walk(refs, lambda level: [find_manifest(store, ref) for ref in level], known)
 
 
-def lineage(store: StoreReader, *refs: ArtifactRef) -> list[LineageStep]:
+def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
     """Return the artifacts and everything they were computed from, each once, by distance.
 
     An input that is no longer in the store is listed without a manifest and ends its branch.
@@ -70,7 +73,7 @@ def lineage(store: StoreReader, *refs: ArtifactRef) -> list[LineageStep]:
     return list(walk_stored(store, refs))
 
 
-def has_lineage(store: StoreReader, refs: Iterable[ArtifactRef], known: set[tuple[str, str]]) -> bool:
+def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str, str]]) -> bool:
     """Tell whether these artifacts and all that they were computed from are there.
 
     `known` are the places of those that are known to be; what is found is added.
@@ -84,7 +87,7 @@ def has_lineage(store: StoreReader, refs: Iterable[ArtifactRef], known: set[tupl
     return True
 
 
-def held_out(store: StoreReader, refs: Iterable[ArtifactRef]) -> set[Identity]:
+def held_out(store: Store, refs: Iterable[ArtifactRef]) -> set[Identity]:
     """Return the artifacts that are held out, or that were computed from one that is: what nothing may learn from.
 
     A missing ancestor is taken for one that is not held out.
@@ -115,7 +118,7 @@ def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:
     )
 
 
-def find_manifest(store: StoreReader, ref: ArtifactRef) -> Manifest | None:
+def find_manifest(store: Store, ref: ArtifactRef) -> Manifest | None:
     """Return the manifest of an artifact; None where it is not there or has other content."""
     try:
         return store.manifest(ref)

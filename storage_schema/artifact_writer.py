@@ -3,16 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 from storage_schema.columns import Table
-from storage_schema.credits import SourceCredit
+from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.durable import write_errors, write_file
 from storage_schema.errors import StorageError
-from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, TableFile
+from storage_schema.keys import content_digest, plain_json
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest, TableFile
 from storage_schema.parquet_files import TableWriter
+from storage_schema.provenance import code_version, package_versions, source_digest
 from storage_schema.tables import TABLES
+from storage_schema.version import SCHEMA_VERSION
+
+
+class ArtifactFields(TypedDict):
+    """What an artifact says about itself when it is written."""
+
+    stage: str
+    """Name of the stage."""
+    key: str
+    """Key of the artifact, from `artifact_key`."""
+    partition: str
+    """What a person sees as one step."""
+    name: str
+    """Name of the shard in its partition."""
+    version: int
+    """Version of the stage."""
+    parameters: Mapping[str, Any]
+    """JSON values that decided the result."""
+    seed: int
+    """Seed of the study."""
+    inputs: Sequence[ArtifactRef]
+    """Artifacts that were read."""
+    files: Sequence[tuple[str, str]]
+    """Outside files that were read: (file name, sha256)."""
+    reads: NotRequired[Mapping[str, Sequence[int]]]
+    """Places in `inputs` of what enters the key, by what it is to the shard: `verify` computes the key again."""
+    after: NotRequired[Sequence[str]]
+    """Keys of other shards that enter the key."""
+    replaces: NotRequired[bool]
+    """Whether it takes the place of a valid artifact that is there, where its content is another or damaged."""
 
 
 class ArtifactWriter:
@@ -76,6 +109,41 @@ class ArtifactWriter:
         with write_errors(self._where):
             tables = {name: self._tables[name].finish() for name in sorted(self._tables)}
         return tables, dict(sorted(self._attachments.items()))
+
+    def manifest(
+        self,
+        tables: Mapping[str, TableFile],
+        attachments: Mapping[str, FileEntry],
+        spent: Mapping[str, float],
+        described: ArtifactFields,
+    ) -> Manifest:
+        """Return the manifest of what `finish` gave; `spent` are further timings.  The store calls it."""
+        facts: dict[str, Any] = plain_json(self.facts, "facts")
+        digests = {f"{table}.parquet": part.sha256 for table, part in tables.items()}
+        digests |= {file_name: entry.sha256 for file_name, entry in attachments.items()}
+        place = {"partition": described["partition"], "name": described["name"]}
+        reads = described.get("reads")
+        return Manifest(
+            ref=ArtifactRef(described["stage"], described["key"], content_digest(**place, facts=facts, files=digests)),
+            **place,
+            version=described["version"],
+            parameters=plain_json(dict(described["parameters"]), "parameters"),
+            seed=described["seed"],
+            inputs=tuple(described["inputs"]),
+            files=tuple((file_name, digest) for file_name, digest in described["files"]),
+            tables=dict(tables),
+            attachments=dict(attachments),
+            facts=facts,
+            sources=merge_credits(self.sources),
+            schema_version=SCHEMA_VERSION,
+            code_version=code_version(),
+            source_digest=source_digest(),
+            package_versions=package_versions(),
+            timings=plain_json({**self.timings, **spent}, "timings"),
+            created_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+            reads=None if reads is None else {what: [*ats] for what, ats in reads.items()},
+            after=tuple(described.get("after", ())),
+        )
 
     def close(self) -> None:
         """Let go of the files, whether or not they are finished.  The store calls it."""

@@ -16,7 +16,7 @@ import pyarrow as pa
 from storage_schema.arrow import Kind, column_kind, value_type
 from storage_schema.columns import Column
 from storage_schema.manifest import Manifest
-from storage_schema.store_reader import StoreReader
+from storage_schema.store import Store
 from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
 
@@ -80,9 +80,7 @@ class Difference:
         return f"{self.table}.{self.column}, row {self.row}: {self.detail}{size}"
 
 
-def compare_artifacts(
-    one_store: StoreReader, one: Manifest, other_store: StoreReader, other: Manifest
-) -> list[Difference]:
+def compare_artifacts(one_store: Store, one: Manifest, other_store: Store, other: Manifest) -> list[Difference]:
     """Return the columns and files that two artifacts differ by, tables first; none where they hold the same bytes.
 
     Raises:
@@ -114,9 +112,7 @@ def tolerances_text() -> str:
     return f"{units} by the unit of the column,\nand {RELATIVE_TOLERANCE:g} of the number itself"
 
 
-def _of_table(
-    one_store: StoreReader, one: Manifest, other_store: StoreReader, other: Manifest, name: str
-) -> Iterator[Difference]:
+def _of_table(one_store: Store, one: Manifest, other_store: Store, other: Manifest, name: str) -> Iterator[Difference]:
     rows, other_rows = one.tables[name].rows, other.tables[name].rows
     if rows != other_rows:
         yield Difference(name, detail=f"{rows} rows, {other_rows} there")

@@ -10,17 +10,19 @@ from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from storage_schema.ancestry import walk_stored
 from storage_schema.credits import SourceCredit
-from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
+from storage_schema.durable import sync_folder, write_errors, write_file
 from storage_schema.errors import BadName, CorruptArtifact, OlderSchema, UnknownReference
 from storage_schema.keys import canonical_json, json_file
 from storage_schema.manifest import ArtifactRef, Identity, refuse_newer, refuse_older
 from storage_schema.staging import StagingFolder
-from storage_schema.store_reader import StoreReader
 from storage_schema.version import SCHEMA_VERSION
+
+if TYPE_CHECKING:
+    from storage_schema.store import Store
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 DATASET_FILE = "dataset.json"
@@ -56,7 +58,7 @@ class Dataset:
         return json_file(values)
 
 
-def list_datasets(store: StoreReader, name: str = "*") -> list[Dataset]:
+def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
     """Return the datasets of a store, or the versions of one, but those of an older schema (`dataset_labels` has all).
 
     CorruptArtifact where the list of one cannot be read.
@@ -68,7 +70,7 @@ def list_datasets(store: StoreReader, name: str = "*") -> list[Dataset]:
     return found
 
 
-def named_places(store: StoreReader) -> set[tuple[str, str]]:
+def named_places(store: Store) -> set[tuple[str, str]]:
     """Return stage and key of all that the datasets of a store name, also those of an older schema.
 
     CorruptArtifact where the list of one cannot be read: what it names is not known.
@@ -84,12 +86,12 @@ def named_places(store: StoreReader) -> set[tuple[str, str]]:
     return found
 
 
-def dataset_labels(store: StoreReader) -> list[str]:
+def dataset_labels(store: Store) -> list[str]:
     """Return `name@version` of all datasets of a store, also of those that cannot be read."""
     return [path.name for path in _folders(store)]
 
 
-def newest_version(store: StoreReader, name: str) -> Dataset | None:
+def newest_version(store: Store, name: str) -> Dataset | None:
     """Return the numbered version of a dataset with the greatest number; None without one, or of an older schema."""
     numbered = [path for path in _folders(store, name) if _version(path).isdecimal()]
     with suppress(OlderSchema):
@@ -97,7 +99,7 @@ def newest_version(store: StoreReader, name: str) -> Dataset | None:
     return None
 
 
-def open_dataset(store: StoreReader, label: str) -> Dataset:
+def open_dataset(store: Store, label: str) -> Dataset:
     """Return the dataset `name@version`, or the newest version of `name`; UnknownReference says which there are."""
     named = [path for path in _folders(store) if label in (path.name, path.name.rpartition("@")[0])]
     if not named:
@@ -106,7 +108,7 @@ def open_dataset(store: StoreReader, label: str) -> Dataset:
     return _read(named[-1])
 
 
-def datasets_with(store: StoreReader, ref: ArtifactRef) -> Iterator[Dataset]:
+def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
     """Return the datasets that name this content of an artifact or were computed from it.
 
     Those of an older schema need other artifacts.  CorruptArtifact where the list of one cannot be read.
@@ -119,7 +121,7 @@ def datasets_with(store: StoreReader, ref: ArtifactRef) -> Iterator[Dataset]:
 
 
 @lru_cache(maxsize=64)
-def _read_with_needs(store: StoreReader, path: Path) -> tuple[Dataset, frozenset[Identity]]:
+def _read_with_needs(store: Store, path: Path) -> tuple[Dataset, frozenset[Identity]]:
     """Return a dataset and what it names or was computed from, which never changes."""
     dataset = _read(path)
     return dataset, frozenset(step.ref.identity for step in walk_stored(store, dataset.refs))
@@ -130,7 +132,7 @@ def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> s
     return hashlib.sha256(canonical_json([[asdict(one) for one in part] for part in (refs, sources)])).hexdigest()
 
 
-def add_dataset(store: StoreReader, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
+def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
     """Write the dataset's folder and give it its name in one rename; false when the name is taken."""
     check_names(dataset.name, dataset.version, *attachments)
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
@@ -138,17 +140,7 @@ def add_dataset(store: StoreReader, dataset: Dataset, attachments: Mapping[str, 
             write_file(staging.path / name, data)
         write_file(staging.path / DATASET_FILE, dataset.to_json())
         sync_folder(staging.path)
-        make_folder(dataset.path.parent)
-        if store.mirror is not None and not store.mirror.add_dataset(staging.path, dataset.label):
-            return False
-        try:
-            staging.path.rename(dataset.path)
-        except OSError:
-            if dataset.path.is_dir():
-                return False
-            raise
-        sync_folder(dataset.path.parent)
-    return True
+        return store.add_dataset(staging.path, dataset.label)
 
 
 def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection[str] = ()) -> Dataset:
@@ -178,13 +170,13 @@ def _read(path: Path) -> Dataset:
     return dataset_from_json((path / DATASET_FILE).read_bytes, path)
 
 
-def next_version(store: StoreReader, name: str) -> str:
+def next_version(store: Store, name: str) -> str:
     """Return the version that follows the numbered ones of a dataset."""
     numbers = [int(_version(path)) for path in _folders(store, name) if _version(path).isdecimal()]
     return str(max(numbers, default=0) + 1)
 
 
-def _folders(store: StoreReader, name: str = "*") -> list[Path]:
+def _folders(store: Store, name: str = "*") -> list[Path]:
     """Return the folders of datasets: by name, versions that are numbers by number, after those with names.
 
     Their lists, of 100,000 artifacts perhaps, are not read.

@@ -104,6 +104,18 @@ def _say_holders(handle: int, what: str) -> None:
     )
 
 
+@contextmanager
+def locked_file(path: Path, how: int, what: str = "") -> Iterator[None]:
+    """Lock `.NAME.lock` beside a file, or what is to be one, for this block; arguments and errors as `lock_file`."""
+    make_folder(path.parent)
+    handle = os.open(path.with_name(f".{path.name}.lock"), os.O_CREAT | os.O_RDWR, 0o644)
+    try:
+        lock_file(handle, how, what or str(path))
+        yield
+    finally:
+        os.close(handle)
+
+
 class HashingFile(io.RawIOBase):
     """A new file, open for writing, that digests its bytes on the way and reaches the disk when closed.
 

@@ -79,8 +79,7 @@ def remove_unneeded(store: Store, sweep: Sweep) -> None:
     """Remove what goes; killed at any moment this leaves a whole store, and the same call again finishes it."""
     store.remove_folders(store.folder(*stored.place) for stored in sweep.going)
     store.clear_leftovers()
-    if store.mirror is not None:
-        store.mirror.sweep()
+    store.sweep()
 
 
 def folder_bytes(folder: Path) -> int:
@@ -114,7 +113,8 @@ def _all(store: Store) -> Iterator[Stored]:
             except CorruptArtifact as error:
                 if isinstance(error.__cause__, OSError):
                     raise
-            num_bytes = folder_bytes(folder)
-            if store.mirror is not None and manifest is not None:
-                num_bytes = manifest.num_bytes + len(manifest.to_json())
+            if manifest is None:
+                num_bytes = folder_bytes(folder)
+            else:
+                num_bytes = manifest.num_bytes + (folder / MANIFEST_NAME).stat().st_size
             yield Stored(place, num_bytes, made_at, inputs, is_damaged)

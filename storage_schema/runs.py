@@ -8,11 +8,10 @@ say why something is stale.
 from __future__ import annotations
 
 import fcntl
-import os
 import re
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,18 +19,16 @@ from typing import Any
 
 import orjson
 
-from storage_schema.durable import lock_file, make_folder, write_errors
+from storage_schema.durable import locked_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
 from storage_schema.keys import json_file, plain_json
 from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older, with_fields
 from storage_schema.staging import replace_file
 from storage_schema.store import Store
-from storage_schema.store_reader import STORE_FILE
 from storage_schema.version import SCHEMA_VERSION
 
 STUDY_FILE = "study.json"
 """File of a run's folder, and of a dataset: the resolved study."""
-_AT_ONCE = fcntl.LOCK_EX | fcntl.LOCK_NB
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -181,7 +178,7 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     """
     path = _latest_path(store, study)
     store.prepare()
-    with write_errors(store.root), _in_line(path):
+    with write_errors(store.root), locked_file(path, fcntl.LOCK_EX):
         before = None
         with suppress(CorruptArtifact, OlderSchema):  # such a record gives way
             before = read_latest(store, study)
@@ -192,42 +189,9 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     return latest
 
 
-@contextmanager
-def in_use(store: Store, *, alone: bool = False) -> Iterator[None]:
-    """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
-
-    Who uses a store waits until the one who has it alone is done; who wants it alone does not wait.  A store
-    that is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.  One in
-    S3-compatible storage is everybody's alone, and is as it is now when the block begins.
-
-    Raises:
-        StorageError: Somebody uses the store that is wanted alone.
-    """
-    if store.mirror is not None:
-        with store.mirror.lease():
-            yield
-        return
-    with ExitStack() as held:
-        try:
-            if (store.root / STORE_FILE).is_file():
-                held.enter_context(_in_line(store.root / "runs" / "in_use", fcntl.LOCK_SH if not alone else _AT_ONCE))
-        except BlockingIOError:
-            raise StorageError(f"a run plans or builds in the store {store}; try again when it has ended") from None
-        except OSError:
-            if alone:
-                raise
-        yield
-
-
-@contextmanager
-def _in_line(path: Path, how: int = fcntl.LOCK_EX) -> Iterator[None]:
-    make_folder(path.parent)
-    handle = os.open(path.with_name(f".{path.name}.lock"), os.O_CREAT | os.O_RDWR, 0o644)
-    try:
-        lock_file(handle, how, f"{path.parent / path.name}")
-        yield
-    finally:
-        os.close(handle)
+def in_use(store: Store, *, alone: bool = False) -> AbstractContextManager[None]:
+    """Keep what is in the store from being removed in a block (`Store.in_use`)."""
+    return store.in_use(alone=alone)
 
 
 def _latest_path(store: Store, study: str) -> Path:

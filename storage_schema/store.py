@@ -1,82 +1,318 @@
-"""The artifact store: finds, reads and commits artifacts in a folder that many processes share.
+"""The artifact store: finds, reads and commits artifacts where many processes share them.
 
-Layout: `<root>/<stage>/<key[:2]>/<key>/` holds `<table>.parquet` files, attachments and `manifest.json`; `tmp/` holds
-what is being written, `runs/` and `datasets/` what runs and people say about artifacts.  A folder appears under its key
-in one rename after everything in it has reached the disk, so an artifact is whole or absent, whatever is killed.
+Layout of a store's folder: `<root>/<stage>/<key[:2]>/<key>/` holds `<table>.parquet` files, attachments and
+`manifest.json`; `tmp/` holds what is being written, `runs/` and `datasets/` what runs and people say about artifacts.
+An artifact appears under its key in one step after everything in it has reached the disk, so it is whole or absent,
+whatever is killed.  A store in S3-compatible storage is read through such a folder on this machine, its mirror.
 """
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
-import os
 import re
+import threading
 import time
-import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
-from datetime import UTC, datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict, Unpack
+from typing import Any, Unpack
 
-from storage_schema.artifact_writer import ArtifactWriter
-from storage_schema.credits import SourceCredit, merge_credits
+from storage_schema.arrow import schema_digest
+from storage_schema.artifact_writer import ArtifactFields, ArtifactWriter
+from storage_schema.credits import SourceCredit
 from storage_schema.datasets import datasets_with
-from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
-from storage_schema.errors import CorruptArtifact, MissingArtifact, NamedByDataset, StorageError
-from storage_schema.keys import content_digest, plain_json
-from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, Manifest
-from storage_schema.provenance import code_version, package_versions, source_digest
-from storage_schema.staging import StagingFolder, clean_leftovers, replace_file
-from storage_schema.store_reader import STORE_FILE, StoreReader
-from storage_schema.version import SCHEMA_VERSION
+from storage_schema.durable import sync_folder, write_errors, write_file
+from storage_schema.errors import CorruptArtifact, MissingArtifact, NamedByDataset, NotAStore, StorageError
+from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest, refuse_newer
+from storage_schema.parquet_files import iter_table, read_table
+from storage_schema.staging import StagingFolder, clean_leftovers
+from storage_schema.table_data import TableData
+from storage_schema.tables import TABLES
 
 SHARD_S, PROCESSOR_S = "shard_s", "processor_s"
 """Timings of an artifact that was measured: from the shard's beginning to its commit."""
+STORE_FILE = "store.json"
 
 _STAGE_NAME = re.compile(r"[a-z][a-z0-9_]*")
-
+_S3 = re.compile(r"s3:/*(.*)")
+"""An address in S3-compatible storage, also as a path says it, with one stroke."""
 _log = logging.getLogger(__name__)
 
 
-class ArtifactFields(TypedDict):
-    """What an artifact says about itself when it is written."""
+class Store:
+    """Finds, reads and commits artifacts: `Store(place)` is a `FolderStore` or a `BucketStore`, by the place.
 
-    stage: str
-    """Name of the stage."""
-    key: str
-    """Key of the artifact, from `artifact_key`."""
-    partition: str
-    """What a person sees as one step."""
-    name: str
-    """Name of the shard in its partition."""
-    version: int
-    """Version of the stage."""
-    parameters: Mapping[str, Any]
-    """JSON values that decided the result."""
-    seed: int
-    """Seed of the study."""
-    inputs: Sequence[ArtifactRef]
-    """Artifacts that were read."""
-    files: Sequence[tuple[str, str]]
-    """Outside files that were read: (file name, sha256)."""
-    reads: NotRequired[Mapping[str, Sequence[int]]]
-    """Places in `inputs` of what enters the key, by what it is to the shard: `verify` computes the key again."""
-    after: NotRequired[Sequence[str]]
-    """Keys of other shards that enter the key."""
-    replaces: NotRequired[bool]
-    """Whether it takes the place of a valid artifact that is there, where its content is another or damaged."""
-
-
-class Store(StoreReader):
-    """Finds, reads and commits the artifacts under one folder.  Picklable: it is only the folder's path.
+    Picklable: it is only its place, which is also its text.
 
     Args:
-        root: Folder of the store, or `s3://BUCKET/PREFIX`; made when something is first written.
+        place: Folder of the store, or `s3://BUCKET/PREFIX`; made when something is first written.
     """
 
-    _begun_s: tuple[float, float] | None = None
+    root: Path
+    """Folder with the usual layout: the store's own, or its mirror here."""
+    place: str
+
+    def __new__(cls, place: str | Path) -> Store:
+        """Open the kind of store that the place names."""
+        if cls is not Store:
+            return super().__new__(cls)
+        if there := _S3.fullmatch(str(place)):
+            from storage_schema.bucket_store import BucketStore  # here: who stores in folders need not load the client
+
+            return BucketStore(f"s3://{there[1]}")
+        from storage_schema.folder_store import FolderStore
+
+        return super().__new__(FolderStore)
+
+    def _set_up(self, root: Path, place: str) -> None:
+        self.root, self.place = root, place
+        self._is_checked = False
+        self._begun = threading.local()
+        # Texts, where a plan asks for 100,000 artifacts: paths take longer to make than files to open.
+        self._prefix, self._version_file = f"{root}/", f"{root}/{STORE_FILE}"
+
+    def __repr__(self) -> str:
+        return f"Store({self.place!r})"
+
+    def __str__(self) -> str:
+        return self.place
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Store) and self.root == other.root
+
+    def __hash__(self) -> int:
+        return hash(self.root)
+
+    def __reduce__(self) -> tuple[type[Store], tuple[str]]:
+        return Store, (self.place,)
+
+    # What each kind of store does in its own way
+
+    def refresh(self) -> None:
+        """Look at what the store holds now; RemoteError where it does not answer."""
+        raise NotImplementedError
+
+    def in_use(self, *, alone: bool = False) -> AbstractContextManager[None]:
+        """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
+
+        Raises:
+            StorageError: Somebody uses the store that is wanted alone.
+            RemoteError: It does not answer.
+        """
+        raise NotImplementedError
+
+    def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
+        """Have the manifest of an artifact in `root` as it is now, if `known` does not stand there."""
+        raise NotImplementedError
+
+    def has_files(self, manifest: Manifest) -> bool:
+        """Tell whether every file of an artifact is there with the right size."""
+        raise NotImplementedError
+
+    def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
+        """Return the path of a data file of an artifact, for reading only; it is brought here first.
+
+        CorruptArtifact where it is gone or damaged, or its name would lead out of the artifact's folder.
+        """
+        raise NotImplementedError
+
+    def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
+        """Return the sha256 of the bytes of a data file as they lie in the store; OSError where they cannot be read."""
+        raise NotImplementedError
+
+    def drop_copies(self, manifest: Manifest) -> bool:
+        """Remove copies here of data files whose bytes are not the store's; returns whether there were any."""
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """Make the store where it is not there, and clear away what dead processes left; once per object."""
+        raise NotImplementedError
+
+    def can_write(self) -> bool:
+        """Tell whether this process, a worker, can write to the store, which is there."""
+        raise NotImplementedError
+
+    def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
+        """Put the staged files of this manifest under its key; returns the artifact that is there in the end.
+
+        Raises:
+            NamedByDataset: A dataset needs what is there, and this has other bytes.
+        """
+        raise NotImplementedError
+
+    def add_dataset(self, staged: Path, label: str) -> bool:
+        """Give the staged folder of a dataset its name in one step; false when the name is taken."""
+        raise NotImplementedError
+
+    def remove_folders(self, targets: Iterable[Path]) -> None:
+        """Remove artifacts and runs by their folders, in this order, each in one step; none is as good."""
+        raise NotImplementedError
+
+    def sweep(self) -> None:
+        """Remove what belongs to nothing that can be found."""
+        raise NotImplementedError
+
+    # Finding and reading
+
+    @property
+    def staging_root(self) -> Path:
+        """Folder that holds what is being written."""
+        return self.root / "tmp"
+
+    def folder(self, stage: str, key: str) -> Path:
+        """Return the folder that holds, or would hold, the artifact of this key."""
+        return self.root / stage / key[:2] / key
+
+    def find(self, stage: str, key: str) -> Manifest | None:
+        """Return the artifact's manifest when it is valid and its files are there with the right size, else None.
+
+        An artifact whose tables have other columns than this program declares is not valid either.  NewerSchema where
+        the store was written by a newer program.
+        """
+        self.check_version()
+        self.bring(stage, key)
+        try:
+            manifest = self.load(stage, key)
+        except (MissingArtifact, CorruptArtifact):
+            return None
+        return manifest if not self.outdated_tables(manifest) and self.has_files(manifest) else None
+
+    def manifest(self, ref: ArtifactRef) -> Manifest:
+        """Return the manifest of an artifact.
+
+        Raises:
+            MissingArtifact: It is not in the store.
+            CorruptArtifact: Its manifest cannot be read, or its content is not the one that `ref` names.
+            NewerSchema: The store was written by a newer program.
+        """
+        self.check_version()
+        self.bring(ref.stage, ref.key, known=ref)
+        manifest = self.load(ref.stage, ref.key)
+        if manifest.ref != ref:
+            raise CorruptArtifact(
+                f"artifact {ref.stage}@{ref.key[:12]} holds the content {manifest.ref.content_digest[:12]}, "
+                f"not {ref.content_digest[:12]}: it was rebuilt with other bytes"
+            )
+        return manifest
+
+    def artifacts(self, stage: str | None = None) -> Iterator[Manifest]:
+        """Return the manifests of all valid artifacts, of one stage or of all, in the order of stage and key."""
+        for folder in self.folders(stage):
+            manifest = self.find(folder.parent.parent.name, folder.name)
+            if manifest is not None:
+                yield manifest
+
+    def folders(self, stage: str | None = None, key_prefix: str = "") -> list[Path]:
+        """Return the folders that stand under a key, valid or not, in the order of stage and key."""
+        found = self.root.glob(
+            f"{stage or '*'}/{key_prefix[:2] or '*'}{'*' if len(key_prefix) == 1 else ''}/{key_prefix}*"
+        )
+        return sorted(path for path in found if path.parent.parent.name not in RESERVED_NAMES and path.is_dir())
+
+    def read(
+        self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None, rows: slice | None = None
+    ) -> TableData:
+        """Read the artifact's part of a table, or some of its columns and rows, with the declared schema.
+
+        Raises:
+            MissingArtifact: The artifact, or this table of it, is not in the store.
+            CorruptArtifact: A file is not what its manifest says.
+            SchemaError: A column is unknown, or the file was written with other columns.
+        """
+        found = read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
+        self.manifest(ref)  # another may have taken its place before the file was opened
+        return found
+
+    def iter_batches(
+        self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None
+    ) -> Iterator[TableData]:
+        """Read the artifact's part of a table some 10,000 rows at a time; raises what `read` raises."""
+        yield from iter_table(self.table_path(ref, table), TABLES[table], columns=columns)
+        self.manifest(ref)  # as in `read`
+
+    def attachment(self, ref: ArtifactRef, name: str) -> bytes:
+        """Return the bytes of an attached file; MissingArtifact without it, CorruptArtifact where the file is gone."""
+        manifest = self.manifest(ref)
+        if name not in manifest.attachments:
+            there = ", ".join(manifest.attachments) or "none"
+            raise MissingArtifact(f"artifact {ref.stage}@{ref.key[:12]} has no attachment '{name}'; it has: {there}")
+        path = self.data_file(ref, name, manifest.attachments[name])
+        if not path.is_file():
+            raise CorruptArtifact(f"{path} is missing though its manifest names it")
+        data = path.read_bytes()
+        self.manifest(ref)  # as in `read`
+        return data
+
+    def load(self, stage: str, key: str) -> Manifest:
+        """Return the manifest that stands under a key in `root`, whether or not its files are there.
+
+        Raises:
+            MissingArtifact: There is none.
+            CorruptArtifact: It cannot be read, or belongs to another artifact.
+            NewerSchema: It was written by a newer program.
+        """
+        path = f"{self._prefix}{stage}/{key[:2]}/{key}/{MANIFEST_NAME}"
+        try:
+            with open(path, "rb", buffering=0) as file:  # noqa: PTH123
+                text = file.read()
+        except (FileNotFoundError, NotADirectoryError):
+            raise MissingArtifact(f"artifact {stage}@{key[:12]} is not in the store {self}") from None
+        except OSError as error:
+            raise CorruptArtifact(f"{path} cannot be read: {error}") from error
+        manifest = Manifest.from_json(text, where=path)
+        if (manifest.ref.stage, manifest.ref.key) != (stage, key):
+            raise CorruptArtifact(
+                f"{path} is the manifest of another artifact: {manifest.ref.stage}@{manifest.ref.key[:12]}"
+            )
+        return manifest
+
+    def outdated_tables(self, manifest: Manifest) -> list[str]:
+        """Return the tables of an artifact that were written with other columns than this program declares."""
+        return [
+            table for table, part in manifest.tables.items() if table not in TABLES or part.schema != _declared(table)
+        ]
+
+    def table_path(self, ref: ArtifactRef, table: str) -> Path:
+        """Return the path of the artifact's part of a table, for reading only; MissingArtifact where it has none."""
+        manifest = self.manifest(ref)
+        if table not in manifest.tables or table not in TABLES:
+            there = ", ".join(manifest.tables) or "none"
+            raise MissingArtifact(f"artifact {ref.stage}@{ref.key[:12]} holds no table '{table}'; it holds: {there}")
+        name = f"{table}.parquet"
+        return self.data_file(ref, name, manifest.data_files[name])
+
+    def damaged_files(self, manifest: Manifest) -> list[str]:
+        """Return the files that are gone or whose bytes are others, twice read; not those that cannot be read."""
+
+        def is_damaged(name: str, entry: FileEntry) -> bool:
+            try:
+                return self.file_sha256(manifest.ref, name, entry) != entry.sha256
+            except FileNotFoundError:
+                return True
+            except (OSError, StorageError):
+                return False
+
+        return [n for n, entry in manifest.data_files.items() if is_damaged(n, entry) and is_damaged(n, entry)]
+
+    def check_version(self) -> None:
+        """Refuse a store of a newer program (NewerSchema) and what is none (NotAStore); looked up once per object."""
+        if self._is_checked:
+            return
+        try:
+            with open(self._version_file, "rb") as file:  # noqa: PTH123
+                found = json.load(file)["schema_version"]
+        except FileNotFoundError:
+            return
+        except NotADirectoryError:
+            raise NotAStore(f"{self.root} is not a store: it is a file, not a folder") from None
+        except (ValueError, KeyError, TypeError) as error:
+            raise NotAStore(f"{self.root} is not a store: {STORE_FILE} cannot be read ({error})") from error
+        refuse_newer(found, f"the store {self}")
+        self._is_checked = True
+
+    # Committing and removing
 
     def commit(
         self,
@@ -116,9 +352,9 @@ class Store(StoreReader):
     def measure(self) -> None:
         """Begin to measure: artifacts say in `timings` what it took since now, wall clock and processor, seconds.
 
-        The processor's is of this thread, so that shards beside it in the same worker do not count.
+        Both are of this thread, so that shards beside it in the same worker do not count.
         """
-        self._begun_s = (time.perf_counter(), time.thread_time())
+        self._begun.at_s = (time.perf_counter(), time.thread_time())
 
     @contextmanager
     def writer(
@@ -132,7 +368,7 @@ class Store(StoreReader):
 
         When the block raises, nothing stays behind.  Arguments and errors are those of `commit`.
         """
-        stage, key = described["stage"], described["key"]
+        stage = described["stage"]
         if not _STAGE_NAME.fullmatch(stage) or stage in RESERVED_NAMES:
             raise StorageError(f"'{stage}' cannot name a stage: lower-case letters, digits and _ are allowed")
         self.prepare()
@@ -144,34 +380,7 @@ class Store(StoreReader):
                 parts, attachments = writer.finish()
             for ref in described["inputs"]:
                 self.manifest(ref)
-            plain_facts: dict[str, Any] = plain_json(writer.facts, "facts")
-            digests = {f"{table}.parquet": part.sha256 for table, part in parts.items()}
-            digests |= {file_name: entry.sha256 for file_name, entry in attachments.items()}
-            place = {"partition": described["partition"], "name": described["name"]}
-            manifest = Manifest(
-                ref=ArtifactRef(stage, key, content_digest(**place, facts=plain_facts, files=digests)),
-                partition=described["partition"],
-                name=described["name"],
-                version=described["version"],
-                parameters=plain_json(dict(described["parameters"]), "parameters"),
-                seed=described["seed"],
-                inputs=tuple(described["inputs"]),
-                files=tuple((file_name, digest) for file_name, digest in described["files"]),
-                tables=parts,
-                attachments=attachments,
-                facts=plain_facts,
-                sources=merge_credits(writer.sources),
-                schema_version=SCHEMA_VERSION,
-                code_version=code_version(),
-                source_digest=source_digest(),
-                package_versions=package_versions(),
-                timings=plain_json({**writer.timings, **self._spent()}, "timings"),
-                created_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
-                reads=None
-                if (reads := described.get("reads")) is None
-                else {what: [*ats] for what, ats in reads.items()},
-                after=tuple(described.get("after", ())),
-            )
+            manifest = writer.manifest(parts, attachments, self._spent(), described)
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)
@@ -185,105 +394,40 @@ class Store(StoreReader):
     def drop_damaged(self, manifest: Manifest) -> bool:
         """Remove an artifact where files of it are not what it says, so that the next run computes it again.
 
-        For who builds; tells whether anything was removed.  In a mirror a damaged copy of a whole file goes alone.
+        For who builds; tells whether anything was removed.  A damaged copy of a whole file goes alone.
         """
-        if self.mirror is not None:
-            folder = self.folder(manifest.ref.stage, manifest.ref.key)
-            dropped = [self.mirror.drop_changed(folder / name, one) for name, one in manifest.data_files.items()]
-            if any(dropped):
-                return True
+        if self.drop_copies(manifest):
+            return True
         is_damaged = bool(self.damaged_files(manifest))
         if is_damaged:
             self.discard(manifest.ref)
         return is_damaged
 
-    def prepare(self) -> None:
-        """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
-        if self._is_checked and (self.root / STORE_FILE).is_file():
-            return
-        with write_errors(self.root):
-            make_folder(self.root)
-            if not (self.root / STORE_FILE).is_file():
-                if self.mirror is not None:
-                    self.mirror.remote.create(f"records/{STORE_FILE}", _store_text())
-                replace_file(self.root / STORE_FILE, _store_text(), staging_root=self.staging_root)
-        self.check_version()
-        self.clear_leftovers()
-
-    def can_write(self) -> bool:
-        """Tell whether this process, a worker, can write to the store, which is there."""
-        if self.mirror is None:
-            return os.access(self.root, os.W_OK)
-        with suppress(StorageError, FileNotFoundError):
-            self.mirror.remote.changed_at("lease")
-            self.mirror.remote.create(f"records/{STORE_FILE}", _store_text())  # which is there: asks for the right
-            return True
-        return False
-
     def clear_leftovers(self) -> None:
         """Remove what dead processes left half written; a process that is slow to die is left for the next time."""
         clean_leftovers(self.staging_root)
 
-    def _spent(self) -> dict[str, float]:
-        if self._begun_s is None:
-            return {}
-        now = (time.perf_counter(), time.thread_time())
-        return {name: round(now[i] - self._begun_s[i], 4) for i, name in enumerate((SHARD_S, PROCESSOR_S))}
+    def stays(self, found: Manifest, new: Manifest, *, replaces: bool, are_files_new: bool = False) -> bool:
+        """Tell whether an artifact that is there keeps its place against a new one under its key.
 
-    def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
-        """Rename the staged folder of this manifest to its place; returns the artifact that is there in the end.
+        `are_files_new` where its files, if they are the same, have just been written again.
 
         Raises:
-            NamedByDataset: A dataset needs what is there, and this has other bytes.
+            NamedByDataset: It does not, and a dataset needs it.
         """
-        ref = new.ref
-        target = self.folder(ref.stage, ref.key)
-        if self.mirror is not None:
-            kept = self.mirror.commit(staging.path, ref, lambda found: self._stays(found, new, replaces=replaces))
-            if kept != ref:
-                return kept
-        make_folder(target.parent)
-        go_there: Callable[[Path], object] = staging.path.rename
-        while True:
-            try:
-                go_there(target)
-            except OSError as error:
-                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                    raise
-            else:
-                sync_folder(target.parent)
-                return ref
-            # Something is there: it goes only after it was seen not to stay, never for not having been there yet.
-            found = self._there(ref) if self.mirror is None else None
-            if found is not None and self._stays(found, new, replaces=replaces):
-                return found.ref
-            go_there = staging.take_place
-
-    def _there(self, ref: ArtifactRef) -> Manifest | None:
-        """Return the manifest under a key, also one of other columns, where its files are there; else None."""
-        with suppress(MissingArtifact, CorruptArtifact):
-            found = self.load(ref.stage, ref.key)
-            return found if self.has_files(found) else None
-        return None
-
-    def _stays(self, found: Manifest, new: Manifest, *, replaces: bool) -> bool:
-        """Tell whether an artifact that is there keeps its place against a new one under its key."""
         ref, is_valid = new.ref, not self.outdated_tables(found)
         if found.ref.content_digest == ref.content_digest:
             if not replaces or not is_valid:
                 return is_valid
             has_same_keys = [one.key for one in found.inputs] == [one.key for one in new.inputs]
             is_as_described = found.computed_digest == ref.content_digest
-            # Into a bucket the parts have just come again.
-            return has_same_keys and is_as_described and (self.mirror is not None or not self.damaged_files(found))
+            return has_same_keys and is_as_described and (are_files_new or not self.damaged_files(found))
         if is_valid and not replaces:
             _log.warning(
                 "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",
                 *(ref.stage, ref.key[:12], ref.content_digest[:12], found.ref.content_digest[:12]),
             )
             return True
-        if self.mirror is not None:
-            self.mirror.bring_datasets()
         if (dataset := next(datasets_with(self, found.ref), None)) is not None:
             raise NamedByDataset(
                 f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {dataset.label} "
@@ -291,22 +435,15 @@ class Store(StoreReader):
             )
         return False
 
-    def remove_folders(self, targets: Iterable[Path]) -> None:
-        """Remove folders of the store in this order, each in one rename; those that are not there are skipped."""
-        targets = list(targets)
-        if self.mirror is not None:
-            self.mirror.withdraw(targets)
-        if not any(target.exists() for target in targets):
-            return
-        parents = set()
-        with closing(StagingFolder(self.staging_root)) as staging:
-            for target in targets:
-                with suppress(FileNotFoundError):  # moved away by another
-                    target.rename(staging.path / uuid.uuid4().hex)
-                    parents.add(target.parent)
-            for parent in parents:
-                sync_folder(parent)
+    def _spent(self) -> dict[str, float]:
+        began = getattr(self._begun, "at_s", None)
+        if began is None:
+            return {}
+        now = (time.perf_counter(), time.thread_time())
+        return {name: round(now[i] - began[i], 4) for i, name in enumerate((SHARD_S, PROCESSOR_S))}
 
 
-def _store_text() -> bytes:
-    return f"{json.dumps({'schema_version': SCHEMA_VERSION})}\n".encode()
+@cache
+def _declared(table: str) -> str:
+    """Return the digest of a table's columns; by name, as hashing all columns takes longer than anything else of it."""
+    return schema_digest(TABLES[table])

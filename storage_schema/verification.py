@@ -113,6 +113,7 @@ def verify(store: Store) -> Verification:
 def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
     stage, key = manifest.ref.stage, manifest.ref.key
     recorded = manifest.data_files
+    store.drop_copies(manifest)
     for name, entry in recorded.items():
         problem = _check_file(store, manifest.ref, name, entry)
         if problem is not None:
@@ -126,8 +127,6 @@ def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
 
 def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> tuple[ProblemKind, str] | None:
     try:
-        if store.mirror is not None:
-            store.mirror.drop_changed(store.folder(ref.stage, ref.key) / name, entry)
         found = store.file_sha256(ref, name, entry)
     except FileNotFoundError:
         return ProblemKind.MISSING, "the manifest names it"

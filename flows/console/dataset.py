@@ -127,7 +127,7 @@ def pull(
     """
     opened = open_store(store)
     dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
-    _say_moved(dataset, num_new, f"is in {store if opened.mirror is None else opened}", as_json=as_json)
+    _say_moved(dataset, num_new, f"is in {opened}", as_json=as_json)
 
 
 def _say_moved(dataset: Dataset, num_new: int, words: str, *, as_json: bool) -> None:

@@ -83,7 +83,7 @@ def deploy(
     path = Path(study)
     parameters = {
         "study": str(path.resolve()) if path.is_file() else study,
-        "store": str(store.resolve() if opened.mirror is None else opened),
+        "store": str(opened),
         "settings": list(settings or ()),
         "workers": workers,
         "oversubscribe": oversubscribe,

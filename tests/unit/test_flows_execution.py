@@ -459,7 +459,7 @@ def test_what_cannot_be_read_for_a_moment_stays(tmp_path: Path, monkeypatch: pyt
         raise CorruptArtifact(f"{path} cannot be read (Input/output error)")
 
     with monkeypatch.context() as patch:
-        patch.setattr("storage_schema.store_reader.read_table", fail)
+        patch.setattr("storage_schema.store.read_table", fail)
         with pytest.raises(ShardError, match=r"Input/output error\)$"):
             run_toys(study, store, "judge.title=again")
     assert names(store) == there

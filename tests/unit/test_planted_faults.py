@@ -14,5 +14,5 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 def test_a_planted_fault_applies_and_its_test_is_there(fault: Fault) -> None:
     compile(fault.planted_in((ROOT / fault.file).read_text()), fault.file, "exec")
-    file, _, name = fault.test.partition("::")
+    file, *_, name = fault.test.split("::")
     assert f"def {name}" in (ROOT / "tests" / file).read_text()

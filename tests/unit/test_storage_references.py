@@ -138,7 +138,7 @@ def test_columns_of_an_earlier_version_are_said(
 ) -> None:
     now = TABLES["poses"]
     fewer = replace(now, columns=now.columns[:-1])
-    monkeypatch.setattr("storage_schema.store_reader._declared", lambda table: schema_digest(fewer))
+    monkeypatch.setattr("storage_schema.store._declared", lambda table: schema_digest(fewer))
     said = (
         r"artifact ingest@\w+ of study 'duets' has columns of an earlier version \(poses\) in the store .*; "
         "run the study again"

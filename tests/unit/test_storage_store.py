@@ -2,18 +2,14 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from storage_schema import (
-    ArtifactRef,
     CorruptArtifact,
     MissingArtifact,
     SchemaError,
@@ -27,6 +23,7 @@ from storage_schema import (
     source_credits,
 )
 from storage_schema.errors import NewerSchema
+from storage_schema.folder_store import FolderStore
 from storage_schema.parquet_files import ROW_GROUP_ROWS
 from storage_schema.version import SCHEMA_VERSION
 from tests.builders.storage_rows import assert_same_values, commit_rows, random_columns
@@ -37,52 +34,6 @@ KEY = artifact_key(stage="seeds", version=1, parameters={}, input_digests=[], se
 def about(**changes: object) -> dict:
     values = {"stage": "seeds", "key": KEY, "partition": "p", "name": "n", "version": 1, "parameters": {}, "seed": 0}
     return {**values, "inputs": [], "files": [], **changes}
-
-
-def test_a_commit_is_found_and_its_manifest_says_what_it_is(store: Store) -> None:
-    ref = commit_rows(
-        store,
-        "poses",
-        7,
-        stage="ingest",
-        partition="waltz",
-        name="3",
-        seed=5,
-        files=(("a.bvh", "ab"),),
-        facts={"takes": ["waltz"], "num_frames": 7},
-        attachments={"note.txt": b"hello"},
-    )
-    manifest = store.find("ingest", ref.key)
-    assert manifest is not None
-    assert manifest.ref == ref
-    assert (manifest.partition, manifest.name, manifest.version, manifest.seed) == ("waltz", "3", 1, 5)
-    assert manifest.parameters == {"partition": "waltz", "name": "3", "num_rows": 7}
-    assert manifest.files == (("a.bvh", "ab"),)
-    assert manifest.tables["poses"].rows == 7
-    assert manifest.attachments["note.txt"].bytes == 5
-    assert manifest.facts == {"takes": ["waltz"], "num_frames": 7}
-    assert manifest.schema_version == SCHEMA_VERSION
-    assert len(manifest.source_digest) == 64
-    assert {"python", "numpy", "pyarrow"} <= set(manifest.package_versions)
-    assert store.manifest(ref) == manifest
-    assert store.attachment(ref, "note.txt") == b"hello"
-    assert [found.ref for found in store.artifacts()] == [ref]
-    assert list(store.artifacts("chains")) == []
-
-
-def test_reading_a_store_that_is_not_there_finds_nothing_and_makes_nothing(store: Store) -> None:
-    assert store.find("seeds", KEY) is None
-    assert list(store.artifacts()) == []
-    with pytest.raises(MissingArtifact, match=r"seeds@.* is not in the store"):
-        store.manifest(ArtifactRef("seeds", KEY, "0" * 64))
-    assert not store.root.exists()
-
-
-def test_a_store_travels_by_pickle_as_its_path(store: Store) -> None:
-    ref = commit_rows(store)
-    copy = pickle.loads(pickle.dumps(store))
-    assert copy == store
-    assert copy.manifest(pickle.loads(pickle.dumps(ref))) == store.manifest(ref)
 
 
 def test_times_and_timings_are_in_no_digest(tmp_path: Path) -> None:
@@ -235,18 +186,6 @@ def test_a_writer_streams_and_gives_the_same_bytes_as_one_commit(tmp_path: Path)
     assert streamed.timings == {"solve": 2.0}
 
 
-def test_a_writer_whose_block_raises_leaves_nothing_behind(store: Store) -> None:
-    def broken() -> None:
-        with store.writer(**about()) as writer:
-            writer.append("scores", random_columns("scores", 3))
-            raise RuntimeError("solver diverged")
-
-    with pytest.raises(RuntimeError, match="solver diverged"):
-        broken()
-    assert store.find("seeds", KEY) is None
-    assert list((store.root / "tmp").iterdir()) == []
-
-
 CMU, OURS = SourceCredit("cmu", "free", "mocap.cs.cmu.edu"), SourceCredit("duets", "Apache-2.0", "built in")
 
 
@@ -315,18 +254,13 @@ def test_nothing_leaves_whose_licence_is_no_longer_known(store: Store) -> None:
         source_credits(store, made)
 
 
-def test_an_input_that_is_not_in_the_store_is_refused(store: Store) -> None:
-    with pytest.raises(MissingArtifact, match="ingest@"):
-        commit_rows(store, inputs=(ArtifactRef("ingest", KEY, "0" * 64),))
-
-
 def test_a_new_artifact_takes_nothing_away_that_another_process_may_have_put_there(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("something was removed")
 
-    monkeypatch.setattr(Store, "remove_folders", refuse)
+    monkeypatch.setattr(FolderStore, "remove_folders", refuse)
     ref = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
     assert store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)})) == ref
 
@@ -353,40 +287,6 @@ def test_everything_is_on_the_disk_before_an_artifact_has_its_name(
     folder = store.folder(ref.stage, ref.key)
     assert waiting[str(folder)] == []
     assert folder.parent.stat().st_ino in on_disk, "and its name soon after"
-
-
-def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.LogCaptureFixture) -> None:
-    first = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
-    again = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
-    assert again == first
-    assert not caplog.records
-    other = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=1)}))
-    assert other == first
-    assert "computed a second time with other bytes" in caplog.text
-    assert list((store.root / "tmp").iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "read",
-    [
-        lambda store, ref: store.read(ref, "scores"),
-        lambda store, ref: list(store.iter_batches(ref, "scores")),
-        lambda store, ref: store.attachment(ref, "note.txt"),
-    ],
-    ids=["table", "batches", "attachment"],
-)
-def test_what_takes_the_place_of_an_artifact_while_it_is_read_is_not_taken_for_it(
-    store: Store, monkeypatch: pytest.MonkeyPatch, read: Callable[[Store, ArtifactRef], object]
-) -> None:
-    ref, found = commit_rows(store, attachments={"note.txt": b"1"}), Store.data_file
-
-    def find_late(*told: Any) -> Path:
-        commit_rows(store, attachments={"note.txt": b"2"}, replaces=True)
-        return found(*told)
-
-    monkeypatch.setattr(Store, "data_file", find_late)
-    with pytest.raises(CorruptArtifact, match="it was rebuilt with other bytes"):
-        read(store, ref)
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "no manifest", "bad manifest", "other columns", "other key"])
@@ -431,20 +331,6 @@ def test_reading_a_damaged_file_names_it(store: Store) -> None:
     path.unlink()
     with pytest.raises(CorruptArtifact, match=r"scores\.parquet is missing though its manifest names it"):
         list(store.iter_batches(ref, "scores"))
-
-
-def test_a_reference_to_other_bytes_is_refused(store: Store) -> None:
-    ref = commit_rows(store)
-    with pytest.raises(CorruptArtifact, match="rebuilt with other bytes"):
-        store.manifest(ArtifactRef(ref.stage, ref.key, "0" * 64))
-
-
-def test_a_discarded_artifact_is_missing(store: Store) -> None:
-    ref = commit_rows(store)
-    store.discard(ref)
-    store.discard(ref)
-    assert store.find(ref.stage, ref.key) is None
-    assert commit_rows(store) == ref
 
 
 def test_a_store_of_a_newer_program_is_refused(store: Store) -> None:

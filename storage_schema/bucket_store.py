@@ -1,4 +1,4 @@
-"""A store in S3-compatible storage, worked on through a folder of this machine: the mirror.
+"""A store in S3-compatible storage, worked on through a store in a folder of this machine: the mirror.
 
 Below `s3://bucket/prefix`: `parts/<sha256>` is a data file, `manifests/<stage>/<key>` what an artifact says of itself,
 `records/...` what lies under the same name in a store's folder (`runs/`, `store.json`), `datasets/<name>@<version>` a
@@ -20,7 +20,7 @@ import shutil
 import tarfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from datetime import timedelta
 from functools import cache
@@ -31,10 +31,12 @@ from storage_schema.bucket import RemoteStore
 from storage_schema.columns import is_plain_name
 from storage_schema.durable import cache_folder, lock_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
+from storage_schema.folder_store import STORE_TEXT, FolderStore
 from storage_schema.keys import file_sha256
 from storage_schema.lease import Lease, each_beat
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
 from storage_schema.staging import StagingFolder, replace_file
+from storage_schema.store import STORE_FILE, Store
 
 if TYPE_CHECKING:
     from obstore import ObjectMeta
@@ -52,17 +54,24 @@ _YOUNG = timedelta(hours=1)
 """A part of this age may belong to an artifact whose manifest is still to come."""
 
 
-class Mirror:
-    """The remote side of a store, and its folder here.
+class BucketStore(Store):
+    """A store in a bucket, and the store in a folder here that holds what was read of it: one object in a process.
 
     Address and credentials of `s3://bucket/prefix` come from the environment.
     """
 
-    def __init__(self, url: str, root: Path) -> None:
-        self.remote = RemoteStore(url)
-        self.url, self.root = self.remote.url, root
-        self.is_current = False
-        """Whether this process has refreshed it: workers do not, and ask for each manifest that they look for."""
+    remote: RemoteStore
+    here: FolderStore
+    """The mirror."""
+
+    def __new__(cls, place: str) -> BucketStore:
+        """Return the store of this process, whose mirror is in `cache_folder`."""
+        return open_bucket(place.rstrip("/"), os.environ.get("AWS_ENDPOINT_URL", ""), str(cache_folder()))
+
+    def _open(self, place: str, root: Path) -> None:
+        self.remote, self.here = RemoteStore(place), FolderStore(root)
+        self._set_up(root, self.remote.url)
+        self._is_current = False  # workers do not refresh, and ask for each manifest that they look for
         self._num_holding = 0
         self._lease = Lease(self.remote)
         self._pushing = threading.Lock()
@@ -77,12 +86,17 @@ class Mirror:
         with self._locked(fcntl.LOCK_SH | fcntl.LOCK_NB) as is_alone:
             if is_alone and not self._num_holding:
                 self._refresh()
-        self.is_current = True
+        self._is_current = True
 
     def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
-        """Get the manifest of an artifact as it is now, if `known` is not here; where there is none, none is here."""
+        """Get the manifest of an artifact as it is now, if `known` is not here; where there is none, none is here.
+
+        After a refresh it is asked for only where it is `known` that it has changed.
+        """
+        if known is None and self._is_current:
+            return
         self._check_not_lost()
-        folder = self._folder(stage, key)
+        folder = self.folder(stage, key)
         if known is not None and self._ref_here(folder) == known:
             return
         try:
@@ -91,75 +105,101 @@ class Mirror:
             with suppress(FileNotFoundError):
                 self._forget(folder / MANIFEST_NAME)
 
-    def bring_part(self, path: Path, entry: FileEntry) -> None:
+    def has_files(self, manifest: Manifest) -> bool:
+        """Tell that every file of an artifact is there: its manifest came last."""
+        return True
+
+    def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
         """Have a data file of an artifact here.
 
         Raises:
             CorruptArtifact: It is not there, or not what its name says, also when asked for again.
         """
+        path = self.here.data_file(ref, name, entry)
         if path.is_file() and path.stat().st_size == entry.bytes:
-            return
-        with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
+            return path
+        with write_errors(self.root), closing(StagingFolder(self.staging_root)) as staging:
             there = staging.path / path.name
             try:
                 if entry.sha256 not in (self.remote.fetch(f"parts/{entry.sha256}", there) for _ in range(_TIMES)):
                     raise FileNotFoundError
             except FileNotFoundError:
                 raise CorruptArtifact(
-                    f"{self.url}/parts/{entry.sha256} is gone or damaged; a run computes its artifact "
-                    f"{path.parts[-4]}@{path.parent.name[:12]} again"
+                    f"{self}/parts/{entry.sha256} is gone or damaged; a run computes its artifact "
+                    f"{ref.stage}@{ref.key[:12]} again"
                 ) from None
             make_folder(path.parent)
             there.replace(path)
+        return path
 
-    def drop_changed(self, path: Path, entry: FileEntry) -> bool:
-        """Remove a cached part whose bytes do not match its digest, to be fetched again; returns whether it did."""
-        is_changed = path.is_file() and file_sha256(path) != entry.sha256
-        if is_changed:
-            path.unlink(missing_ok=True)
-        return is_changed
-
-    def part_sha256(self, sha256: str) -> str:
+    def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
         """Return the digest of a part's bytes as they are in the bucket; FileNotFoundError where it is not there."""
-        with closing(StagingFolder(self.root / "tmp")) as staging:
-            return self.remote.fetch(f"parts/{sha256}", staging.path / "part")
+        with closing(StagingFolder(self.staging_root)) as staging:
+            return self.remote.fetch(f"parts/{entry.sha256}", staging.path / "part")
 
-    def commit(self, staged: Path, ref: ArtifactRef, stays: Callable[[Manifest], bool]) -> ArtifactRef:
-        """Put an artifact into the bucket, its manifest last; gives the one that is there in the end.
+    def drop_copies(self, manifest: Manifest) -> bool:
+        """Remove cached parts whose bytes do not match their digests, to be fetched again; returns whether it did."""
+        files = {self.folder(*manifest.ref.place) / name: entry for name, entry in manifest.data_files.items()}
+        changed = [path for path, entry in files.items() if path.is_file() and file_sha256(path) != entry.sha256]
+        for path in changed:
+            path.unlink(missing_ok=True)
+        return bool(changed)
+
+    def prepare(self) -> None:
+        """Make the store where it is not there, and clear away what dead processes left here."""
+        if not (self.root / STORE_FILE).is_file():
+            self.remote.create(f"records/{STORE_FILE}", STORE_TEXT)
+        self.here.prepare()
+
+    def can_write(self) -> bool:
+        """Tell whether this process may write to the bucket, in which the store is."""
+        with suppress(StorageError, FileNotFoundError):
+            self.remote.changed_at("lease")
+            self.remote.create(f"records/{STORE_FILE}", STORE_TEXT)  # which is there: asks for the right
+            return True
+        return False
+
+    def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
+        """Put an artifact into the bucket, its manifest last, then here; gives the one that is there in the end.
 
         One that is there and does not stay, or whose manifest is none, is replaced in one step.
+
+        Raises:
+            NamedByDataset: A dataset needs what is there, and this has other bytes.
         """
         self._check_not_lost()
-        text = (staged / MANIFEST_NAME).read_bytes()
-        files = Manifest.from_json(text, where=str(staged)).data_files
-        parts = {entry.sha256: staged / name for name, entry in files.items()}
+        parts = {entry.sha256: staging.path / name for name, entry in new.data_files.items()}
         self.remote.at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
-        place = f"manifests/{ref.stage}/{ref.key}"
+        place, text = f"manifests/{new.ref.stage}/{new.ref.key}", (staging.path / MANIFEST_NAME).read_bytes()
         while not self.remote.create(place, text):
             with suppress(FileNotFoundError):  # taken away since
                 data, tag = self.remote.read_tagged(place)
                 there: Manifest | None = None
                 with suppress(CorruptArtifact, OlderSchema):
-                    there = Manifest.from_json(data, where=f"{self.url}/{place}")
-                if there is not None and stays(there):
-                    return there.ref
+                    there = Manifest.from_json(data, where=f"{self}/{place}")
+                if there is not None and there.ref != new.ref:
+                    self.bring_datasets()
+                if there is not None and self.stays(there, new, replaces=replaces, are_files_new=True):
+                    if there.ref != new.ref:
+                        return there.ref
+                    break
                 if self.remote.replace(place, text, tag) is not None:
                     break
-        return ref
+        return self.here.take_place(staging, new.ref, lambda: None)
 
-    def add_dataset(self, folder: Path, label: str) -> bool:
+    def add_dataset(self, staged: Path, label: str) -> bool:
         """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then."""
         packed = io.BytesIO()
         with tarfile.open(fileobj=packed, mode="w") as file:
-            file.add(folder, arcname=".", filter=_anonymous)
-        place, data = f"datasets/{label}", packed.getvalue()
-        if self.remote.create(place, data):
-            return True
-        self.bring_datasets()
-        return False
+            file.add(staged, arcname=".", filter=_anonymous)
+        if not self.remote.create(f"datasets/{label}", packed.getvalue()):
+            self.bring_datasets()
+            return False
+        return self.here.add_dataset(staged, label)
 
-    def withdraw(self, targets: Iterable[Path]) -> None:
-        """Take back what the folders of artifacts and runs stand for."""
+    def remove_folders(self, targets: Iterable[Path]) -> None:
+        """Take back what the folders of artifacts and runs stand for, and remove them here."""
+        targets = list(targets)
         places = []
         for target in targets:
             name = self._name(target)
@@ -167,8 +207,8 @@ class Mirror:
                 places += [one["path"] for one in self.remote.entries(f"records/{name}")]
             else:
                 places.append(f"manifests/{target.parent.parent.name}/{target.name}")
-        if places:
-            self.remote.delete(places)
+        self.remote.delete(places)
+        self.here.remove_folders(targets)
 
     def sweep(self, *, younger: timedelta = _YOUNG) -> None:
         """Remove parts that no manifest names; the youngest stay, as a lost worker may still be writing."""
@@ -179,12 +219,13 @@ class Mirror:
             named.update(_DIGEST.findall(path.read_text("utf-8")))  # also one of an older schema
         before = self.remote.changed_at("lease") - younger
         old = [one["path"] for one in parts if one["last_modified"] <= before]
-        if going := [path for path in old if path.rpartition("/")[2] not in named]:
-            self.remote.delete(going)
+        self.remote.delete(path for path in old if path.rpartition("/")[2] not in named)
 
     @contextmanager
-    def lease(self) -> Iterator[None]:
-        """Be the only one that builds in the store for this block; records of runs reach the bucket meanwhile.
+    def in_use(self, *, alone: bool = False) -> Iterator[None]:
+        """Be the only one that builds in the store for this block, which begins with a refresh.
+
+        Records of runs reach the bucket meanwhile.
 
         Raises:
             StorageError: Another run has the lease.
@@ -207,7 +248,7 @@ class Mirror:
             with self._locked(fcntl.LOCK_EX):
                 try:
                     self._refresh()
-                    self.is_current, self._num_holding = True, 1
+                    self._is_current, self._num_holding = True, 1
                     yield
                 except BaseException:
                     self.remote.is_hurried.set()
@@ -250,7 +291,7 @@ class Mirror:
     def _refresh(self) -> None:
         began = time.time()
         manifests = {
-            self._folder(found[1], found[2]) / MANIFEST_NAME: entry
+            self.folder(found[1], found[2]) / MANIFEST_NAME: entry
             for entry in self.remote.entries("manifests")
             if (found := _MANIFEST.fullmatch(entry["path"])) and found[1] not in RESERVED_NAMES
         }
@@ -281,7 +322,7 @@ class Mirror:
             if path.name == MANIFEST_NAME:
                 self._put_manifest(path.parent, data)
             else:
-                replace_file(path, data, staging_root=self.root / "tmp")
+                replace_file(path, data, staging_root=self.staging_root)
             with suppress(FileNotFoundError):  # dropped by another process
                 os.utime(path, ns=(_mark(entry), _mark(entry)))
 
@@ -296,7 +337,7 @@ class Mirror:
             folder = self.root / entry["path"]
             if _state(folder)[0] == _mark(entry):
                 continue
-            with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
+            with write_errors(self.root), closing(StagingFolder(self.staging_root)) as staging:
                 try:
                     if entry["size"] > _MAX_DATASET_BYTES:
                         raise tarfile.TarError(f"it is larger than {_MAX_DATASET_BYTES / 1e6:.0f} MB")
@@ -304,7 +345,7 @@ class Mirror:
                 except FileNotFoundError:
                     continue  # removed since it was listed
                 except tarfile.TarError as error:
-                    raise CorruptArtifact(f"{self.url}/{entry['path']} is not a dataset: {error}") from None
+                    raise CorruptArtifact(f"{self}/{entry['path']} is not a dataset: {error}") from None
                 os.utime(staging.path / "new", ns=(_mark(entry), _mark(entry)))
                 make_folder(folder.parent)
                 with suppress(FileNotFoundError):
@@ -318,9 +359,9 @@ class Mirror:
     def _put_manifest(self, folder: Path, data: bytes) -> None:
         path = folder / MANIFEST_NAME
         with suppress(CorruptArtifact, OlderSchema, FileNotFoundError):
-            if self._ref_here(folder) not in (None, Manifest.from_json(data, where=self.url).ref):
+            if self._ref_here(folder) not in (None, Manifest.from_json(data, where=self.place).ref):
                 self._forget(path)
-        replace_file(path, data, staging_root=self.root / "tmp")
+        replace_file(path, data, staging_root=self.staging_root)
 
     @staticmethod
     def _ref_here(folder: Path) -> ArtifactRef | None:
@@ -332,16 +373,13 @@ class Mirror:
     def _forget(self, path: Path) -> None:
         """Drop what is here of something that the bucket has not."""
         if path.name == MANIFEST_NAME:
-            with closing(StagingFolder(self.root / "tmp")) as staging:
+            with closing(StagingFolder(self.staging_root)) as staging:
                 path.parent.rename(staging.path / path.parent.name)
         else:
             path.unlink()
             with suppress(OSError):  # until one is not empty
                 for folder in path.parents:
                     folder.rmdir()
-
-    def _folder(self, stage: str, key: str) -> Path:
-        return self.root / stage / key[:2] / key
 
     def _name(self, path: Path) -> str:
         return path.relative_to(self.root).as_posix()
@@ -354,7 +392,7 @@ class Mirror:
             handle = os.open(self.root.with_suffix(".lock"), os.O_CREAT | os.O_RDWR, 0o644)
         try:
             try:
-                lock_file(handle, how, f"the mirror {self.root} of {self.url}")
+                lock_file(handle, how, f"the mirror {self.root} of {self}")
             except BlockingIOError:
                 yield False
             else:
@@ -364,14 +402,12 @@ class Mirror:
 
 
 @cache
-def _opened(url: str, endpoint: str, cache_folder: str) -> Mirror:
-    name = hashlib.sha256(f"{endpoint}\n{url}".encode()).hexdigest()[:16]
-    return Mirror(url, Path(cache_folder) / "stores" / name)
-
-
-def open_mirror(url: str) -> Mirror:
-    """Return the mirror of a store in this process, in `$PASDEDEUX_CACHE` or the user's cache folder."""
-    return _opened(url.rstrip("/"), os.environ.get("AWS_ENDPOINT_URL", ""), str(cache_folder()))
+def open_bucket(place: str, endpoint: str, cache: str) -> BucketStore:
+    """Return the store of a bucket, with its mirror in a cache."""
+    store: BucketStore = object.__new__(BucketStore)
+    name = hashlib.sha256(f"{endpoint}\n{place}".encode()).hexdigest()[:16]
+    store._open(place, Path(cache) / "stores" / name)
+    return store
 
 
 def _state(path: Path) -> tuple[int, int]:

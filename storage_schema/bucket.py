@@ -6,7 +6,6 @@ them is in files or messages.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import re
 import threading
@@ -98,20 +97,20 @@ class RemoteStore:
         """Set where nobody waits any more: what fails then is not asked for again."""
         self._saying, self._said = threading.Lock(), -_SAY_AGAIN_S
 
-    def read(self, path: str) -> bytes:
-        """Return a file; FileNotFoundError where there is none."""
-        return self._asked(f"read {path}", lambda: bytes(self._store.get(path).bytes()))
+    def read(self, path: str, *, limit: int | None = None) -> bytes:
+        """Return a file; FileNotFoundError without it, CorruptArtifact where it has more bytes than `limit`."""
+
+        def ask() -> bytes:
+            found = self._store.get(path)
+            if limit is not None and found.meta["size"] > limit:
+                raise CorruptArtifact(f"{self.url}/{path} is larger than {limit / 1e6:.0f} MB")
+            return bytes(found.bytes())
+
+        return self._asked(f"read {path}", ask)
 
     def changed_at(self, path: str) -> datetime:
         """Return when a file was written, by the server's clock; FileNotFoundError where there is none."""
         return self._asked(f"look for {path}", lambda: self._store.head(path)["last_modified"])
-
-    def has(self, path: str, size: int) -> bool:
-        """Tell whether a file of this size is there."""
-        try:
-            return bool(self._asked(f"look for {path}", lambda: self._store.head(path)["size"]) == size)
-        except FileNotFoundError:
-            return False
 
     def write(self, path: str, data: bytes | Path) -> None:
         """Put a file whose name follows from its content: it does not matter who was first."""
@@ -175,17 +174,6 @@ class RemoteStore:
             return file.sha256
 
         return self._asked(f"read {path}", stream)
-
-    def read_whole(self, sha256: str) -> bytes:
-        """Return the file of this digest; CorruptArtifact where its bytes have another."""
-        data = self.read(f"files/{sha256}")
-        if hashlib.sha256(data).hexdigest() != sha256:
-            raise self.corrupt(sha256)
-        return data
-
-    def corrupt(self, sha256: str) -> CorruptArtifact:
-        """Return the error of a file whose bytes have another digest."""
-        return CorruptArtifact(f"{self.url}/files/{sha256} does not hold what its name says")
 
     def at_once(self, do: Callable[[S], T], each: Iterable[S]) -> list[T]:
         """Do something with each, some at the same time; what the first that fails raises is raised.

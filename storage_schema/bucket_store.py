@@ -1,23 +1,17 @@
 """A store in S3-compatible storage, worked on through a store in a folder of this machine: the mirror.
 
-Below `s3://bucket/prefix`: `parts/<sha256>` is a data file, `manifests/<stage>/<key>` what an artifact says of itself,
-`records/...` what lies under the same name in a store's folder (`runs/`, `store.json`), `datasets/<name>@<version>` a
-dataset's folder as a tar file, `lease` who builds.  Parts go before the manifest that names them, and a manifest is
-only written where there is none: what can be seen is whole.  The mirror has the layout of every store, with manifests
-and records as they were when it was refreshed, and data files since they were first read; it can be removed whenever
-nothing runs.  Workers on other machines have mirrors of their own.
+The mirror has the layout of every store, with manifests and records as they were when it was refreshed, and data files
+since they were first read; it can be removed whenever nothing runs.  Workers on other machines have mirrors of their
+own.  What the bucket has is in `bucket_layout`.
 """
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
-import io
-import json
 import os
 import re
 import shutil
-import tarfile
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -28,7 +22,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from storage_schema.bucket import RemoteStore
-from storage_schema.columns import is_plain_name
+from storage_schema.bucket_layout import (
+    DATASET_PLACE,
+    MANIFEST_PLACE,
+    RECORD_PLACE,
+    manifest_place,
+    pack_dataset,
+    part_place,
+    read_dataset,
+    unpack_dataset,
+)
 from storage_schema.durable import cache_folder, lock_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
 from storage_schema.folder_store import STORE_TEXT, FolderStore
@@ -41,13 +44,7 @@ from storage_schema.store import STORE_FILE, Store
 if TYPE_CHECKING:
     from obstore import ObjectMeta
 
-_MANIFEST = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
-_RECORD = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
-_DATASET = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
-"""What has a place in a mirror; whatever else is put into the bucket is left alone."""
 _DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
-_MAX_DATASET_BYTES = 200_000_000
-"""Largest tar file of a dataset: its list, card, study and environment."""
 _TIMES = 2
 """A part whose bytes are not those of its name is asked for so often."""
 _YOUNG = timedelta(hours=1)
@@ -121,11 +118,11 @@ class BucketStore(Store):
         with write_errors(self.root), closing(StagingFolder(self.staging_root)) as staging:
             there = staging.path / path.name
             try:
-                if entry.sha256 not in (self.remote.fetch(f"parts/{entry.sha256}", there) for _ in range(_TIMES)):
+                if entry.sha256 not in (self.remote.fetch(part_place(entry.sha256), there) for _ in range(_TIMES)):
                     raise FileNotFoundError
             except FileNotFoundError:
                 raise CorruptArtifact(
-                    f"{self}/parts/{entry.sha256} is gone or damaged; a run computes its artifact "
+                    f"{self}/{part_place(entry.sha256)} is gone or damaged; a run computes its artifact "
                     f"{ref.stage}@{ref.key[:12]} again"
                 ) from None
             make_folder(path.parent)
@@ -135,7 +132,7 @@ class BucketStore(Store):
     def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
         """Return the digest of a part's bytes as they are in the bucket; FileNotFoundError where it is not there."""
         with closing(StagingFolder(self.staging_root)) as staging:
-            return self.remote.fetch(f"parts/{entry.sha256}", staging.path / "part")
+            return self.remote.fetch(part_place(entry.sha256), staging.path / "part")
 
     def drop_copies(self, manifest: Manifest) -> bool:
         """Remove cached parts whose bytes do not match their digests, to be fetched again; returns whether it did."""
@@ -169,8 +166,8 @@ class BucketStore(Store):
         """
         self._check_not_lost()
         parts = {entry.sha256: staging.path / name for name, entry in new.data_files.items()}
-        self.remote.at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
-        place, text = f"manifests/{new.ref.stage}/{new.ref.key}", (staging.path / MANIFEST_NAME).read_bytes()
+        self.remote.at_once(lambda sha256: self.remote.write(part_place(sha256), parts[sha256]), parts)
+        place, text = manifest_place(new.ref), (staging.path / MANIFEST_NAME).read_bytes()
         while not self.remote.create(place, text):
             with suppress(FileNotFoundError):  # taken away since
                 data, tag = self.remote.read_tagged(place)
@@ -189,10 +186,8 @@ class BucketStore(Store):
 
     def add_dataset(self, staged: Path, label: str) -> bool:
         """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then."""
-        packed = io.BytesIO()
-        with tarfile.open(fileobj=packed, mode="w") as file:
-            file.add(staged, arcname=".", filter=_anonymous)
-        if not self.remote.create(f"datasets/{label}", packed.getvalue()):
+        packed = pack_dataset({path.name: path.read_bytes() for path in staged.iterdir()})
+        if not self.remote.create(f"datasets/{label}", packed):
             self.bring_datasets()
             return False
         return self.here.add_dataset(staged, label)
@@ -293,12 +288,12 @@ class BucketStore(Store):
         manifests = {
             self.folder(found[1], found[2]) / MANIFEST_NAME: entry
             for entry in self.remote.entries("manifests")
-            if (found := _MANIFEST.fullmatch(entry["path"])) and found[1] not in RESERVED_NAMES
+            if (found := MANIFEST_PLACE.fullmatch(entry["path"])) and found[1] not in RESERVED_NAMES
         }
         records = {
             self.root / found[1]: entry
             for entry in self.remote.entries("records")
-            if (found := _RECORD.fullmatch(entry["path"]))
+            if (found := RECORD_PLACE.fullmatch(entry["path"]))
         }
         wanted = {**manifests, **records}
         new = [one for one in wanted.items() if not _is_same(*one)]
@@ -328,7 +323,7 @@ class BucketStore(Store):
 
     def bring_datasets(self) -> None:
         """Have the datasets here that the bucket has, and no others."""
-        entries = [entry for entry in self.remote.entries("datasets") if _DATASET.fullmatch(entry["path"])]
+        entries = [entry for entry in self.remote.entries("datasets") if DATASET_PLACE.fullmatch(entry["path"])]
         names = {entry["path"].rpartition("/")[2] for entry in entries}
         for folder in (self.root / "datasets").glob("*@*"):
             if folder.name not in names:
@@ -339,13 +334,12 @@ class BucketStore(Store):
                 continue
             with write_errors(self.root), closing(StagingFolder(self.staging_root)) as staging:
                 try:
-                    if entry["size"] > _MAX_DATASET_BYTES:
-                        raise tarfile.TarError(f"it is larger than {_MAX_DATASET_BYTES / 1e6:.0f} MB")
-                    _unpack(self.remote.read(entry["path"]), staging.path / "new")
+                    files = unpack_dataset(read_dataset(self.remote, folder.name), f"{self}/{entry['path']}")
                 except FileNotFoundError:
                     continue  # removed since it was listed
-                except tarfile.TarError as error:
-                    raise CorruptArtifact(f"{self}/{entry['path']} is not a dataset: {error}") from None
+                (staging.path / "new").mkdir()
+                for name, data in files.items():
+                    (staging.path / "new" / name).write_bytes(data)
                 os.utime(staging.path / "new", ns=(_mark(entry), _mark(entry)))
                 make_folder(folder.parent)
                 with suppress(FileNotFoundError):
@@ -437,30 +431,3 @@ def _is_same(path: Path, entry: ObjectMeta) -> bool:
             os.utime(path, ns=(_mark(entry), _mark(entry)))
         return is_same
     return False
-
-
-def _unpack(data: bytes, folder: Path) -> None:
-    """Write the files of a dataset's tar, which is not compressed, so that no more comes out of it than it has bytes.
-
-    Raises:
-        tarfile.TarError: It is none, or holds something else than files side by side.
-    """
-    folder.mkdir()
-    try:
-        with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
-            for member in archive:
-                name = member.name.removeprefix("./")
-                if member.isdir() and name == ".":
-                    continue
-                is_file = member.isreg() and not member.issparse()
-                if not is_file or not is_plain_name(name) or name.startswith(".") or (folder / name).exists():
-                    raise tarfile.TarError(f"it holds {json.dumps(member.name)[:80]}, which is no file of a dataset")
-                content = archive.extractfile(member)
-                (folder / name).write_bytes(b"" if content is None else content.read())
-    except tarfile.ReadError:
-        raise tarfile.TarError("it is no tar file as this program writes it, without compression") from None
-
-
-def _anonymous(file: tarfile.TarInfo) -> tarfile.TarInfo:
-    """Return a member of a tar file without who made it where and when."""
-    return file.replace(mtime=0, uid=0, gid=0, uname="", gname="")

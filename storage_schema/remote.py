@@ -1,9 +1,8 @@
 """Datasets in S3-compatible storage: a version is pushed there from a store, and pulled into any other.
 
-Below `s3://bucket/prefix`: `files/<sha256>` is a data file or an attachment, `artifacts/<stage>/<key>-<digest>` the
-manifest of an artifact, `datasets/<name>@<version>` the list.  Files go before the manifest that names them, manifests
-before the list, and lists and manifests are only written where there is none (conditional writes): what can be seen is
-whole, whoever else pushes, and a push that was cut off goes on where it ended.
+They lie there as in a store in a bucket (`bucket_layout`), and may be those of one.  What can be seen is whole, whoever
+else pushes, and a push that was cut off goes on where it ended.  Earlier releases pushed in another form, which is
+read: `files/<sha256>`, `artifacts/<stage>/<key>-<digest>`, and the list as JSON with the sha256 of the files beside it.
 """
 
 from __future__ import annotations
@@ -16,8 +15,9 @@ from pathlib import Path
 
 from storage_schema.ancestry import walk
 from storage_schema.bucket import RemoteStore
+from storage_schema.bucket_layout import manifest_place, pack_dataset, part_place, read_dataset, unpack_dataset
 from storage_schema.columns import is_plain_name
-from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
+from storage_schema.datasets import DATASET_FILE, Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
 from storage_schema.errors import CorruptArtifact, DatasetExists, SchemaError, UnknownReference
 from storage_schema.keys import file_sha256
@@ -40,17 +40,14 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Map
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
     manifests = _closure(remote, dataset.refs, store.manifest)
-    num_new = sum(remote.at_once(lambda manifest: _push_artifact(store, manifest, remote), manifests))
+    num_new = _push_artifacts(store, manifests, remote)
     if files is None:
-        files = {path.name: path.read_bytes() for path in dataset.path.iterdir() if path.name != "dataset.json"}
-    attachments = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())}
-    for name, sha256 in attachments.items():
-        if not remote.has(f"files/{sha256}", len(files[name])):
-            remote.write(f"files/{sha256}", files[name])
-    place = f"datasets/{dataset.label}"
-    is_new = remote.create(place, dataset.to_json(attachments=attachments))
-    if not is_new and json.loads(remote.read(place))["digest"] != dataset.digest:
+        files = {path.name: path.read_bytes() for path in dataset.path.iterdir() if path.name != DATASET_FILE}
+    packed = pack_dataset({**files, DATASET_FILE: dataset.to_json()})
+    is_new = remote.create(f"datasets/{dataset.label}", packed)
+    if not is_new and _listed(remote, dataset.label, dataset.path)[0].digest != dataset.digest:
         raise DatasetExists(f"{remote.url} has another {dataset.label} already, which never changes")
+    _push_artifacts(store, manifests, remote)  # what a `gc` of the bucket took before the dataset named it
     return num_new
 
 
@@ -67,9 +64,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
     label = _chosen(remote, label)
-    data = remote.read(f"datasets/{label}")
-    dataset = dataset_from_json(lambda: data, store.root / "datasets" / label, less=("attachments",))
-    attachments: dict[str, str] = json.loads(data)["attachments"]
+    dataset, attachments, is_old = _listed(remote, label, store.root / "datasets" / label)
     if dataset.label != label or dataset.digest != digest_of(dataset.refs, dataset.sources):
         raise CorruptArtifact(f"{remote.url}/datasets/{label} is not the list that was pushed")
     known = open_dataset(store, label) if dataset.path.is_dir() else None
@@ -78,20 +73,20 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     store.prepare()
 
     def manifest_of(ref: ArtifactRef) -> Manifest:
-        where = f"{remote.url}/{_place(ref)}"
-        manifest = Manifest.from_json(remote.read(_place(ref)), where=where)
+        place = f"artifacts/{ref.stage}/{ref.key}-{ref.content_digest}" if is_old else manifest_place(ref)
+        manifest = Manifest.from_json(remote.read(place), where=f"{remote.url}/{place}")
         names = {ref.stage, *manifest.data_files}
         is_same = manifest.ref.place == ref.place and not manifest.faults
         leads_elsewhere = any("/" in name or name.startswith(".") for name in names)
         if not is_same or manifest.ref != ref or leads_elsewhere:
-            raise CorruptArtifact(f"{where} is the manifest of something else")
+            raise CorruptArtifact(f"{remote.url}/{place} is the manifest of something else")
         return manifest
 
     with in_use(store):  # what has come is needed by nothing before the list is there
         manifests = _closure(remote, dataset.refs, manifest_of)
-        num_new = sum(remote.at_once(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
+        num_new = sum(remote.at_once(lambda one: _pull_artifact(remote, one, store, is_old=is_old), manifests))
         if known is None:
-            add_dataset(store, dataset, {name: remote.read_whole(sha256) for name, sha256 in attachments.items()})
+            add_dataset(store, dataset, attachments)
     return dataset, num_new
 
 
@@ -103,24 +98,53 @@ def _closure(
     return [step.manifest for step in steps if step.manifest is not None]
 
 
-def _place(ref: ArtifactRef) -> str:
-    return f"artifacts/{ref.stage}/{ref.key}-{ref.content_digest}"
+def _listed(remote: RemoteStore, label: str, path: Path) -> tuple[Dataset, dict[str, bytes], bool]:
+    """Return a dataset of the bucket as one in a folder, its files, and whether it is of an earlier release's form."""
+    data, where = read_dataset(remote, label), f"{remote.url}/datasets/{label}"
+    if data[:1] != b"{":
+        files = unpack_dataset(data, where)
+        listed = files.pop(DATASET_FILE, b"")
+        return dataset_from_json(lambda: listed, path), files, False
+    dataset = dataset_from_json(lambda: data, path, less=("attachments",))
+    digests: dict[str, str] = json.loads(data)["attachments"]
+    files = {name: remote.read(_file_place(sha256, is_old=True)) for name, sha256 in digests.items()}
+    for name, content in files.items():
+        if hashlib.sha256(content).hexdigest() != digests[name]:
+            raise CorruptArtifact(f"{where}: its file {name} is not the one that was pushed")
+    return dataset, files, True
 
 
-def _push_artifact(store: Store, manifest: Manifest, remote: RemoteStore) -> bool:
-    text = manifest.to_json().encode()
-    if remote.has(_place(manifest.ref), len(text)):
-        return False
-    for name, entry in manifest.data_files.items():
-        path = store.data_file(manifest.ref, name, entry)
-        if file_sha256(path) != entry.sha256:
-            raise CorruptArtifact(f"{path} is not what its manifest says (`pasdedeux verify`); it is not pushed")
-        if not remote.has(f"files/{entry.sha256}", entry.bytes):
-            remote.write(f"files/{entry.sha256}", path)
-    return remote.create(_place(manifest.ref), text)
+def _file_place(sha256: str, *, is_old: bool) -> str:
+    return f"files/{sha256}" if is_old else part_place(sha256)
 
 
-def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> bool:
+def _push_artifacts(store: Store, manifests: Sequence[Manifest], remote: RemoteStore) -> int:
+    """Put those into the bucket that it has not; gives their number."""
+    there = {entry["path"]: entry["size"] for folder in ("parts", "manifests") for entry in remote.entries(folder)}
+
+    def push(manifest: Manifest) -> bool:
+        place, text = manifest_place(manifest.ref), manifest.to_json().encode()
+        files = {part_place(entry.sha256): (name, entry) for name, entry in manifest.data_files.items()}
+        if all(there.get(path) == entry.bytes for path, (_, entry) in files.items()) and there.get(place) == len(text):
+            return False
+        for path, (name, entry) in files.items():
+            source = store.data_file(manifest.ref, name, entry)
+            if file_sha256(source) != entry.sha256:
+                raise CorruptArtifact(f"{source} is not what its manifest says (`pasdedeux verify`); it is not pushed")
+            if there.get(path) != entry.bytes:
+                remote.write(path, source)
+        is_new = remote.create(place, text)
+        if not is_new and Manifest.from_json(remote.read(place), where=f"{remote.url}/{place}").ref != manifest.ref:
+            raise CorruptArtifact(
+                f"{remote.url} has other bytes for artifact {manifest.ref.stage}@{manifest.ref.key[:12]}; push to "
+                "another prefix"
+            )
+        return is_new
+
+    return sum(remote.at_once(push, manifests))
+
+
+def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store, *, is_old: bool) -> bool:
     ref = manifest.ref
     there = store.find(ref.stage, ref.key)
     if there is not None and there.ref == ref:
@@ -131,9 +155,10 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
         )
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, entry in manifest.data_files.items():
-            if remote.fetch(f"files/{entry.sha256}", staging.path / name) != entry.sha256:
-                raise remote.corrupt(entry.sha256)
-        _check_ids(manifest, staging.path, f"{remote.url}/{_place(ref)}")
+            place = _file_place(entry.sha256, is_old=is_old)
+            if remote.fetch(place, staging.path / name) != entry.sha256:
+                raise CorruptArtifact(f"{remote.url}/{place} does not hold what its name says")
+        _check_ids(manifest, staging.path, f"{remote.url}, artifact {ref.stage}@{ref.key[:12]}")
         write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
         sync_folder(staging.path)
         store.put_in_place(staging, manifest)

@@ -681,10 +681,10 @@ def test_a_tar_of_the_bucket_holds_plain_files_and_no_more_than_it_has_bytes(
 def test_a_tar_of_the_bucket_has_a_limit_of_size(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
     data = packed("w", (member_of("card.md"), b"a" * 2000))
     RemoteStore(server.place).create("datasets/toys@1", data)
-    monkeypatch.setattr("storage_schema.bucket_store._MAX_DATASET_BYTES", len(data) - 1)
+    monkeypatch.setattr("storage_schema.bucket_layout.MAX_DATASET_BYTES", len(data) - 1)
     with pytest.raises(StorageError, match="is larger than 0 MB"):
         Store(server.place).refresh()
-    monkeypatch.setattr("storage_schema.bucket_store._MAX_DATASET_BYTES", len(data))
+    monkeypatch.setattr("storage_schema.bucket_layout.MAX_DATASET_BYTES", len(data))
     Store(server.place).refresh()
 
 

@@ -431,7 +431,7 @@ FAULTS = (
     # The store
     Fault("a manifest goes to the bucket before its data", "storage_schema/bucket_store.py",
           "        self.remote.at_once(lambda sha256: self.remote.write(",
-          '        self.remote.create(f"manifests/{ref.stage}/{ref.key}", text)\n'
+          "        self.remote.create(manifest_place(new.ref), (staging.path / MANIFEST_NAME).read_bytes())\n"
           "        self.remote.at_once(lambda sha256: self.remote.write(",
           "fault/test_remote_store.py::test_a_commit_that_is_cut_off_shows_nothing"),
     Fault("who loses a race overwrites", "storage_schema/store.py",

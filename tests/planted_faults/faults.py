@@ -506,9 +506,9 @@ FAULTS = (
           "if entry.sha256 not in (", 'if "" in (',
           "fault/test_remote_store.py::test_a_part_that_is_lost_is_named_and_computed_again_by_the_next_run"),
     Fault("who reads takes a manifest from the bucket", "storage_schema/bucket_store.py",
-          "                raise CorruptArtifact(\n                    f\"{self}/parts/",
+          "                raise CorruptArtifact(\n                    f\"{self}/{part_place(",
           '                self.remote.delete([f"manifests/{ref.stage}/{ref.key}"])\n'
-          "                raise CorruptArtifact(\n                    f\"{self}/parts/",
+          "                raise CorruptArtifact(\n                    f\"{self}/{part_place(",
           "fault/test_remote_store.py::"
           "test_a_reader_asks_again_after_a_bad_download_and_takes_nothing_from_the_bucket"),
     Fault("a bad download is not asked for again", "storage_schema/bucket_store.py", "_TIMES = 2", "_TIMES = 1",

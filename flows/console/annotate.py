@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import cv2
 import numpy as np
-from pydantic import ValidationError
 from typer import Argument, Option
 
 from flows.console.context import app, echo, key_option, say
 from flows.console.display import format_table
+from flows.console.inputs import find_source
 from flows.exports.export_format import write_film, write_text
-from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import AnnotatedShot, frames_to_correct
 from pasdedeux.film.drawing import contact_sheet, draw_people
@@ -23,7 +21,6 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.coco import write_coco
 from pasdedeux.formats.cvat import write_cvat
-from pasdedeux.settings import first_problem
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import Image
 from tasks.ingest.film.resolution import FoundShot, find_shots, shot_images
@@ -83,7 +80,7 @@ def annotate(
         if path is not None and path.resolve() == film.resolve():
             raise InputError(f"{path} is the film itself, which is not written over")
     _, write = _WRITERS[target.suffix]
-    shots = find_shots(film_source(film, keys, detections, detect or (), settings or ()))
+    shots = find_shots(film_source(film, settings or (), keys, detections, detect))
     if len({one.film.files for one in shots}) > 1 and (target.suffix != ".csv" or overlay is not None):
         raise InputError(f"{film} is a folder of films: .json, .xml and --overlay are of one film, give each by itself")
     made: list[tuple[FoundShot, AnnotatedShot]] = []
@@ -117,22 +114,10 @@ def annotate(
 
 
 def film_source(
-    path: Path, keys: Path | None, detections: Path | None, detect: Sequence[str], settings: Sequence[str]
+    path: Path, settings: Sequence[str], keys: Path | None, detections: Path | None, detect: Sequence[str] | None
 ) -> FilmOptions:
-    """Return the film that a path and options of a command are, as a study would name it.
-
-    Raises:
-        InputError: There is no such key, its value is not allowed, or not one of the three is given.
-    """
-    name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
-    pairs = [setting.partition("=") for setting in settings]
-    stated = {key: toml_value(text) for key, _, text in pairs}
-    given = {"keys": keys, "detections": detections, "detect": tuple(detect)}
-    try:
-        return FilmOptions.model_validate({"id": name or "film", "path": path, **given, **stated})
-    except ValidationError as error:
-        problem = first_problem(error)
-        raise InputError(problem if problem.startswith("one of keys") else f"--set {problem}") from None
+    """Return the film that a path and options of a command are; see `find_source`."""
+    return find_source(FilmOptions, path, settings, keys=keys, detections=detections, detect=tuple(detect or ()))
 
 
 def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:

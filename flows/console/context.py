@@ -54,7 +54,7 @@ OversubscribeOption = Annotated[bool, Option("--oversubscribe", help="Allow more
 JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard output.")]
 
 
-def key_option(model: type[BaseModel], key: str, *names: str, metavar: str) -> Any:
+def key_option(model: type[BaseModel], key: str, *names: str, metavar: str | None = None) -> Any:
     """Return an option for a key that a study has too, with the meaning and the limits that its model states."""
     field = model.model_fields[key]
     found = {name: getattr(one, name) for one in field.metadata for name in ("ge", "gt", "le") if hasattr(one, name)}

@@ -37,8 +37,6 @@ _MB_PER_TAKE = 1.0
 """Of an AMC file of CMU: 1.3 in the mean over nine of them, less where people walk a few steps."""
 _MB_PER_S = 1.0
 """Assumed of a network."""
-_FEW_POSES = 2000
-"""40 s of two people; the built-in duets are 1,440 poses, the database of Yiannakides et al. (2019) 7,200."""
 _BUILD_S_PER_MB, _BUILT_MB_PER_MB = 1.0, 0.6
 """Seconds on one core, and size in the store: 0.3 and 0.56 for people alone, more for partners."""
 
@@ -206,16 +204,6 @@ def _families(study: str) -> dict[str, dict[str, Any]]:
         for name, one in families.items()
         if one.get("takes") and all(str(subject).isdigit() for subject in one.get("subjects", ()))
     }
-
-
-def small_database_words(num_poses: int, num_takes: int) -> str:
-    """Say that a database of so few poses serves little else than its own motion; nothing of a larger one."""
-    if num_poses >= _FEW_POSES:
-        return ""
-    return (
-        f"the database has {num_poses} poses of {counted(num_takes, 'take')}: enough for motion like its own, not for "
-        "other; `pasdedeux fetch database` brings 182 takes of CMU, then --database projections:everyday"
-    )
 
 
 _CREDIT = f"{CMU_CREDIT.credit}\n{CMU_CREDIT.licence}.\n"

@@ -1,29 +1,45 @@
-"""Takes and trained models that commands are given: from a store, or from files."""
+"""What commands are given: takes, trained models, 2D poses and film, statures, projections; from a store or files."""
 
 from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
+from pydantic import ValidationError
 from typer import Argument
 
-from flows.console.context import key_option, open_store
+from flows.console.context import echo, key_option, open_store
 from flows.exports.model_weights import stored_weights
 from flows.study import load_study
+from flows.study_files import toml_value
 from pasdedeux.errors import InputError
 from pasdedeux.learning.registry import Weights, read_weights
 from pasdedeux.plain_text import counted
-from storage_schema import ArtifactRef, Store, parse_reference, resolve
+from pasdedeux.reconstruction.sequence import SearchedDatabase
+from pasdedeux.settings import first_problem
+from storage_schema import ArtifactRef, Store, latest_studies, parse_reference, read_latest, resolve
 from tasks.facts import ModelFacts
 from tasks.graph import load_graph
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.files import load_file
+from tasks.ingest.poses2d.parameters import SourceOptions
 from tasks.ingest.takes.parameters import PersonOptions, TakeParameters
+from tasks.projections import read_pairs, read_searched
 from tasks.stage import StageInputs
+
+Source = TypeVar("Source", bound=SourceOptions)
+_HOW_TO_GET_ONE = (
+    "`pasdedeux fetch database` makes a large database, of people together and of everyday motion; "
+    "`pasdedeux run duets --until projections` a small one, of built-in motion, in two minutes; a study of takes like "
+    "yours the best; name it with --database projections:STUDY"
+)
+_FEW_POSES = 2000
+"""40 s of two people; the built-in duets are 1,440 poses, the database of Yiannakides et al. (2019) 7,200."""
 
 TakeArgument = Annotated[
     list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a study file, or a motion file for each person.")
@@ -141,3 +157,79 @@ def known_take(weights: Weights, ref: ArtifactRef, take_id: str) -> tuple[str, s
     is_known = weights.takes.get(take_id) == ref.content_digest
     name = take_id if is_known else f"{take_id} ({ref.key[:12]})"
     return name, f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}"
+
+
+def find_source(model: type[Source], path: Path, settings: Sequence[str], **given: object) -> Source:
+    """Return the 2D poses or the film that a path, KEY=VALUE and options of a command are, as a study would name them.
+
+    Raises:
+        InputError: There is no such key, its value is not allowed, or of a film not one of keys, detections and
+            detect is given.
+    """
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
+    stated = {key: toml_value(text) for key, _, text in (setting.partition("=") for setting in settings)}
+    try:
+        return model.model_validate({"id": name or "video", "path": path, **given, **stated})
+    except ValidationError as error:
+        problem = first_problem(error)
+        raise InputError(problem if problem.startswith("one of keys") else f"--set {problem}") from None
+
+
+def read_statures(texts: Sequence[str], person_ids: Iterable[int]) -> dict[int, float]:
+    """Return the statures by person that options say: PERSON=METRES, or METRES for everybody else."""
+    statures: dict[int, float] = {}
+    for text in sorted(texts, key=lambda text: "=" in text):
+        match = re.fullmatch(r"(?:(\d{1,9})=)?(\d(?:\.\d+)?)", text)
+        metres = float(match[2]) if match else 0.0
+        if match is None or not 0.5 <= metres <= 2.5:
+            raise InputError(f"stature '{text}' is none of METRES or PERSON=METRES; allowed: 0.5 to 2.5 m, as 1.72")
+        statures |= dict.fromkeys([int(match[1])] if match[1] else person_ids, metres)
+    return statures
+
+
+def find_database(text: str | None, store_folder: Path, *, with_pairs: bool) -> SearchedDatabase:
+    """Return the projections that a reference names, or the only ones of a store; warn if they are few."""
+    store, refs = _find_projections(text, store_folder)
+    searched = read_searched(store, refs)
+    if words := _small_database_words(searched.poses.num_rows, len(set(searched.take_ids))):
+        echo(words, err=True)
+    return replace(searched, pairs_m=read_pairs(store, refs)) if with_pairs else searched
+
+
+def _find_projections(text: str | None, store_folder: Path) -> tuple[Store, list[ArtifactRef]]:
+    """Return a store and the artifacts that a reference names, or those of the only study that has projections."""
+    store = open_store(store_folder)
+    if text is not None:
+        refs = resolve(text, store)
+        if not all(_is_part(store, ref) for ref in refs):
+            raise InputError(f"'{text}' does not name projections; a reference to them starts with 'projections:'")
+        return store, refs
+    parts = {}
+    for study in latest_studies(store):
+        last = read_latest(store, study)
+        parts[study] = [ref for ref in last.refs("projections") if _is_part(store, ref)] if last else []
+    studies = [study for study in parts if parts[study]]
+    if len(studies) != 1:
+        names = ", ".join(f"projections:{study}" for study in studies)
+        which = f"say which with --database, one of: {names}" if studies else _HOW_TO_GET_ONE
+        has = (
+            f"projections of {len(studies)} studies"
+            if studies
+            else "no projections, which `reconstruct` matches against"
+        )
+        raise InputError(f"store {store} has {has}; {which}")
+    return store, parts[studies[0]]
+
+
+def _is_part(store: Store, ref: ArtifactRef) -> bool:
+    return "projections" in store.manifest(ref).tables
+
+
+def _small_database_words(num_poses: int, num_takes: int) -> str:
+    """Say that a database of so few poses serves little else than its own motion; nothing of a larger one."""
+    if num_poses >= _FEW_POSES:
+        return ""
+    return (
+        f"the database has {num_poses} poses of {counted(num_takes, 'take')}: enough for motion like its own, not for "
+        "other; `pasdedeux fetch database` brings 182 takes of CMU, then --database projections:everyday"
+    )

@@ -3,35 +3,43 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 import typer
+from threadpoolctl import threadpool_limits
 
 from flows.console.context import echo
+from flows.console.inputs import find_database, read_statures
+from flows.signals import remembered_ctrl_c
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, check_anatomy, in_pixels
-from pasdedeux.formats.detections import Detection, join_detections
+from pasdedeux.formats.detections import Detection, Footage, join_detections
 from pasdedeux.formats.humanoid import AXES
 from pasdedeux.formats.openpose import openpose_frame_number, read_people
 from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.body import Body
-from pasdedeux.reconstruction.live.chain import LivePeople
-from pasdedeux.reconstruction.live.person import LivePose
+from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, warm_up
+from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tasks.ingest.poses2d.parameters import AnnotationOptions
+from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ
 from tasks.user_files import read_file
 
 STOP_NAME = "STOP"
 """A file of this name in the folder ends the video."""
 
 _POLL_S = 0.01
+_LIVE_PITCH_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,54 @@ class FollowedFile:
     people: Sequence[Detection] = ()
     frame: AnnotatedFrames | None = None
     problem: str = ""
+
+
+def follow_video(
+    video: AnnotationOptions,
+    database: str | None,
+    store: Path,
+    out: Path | None,
+    *,
+    pitch_deg: float | None,
+    statures: Sequence[str],
+    idle_s: float,
+    options: LiveOptions,
+) -> None:
+    """Write a line per person and frame, to a file or standard output, while a folder's files are being written.
+
+    Raises:
+        InputError: No folder, no projections, a stature of another form, or keypoints that are not people.
+    """
+    if not video.path.is_dir():
+        raise InputError(f"{video.path} is not a folder of OpenPose files")
+    statures_m = dict(video.statures_m) | read_statures(statures, [EVERYBODY_ELSE])
+    focal_px = Footage(focal_px=video.focal_px, fov_deg=video.fov_deg).focal_of(video.image_size_px)
+    searcher = find_database(database, store, with_pairs=False).searcher(
+        math.radians(_LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
+    )
+    warm_up(searcher, options)
+    rate_hz = video.rate_hz or DEFAULT_RATE_HZ
+    people = LivePeople(
+        searcher,
+        rate_hz=rate_hz,
+        image_size_px=video.image_size_px,
+        focal_px=focal_px,
+        statures_m=statures_m,
+        options=options,
+    )
+    echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
+    # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
+    with ExitStack() as stack:
+        lines = None
+        if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            lines = stack.enter_context(out.open("w", encoding="utf-8"))
+        stack.enter_context(threadpool_limits(limits=1))
+        is_stopped = stack.enter_context(remembered_ctrl_c(is_passed_on=False))
+        files = follow_folder(video.path, idle_s=idle_s, is_stopped=is_stopped)
+        follow_lines(people, files, lines, rate_hz=rate_hz)
+    for name in sorted(statures_m.keys() - people.person_ids - {EVERYBODY_ELSE}):
+        echo(f"a stature is stated for person {name}, who never came", err=True)
 
 
 def list_frames(folder: Path) -> list[tuple[int, Path]]:

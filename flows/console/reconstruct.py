@@ -1,15 +1,40 @@
-"""`reconstruct`: 3D motions of the people in a detector's files, at once or while the files are being written."""
+"""`reconstruct`: 3D motion of people from 2D poses or film, at once or while files are being written."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from typer import Argument, Option
 
-from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
-from flows.console.context import StoreOption, app
+from flows.console.annotate import DetectionsOption, DetectOption, KeysOption, film_source
+from flows.console.context import StoreOption, app, echo, key_option, say
+from flows.console.display import Steps, format_table, make_listener
+from flows.console.inputs import find_database, find_source, read_statures
+from flows.console.live import follow_video
+from flows.exports.export_format import FileNames, write_text
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.motion_players import reconstruction_player
+from pasdedeux.evaluation.pictures import PLAYER, Picture
+from pasdedeux.formats.humanoid import units_text, write_npz
+from pasdedeux.people.decisions import write_decisions
+from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
+from pasdedeux.reconstruction.live.person import LiveOptions
+from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions
+from pasdedeux.reconstruction.sequence import Reconstruction, StatedCamera, reconstruct_sequence
+from pasdedeux.reconstruction.tracks import tracks_of
+from pasdedeux.verdict import Verdict
+from tasks.data import player_page
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.run import find_videos
+from tasks.ingest.poses2d.parameters import AnnotationOptions
+from tasks.ingest.poses2d.resolution import find_annotations
+from tasks.ingest.poses2d.run import stated_of_nobody, track_columns
+
+_HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")
 
 
 @app.command()
@@ -31,10 +56,10 @@ def reconstruct(
     stature: Annotated[list[str] | None, Option(metavar="[PERSON=]M", help="Stature of all, or of a person.")] = None,
     person: Annotated[list[int] | None, Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,
     pitch: Annotated[float | None, Option(min=-80, max=80, metavar="DEG", help="Pitch of the camera, down.")] = None,
-    height: Annotated[float | None, Option(min=0.1, max=100, metavar="M", help="Height of the camera.")] = None,
-    lag: Annotated[int, Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,
+    height: Annotated[float | None, key_option(AnnotationOptions, "camera_height_m", "--height", metavar="M")] = None,
+    lag: Annotated[int, key_option(LiveOptions, "lag", metavar="FRAMES")] = LiveOptions().lag,
     units: Annotated[Literal["cm", "m"], Option(help="Unit of lengths in BVH files.")] = "cm",
-    clean_up: Annotated[bool, Option(help="Still planted feet and keep the floor.")] = True,
+    clean_up: Annotated[bool, key_option(LiveOptions, "has_clean_up", "--clean-up/--no-clean-up")] = True,
 ) -> None:
     """Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study.
 
@@ -55,17 +80,11 @@ def reconstruct(
     they are over.  It ends with Ctrl-C, when a file STOP appears in the folder, or after --idle seconds without a new
     file; pending poses and a summary of the delays are then written.
     """
-    # Here, because numba and the search take a second that the other commands need not wait for.
-    from flows.console.annotate import film_source
-    from flows.console.reconstructing import annotation_source, follow_video, reconstruct_video
-    from pasdedeux.reconstruction.live.person import LiveOptions
-    from tasks.ingest.film.parameters import FilmOptions
-
     is_film = bool(keys or detections or detect)
     video = (
-        film_source(path, keys, detections, detect or (), settings or ())
+        film_source(path, settings or (), keys, detections, detect)
         if is_film
-        else annotation_source(path, settings or ())
+        else find_source(AnnotationOptions, path, settings or ())
     )
     if follow:
         if isinstance(video, FilmOptions):
@@ -79,7 +98,7 @@ def reconstruct(
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
-    reconstruct_video(
+    _reconstruct_video(
         video,
         database,
         store,
@@ -91,3 +110,144 @@ def reconstruct(
         statures=stature or (),
         has_clean_up=clean_up,
     )
+
+
+def _reconstruct_video(
+    video: AnnotationOptions | FilmOptions,
+    database: str | None,
+    store: Path,
+    out: Path,
+    *,
+    units: str,
+    pitch_deg: float | None,
+    camera_height_m: float | None,
+    person_ids: Sequence[int],
+    statures: Sequence[str],
+    has_clean_up: bool,
+) -> None:
+    """Write a BVH and an npz file per person of every sequence of 2D poses, read as a study reads them.
+
+    Raises:
+        InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
+            or nobody who can be reconstructed.
+    """
+    named_m = dict(video.statures_m) | read_statures(statures, [])
+    videos = find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
+    searched = find_database(database, store, with_pairs=True)
+    camera = StatedCamera(
+        None if pitch_deg is None else math.radians(pitch_deg), camera_height_m or video.camera_height_m
+    )
+    listener = make_listener()
+
+    def reconstruct(resolved: ResolvedPeople, sequence: SequencePeople) -> None:
+        if sequence.why_not_followed:
+            raise InputError(sequence.why_not_followed)
+        tracks = tracks_of(track_columns(resolved), sequence.sequence_id)
+        known = [track.person_id for track in tracks]
+        if unknown := sorted(set(person_ids) - set(known)):
+            raise InputError(f"person {unknown[0]} is not in it; people: {', '.join(map(str, known)) or 'none'}")
+        tracks = [track for track in tracks if track.person_id in (person_ids or known)]
+        if not tracks:
+            raise InputError("no frame shows enough joints of a person")
+        shown = {track.person_id for track in tracks}
+        stated_m = {
+            name: stature for name, stature in (read_statures(statures, shown) | named_m).items() if name in shown
+        }
+        found = reconstruct_sequence(
+            tracks,
+            searched,
+            camera,
+            SequenceOptions(has_clean_up=has_clean_up, statures_m=stated_m),
+            sequence_id=sequence.sequence_id,
+            on_step=Steps(listener, 1 + 2 * len(tracks)),
+        )
+        if not found.people.methods:
+            raise InputError(f"nobody can be reconstructed: {next(iter(found.people.skipped.values()))}")
+        _write_sequence(found, sequence, out, units)
+
+    failed: list[InputError] = []
+    num_made, known = 0, set[int]()
+    try:
+        for video_found in videos:
+            listener.note(f"reading {video_found.in_words()}")
+            try:
+                resolved = video_found.resolve()
+            except InputError as error:
+                failed.append(error)
+                continue
+            known |= set(resolved.frames.person_id.tolist())
+            for sequence in resolved.sequences:
+                try:
+                    reconstruct(resolved, sequence)
+                    num_made += 1
+                except InputError as error:
+                    failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
+    finally:
+        listener.close()
+    for reason in failed if num_made else failed[:-1]:
+        echo(f"skipped: {reason}", err=True)
+    for line in stated_of_nobody(named_m, known):
+        echo(line, err=True)
+    if not num_made:
+        raise failed[-1]
+
+
+def _write_sequence(found: Reconstruction, sequence: SequencePeople, out: Path, units: str) -> None:
+    """Write files of every person of one sequence, and say how good they are."""
+    out.mkdir(parents=True, exist_ok=True)
+    names, people = FileNames(out), found.people
+    rows: list[tuple[str, ...]] = []
+    for name, judged in found.judged.people.items():
+        motion = people.motions[name]
+        path = write_text(names.path(sequence.sequence_id, name, suffix=".bvh"), motion.bvh(units))
+        path.with_suffix(".npz").write_bytes(write_npz(motion))
+        (track,) = (person.track for person in people.methods[-1].people if person.person_id == name)
+        rows.append(
+            (
+                str(path),
+                f"{track.first_frame}-{int(track.frames[-1])}",
+                judged.expected_in_words,
+                f"{100 * judged.misfit_m:.1f} cm",
+                f"{100 * judged.left_out_m:.1f} cm" if math.isfinite(judged.left_out_m) else "",
+                f"{judged.share_seen:.0%}",
+                f"{judged.share_bridged:.0%}",
+                _in_words(judged.verdict),
+            )
+        )
+    for (first, second), place in found.judged.places.items():
+        rows.append(
+            (f"place of {first} and {second}", "", place.expected_in_words, *[""] * 4, _in_words(place.verdict))
+        )
+    say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
+    write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), units_text(motion, units))
+    decisions = names.path(sequence.sequence_id, "people", suffix=".csv")
+    write_text(decisions, write_decisions(sequence.decisions))
+    echo(f"{decisions}: who is who; --set people_file=COPY with changes overrules it", err=True)
+    page = names.path(sequence.sequence_id, suffix=".html")
+    write_text(page, player_page(sequence.sequence_id, [_shown(people, sequence.sequence_id)]))
+    echo(f"look at it: {page}")
+    for person_id, reason in people.skipped.items():
+        echo(f"person {person_id} was skipped: {reason}", err=True)
+    echo(f"{people.pitch.in_words()}; {sequence.in_words()}", err=True)
+
+
+def _shown(found: ReconstructedPeople, sequence_id: str) -> Picture:
+    """Show the people of a sequence upright, beside the 2D poses that they were found in."""
+    people, lens_factor = found.methods[-1].people, 1.0 if found.scene is None else found.scene.lens_factor
+    frames = np.unique(np.concatenate([person.track.frames for person in people]))
+    upright_m, seen_px, projected_px = (np.full((len(frames), len(people), 14, axes), np.nan) for axes in (3, 2, 2))
+    for number, person in enumerate(people):
+        at, lens = np.searchsorted(frames, person.track.frames), person.track.lens
+        upright_m[at, number] = person.positions_m @ found.camera_from_upright_rotmat
+        seen_px[at, number] = person.track.keypoints_px
+        depth_m = np.maximum(-person.positions_m[..., 2:], 1e-3)
+        across = person.positions_m[..., :2] / depth_m * (1, -1)
+        projected_px[at, number] = lens.principal_point_px + lens_factor * lens.focal_px * across
+    rate_hz = people[0].track.rate_hz
+    player = reconstruction_player(upright_m, rate_hz=rate_hz, keypoints_px=seen_px, projected_px=projected_px)
+    caption = f"{sequence_id}: the reconstruction over its 2D poses, and turning; five seconds from the middle."
+    return Picture(f"{sequence_id}{PLAYER}", caption, player)
+
+
+def _in_words(verdict: Verdict) -> str:
+    return verdict.level.value + (f": {verdict.reason}" if verdict.reason else "")

@@ -62,7 +62,7 @@ _OF_BENDS = OneEuro(min_cutoff_hz=2.0, beta=1.0)
 class LiveOptions(Settings):
     """How people are reconstructed live."""
 
-    lag: int = Field(6, ge=0, description="A pose leaves this many frames after its image")
+    lag: int = Field(6, ge=0, le=1000, description="A live pose is written this many frames after its image")
     has_clean_up: bool = Field(True, description="Planted feet are stilled and the floor is kept")
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
     metres_per_pixel: float | None = Field(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import update_wrapper
@@ -186,10 +187,15 @@ def _drop_old_code(files: Any) -> None:
     """Remove what was compiled from other sources of a kernel before it is compiled anew.
 
     Numba replaces its index first, then the code that it names: after a kill between the two, or on a full disk, the
-    index would name the old code.
+    index would name the old code.  An index that was cut off, or names a type that no longer exists, goes too.
     """
     with suppress(OSError):
-        if not files._load_index():
-            index = Path(files._index_path)
+        index = Path(files._index_path)
+        try:
+            is_current = bool(files._load_index())
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            index.unlink(missing_ok=True)
+            is_current = False
+        if not is_current:
             for old in index.parent.glob(f"{index.stem}.*.nbc"):
                 old.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import importlib.util
 import os
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
@@ -174,6 +175,23 @@ def test_code_of_an_older_source_is_never_loaded(
 
 def refuse(*_: object) -> None:
     raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    "overloads", [b"cpasdedeux.compiled\nRenamed\n.", b"cpasdedeux.removed\nGone\n.", b"", b"\x80\x04K"]
+)
+def test_an_index_that_is_cut_off_or_names_a_type_that_is_gone_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overloads: bytes
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    scale = kernel(tmp_path)
+    assert scale(3.0) == 6.0
+    files = scale._made._cache._cache_file
+    Path(files._index_path).write_bytes(pickle.dumps(files._version) + overloads)
+    again = kernel(tmp_path)
+    assert (again(3.0), num_hits(again)) == (6.0, 0)
+    again = kernel(tmp_path)
+    assert (again(3.0), num_hits(again)) == (6.0, 1)
 
 
 def test_two_versions_of_numba_keep_their_code_beside_each_other(

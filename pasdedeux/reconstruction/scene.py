@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -130,31 +131,24 @@ def estimate_scene(
     """
     if camera_height_m is not None:
         check_positive(camera_height_m, "the height of the camera")
-    seen, statures_m = SeenPeople.of(tracks), statures_m or {}
-    hands = {couple.people: touching_hands(seen, couple) for couple in seen.couples}
-
-    def terms(carried: tuple[int, int] | None = None) -> list[SceneTerm]:
-        return scene_terms(seen, pitch, pairs, statures_m, camera_height_m, hands, carried=carried)
-
-    start = _start(seen, pitch, statures_m, camera_height_m)
-    sides = _sides(seen, pitch) if camera_height_m is None else [1.0]
-    solutions = [solve(terms(), seen, start, side=side) for side in sides]
+    known = KnownScene(SeenPeople(tuple(map(SeenPerson, tracks))), pitch, pairs, statures_m or {}, camera_height_m)
+    seen, start, sides = known.seen, known.start(), known.sides()
+    solutions = [solve(known.terms(), seen, start, side=side) for side in sides]
     is_other = solutions[-1].cost + _OTHER_SIDE_COST < solutions[0].cost
     side, solution = (sides[-1], solutions[-1]) if is_other else (sides[0], solutions[0])
     carried, cost = None, solution.cost - _CARRIED_COST
-    for people in _may_carry(hands):
-        tried = solve(terms(people), seen, start, side=side)
+    for people in known.may_carry():
+        tried = solve(known.terms(people), seen, start, side=side)
         if tried.cost < cost:
             carried, cost, solution = people, tried.cost, tried
-    scene, every = solution.scene, terms(carried)
+    scene = solution.scene
     # Places are no better known for the sake of what may be wrong all the time.
-    certain = [term for term in every if term.is_certain]
-    is_said = len(pairs) > 0 or any(touching.any() for touching in hands.values())
+    certain = [term for term in known.terms(carried) if term.is_certain]
+    is_said = len(pairs) > 0 or any(touching.any() for touching in known.hands.values())
     apart = solve(certain, seen, scene.x, side=side) if is_said else solution
-    pitch_weights = np.eye(len(scene.x))[Unknown.PITCH]
     return SceneEstimate(
         pitch_rad=float(scene.x[Unknown.PITCH]),
-        pitch_deviation_rad=float(np.sqrt(solution.variance_of(pitch_weights))),
+        pitch_deviation_rad=float(np.sqrt(solution.variance_of(np.eye(len(scene.x))[Unknown.PITCH]))),
         pitch_off_rad=PitchTerm(pitch).off_rad(scene),
         camera_height_m=scene.height_m,
         lens_factor=float(np.exp(scene.x[Unknown.LENS])),
@@ -164,17 +158,9 @@ def estimate_scene(
     )
 
 
-def scene_terms(
-    seen: SeenPeople,
-    pitch: PitchEstimate,
-    pairs: Sequence[PairDepth],
-    statures_m: Mapping[int, float],
-    camera_height_m: float | None,
-    hands: Mapping[tuple[int, int], Flags],
-    *,
-    carried: tuple[int, int] | None = None,
-) -> list[SceneTerm]:
-    """Return the terms of a scene.
+@dataclass(frozen=True)
+class KnownScene:
+    """What the estimate starts from.
 
     Args:
         seen: The people.
@@ -182,56 +168,72 @@ def scene_terms(
         pairs: What pairs of a database say of couples.
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.
-        hands: Of each couple, on which bones of the other each hand may be, see `touching_hands`.
-        carried: Who is carried, and by whom.
     """
-    people = range(len(seen.people))
-    is_lens_known = all(person.track.track.lens.is_known for person in seen.people)
-    height_deviation = _HEIGHT_DEVIATION if camera_height_m is None else KNOWN_DEVIATION
-    terms: list[SceneTerm] = [
-        PitchTerm(pitch),
-        PriorTerm(Unknown.HEIGHT, np.log(camera_height_m or _CAMERA_HEIGHT_M), height_deviation),
-        PriorTerm(Unknown.LENS, 0.0, KNOWN_DEVIATION if is_lens_known else _LENS_DEVIATION),
-        PriorTerm(Unknown.TILT, 0.0, _TILT_DEVIATION),
-        stature_term(seen, statures_m),
-        PriorTerm(seen.ankles, 0.0, _ANKLE_DEVIATION_M),
-    ]
-    for number in people:
-        terms += [ImageTerm(number), FloorTerm(number, is_carried=carried is not None and carried[0] == number)]
-        if len(seen.people[number].distance_m) > 2:
-            terms += [PathTerm(number), StanceTerm(number)]
-    terms += [PairTerm(pair) for pair in pairs]
-    for couple in seen.couples:
-        is_carrying = carried is not None and set(carried) == set(couple.people)
-        terms += [GapTerm(couple, is_carrying=is_carrying), TouchTerm(couple, hands[couple.people])]
-    return terms
 
+    seen: SeenPeople
+    pitch: PitchEstimate
+    pairs: Sequence[PairDepth]
+    statures_m: Mapping[int, float]
+    camera_height_m: float | None
 
-def _start(
-    seen: SeenPeople, pitch: PitchEstimate, statures_m: Mapping[int, float], camera_height_m: float | None
-) -> Array:
-    """Return the first guess of the unknowns: people of known stature at that size, the others where they are."""
-    start = np.zeros(seen.starts[-1])
-    start[Unknown.PITCH], start[Unknown.HEIGHT] = pitch.pitch_rad, np.log(camera_height_m or _CAMERA_HEIGHT_M)
-    for number, person in enumerate(seen.people):
-        if stature_m := statures_m.get(person.track.person_id):
-            start[[seen.sizes[number], *seen.distances(number)]] = np.log(stature_m / person.stature_m)
-    return start
+    @cached_property
+    def hands(self) -> dict[tuple[int, int], Flags]:
+        """Of each couple, on which bones of the other each hand may be, see `touching_hands`."""
+        return {couple.people: touching_hands(self.seen, couple) for couple in self.seen.couples}
 
+    def terms(self, carried: tuple[int, int] | None = None) -> list[SceneTerm]:
+        """Return the terms of the estimate, if the first of two people is carried by the second."""
+        is_lens_known = all(person.track.track.lens.is_known for person in self.seen.people)
+        height_deviation = _HEIGHT_DEVIATION if self.camera_height_m is None else KNOWN_DEVIATION
+        terms: list[SceneTerm] = [
+            PitchTerm(self.pitch),
+            PriorTerm(Unknown.HEIGHT, self._log_height, height_deviation),
+            PriorTerm(Unknown.LENS, 0.0, KNOWN_DEVIATION if is_lens_known else _LENS_DEVIATION),
+            PriorTerm(Unknown.TILT, 0.0, _TILT_DEVIATION),
+            stature_term(self.seen, self.statures_m),
+            PriorTerm(self.seen.ankles, 0.0, _ANKLE_DEVIATION_M),
+        ]
+        for number, person in enumerate(self.seen.people):
+            terms += [ImageTerm(number), FloorTerm(number, is_carried=carried is not None and carried[0] == number)]
+            if len(person.distance_m) > 2:
+                terms += [PathTerm(number), StanceTerm(number)]
+        terms += [PairTerm(pair) for pair in self.pairs]
+        for couple in self.seen.couples:
+            is_carrying = carried is not None and set(carried) == set(couple.people)
+            terms += [GapTerm(couple, is_carrying=is_carrying), TouchTerm(couple, self.hands[couple.people])]
+        return terms
 
-def _sides(seen: SeenPeople, pitch: PitchEstimate) -> list[float]:
-    """Return where the floor may be: where feet are by the pitch, then by a pitch that is one deviation off."""
-    feet = np.concatenate([person.track.positions_m[:, ANKLES] for person in seen.people])
-    pitches = pitch.pitch_rad + pitch.deviation_rad * np.array([0.0, -1.0, 1.0])
-    is_above = [np.median((feet @ up_axis(pitch_rad)).min(axis=1)) > 0 for pitch_rad in pitches]
-    return list(dict.fromkeys(-1.0 if above else 1.0 for above in is_above))
+    def start(self) -> Array:
+        """Return the first guess of the unknowns: people of known stature at that size, the others where they are."""
+        start = np.zeros(self.seen.starts[-1])
+        start[Unknown.PITCH], start[Unknown.HEIGHT] = self.pitch.pitch_rad, self._log_height
+        for number, person in enumerate(self.seen.people):
+            if stature_m := self.statures_m.get(person.track.person_id):
+                grown = [self.seen.sizes[number], *self.seen.distances(number)]
+                start[grown] = np.log(stature_m / person.stature_m)
+        return start
 
+    def sides(self) -> list[float]:
+        """Return where the floor may be: where feet are by the pitch, then by a pitch that is one deviation off.
 
-def _may_carry(hands: Mapping[tuple[int, int], Flags]) -> Iterator[tuple[int, int]]:
-    """Yield who may be carried and by whom: of two people hands are seen on a body for half of the time."""
-    for people, touching in hands.items():
-        if touching.any(axis=(1, 2)).mean() > _HELD_SHARE:
-            yield from (people, people[::-1])
+        A camera of known height is above the floor.
+        """
+        if self.camera_height_m is not None:
+            return [1.0]
+        feet = np.concatenate([person.track.positions_m[:, ANKLES] for person in self.seen.people])
+        pitches = self.pitch.pitch_rad + self.pitch.deviation_rad * np.array([0.0, -1.0, 1.0])
+        is_above = [np.median((feet @ up_axis(pitch_rad)).min(axis=1)) > 0 for pitch_rad in pitches]
+        return list(dict.fromkeys(-1.0 if above else 1.0 for above in is_above))
+
+    def may_carry(self) -> Iterator[tuple[int, int]]:
+        """Yield who may be carried and by whom: of two people hands are seen on a body for half of the time."""
+        for people, touching in self.hands.items():
+            if touching.any(axis=(1, 2)).mean() > _HELD_SHARE:
+                yield from (people, people[::-1])
+
+    @property
+    def _log_height(self) -> float:
+        return float(np.log(self.camera_height_m or _CAMERA_HEIGHT_M))
 
 
 def _place_deviations(solution: Solution) -> Iterator[tuple[tuple[int, int], float]]:
@@ -241,7 +243,7 @@ def _place_deviations(solution: Solution) -> Iterator[tuple[tuple[int, int], flo
     """
     scene = solution.scene
     for couple in scene.seen.couples:
-        shown = np.unique(np.linspace(0, len(couple.first_at) - 1, _NUM_SHOWN).astype(int))
+        shown = np.unique(np.linspace(0, couple.num_frames - 1, _NUM_SHOWN).astype(int))
         weights = np.zeros((len(shown), 3, len(scene.x)))
         for (number, at), sign in zip(couple.sides, (-1.0, 1.0), strict=True):
             moved = scene.joints[number][By.DISTANCE, at[shown], -1]

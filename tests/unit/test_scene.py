@@ -17,13 +17,13 @@ from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.robust import Solution
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
-from pasdedeux.reconstruction.terms.contact import GapTerm, TouchTerm, touching_hands
+from pasdedeux.reconstruction.terms.contact import GapTerm, TouchTerm
 from pasdedeux.reconstruction.terms.floor import FloorTerm
 from pasdedeux.reconstruction.terms.image import ImageTerm
 from pasdedeux.reconstruction.terms.pairs import PairTerm
 from pasdedeux.reconstruction.terms.path import PathTerm, StanceTerm
 from pasdedeux.reconstruction.terms.pitch import PitchTerm
-from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople
+from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople, SeenPerson
 from pasdedeux.reconstruction.terms.prior import PriorTerm
 from pasdedeux.reconstruction.terms.term import SceneTerm
 from pasdedeux.skeletons import OP14
@@ -104,11 +104,10 @@ def terms_at(carried: tuple[int, int] | None) -> tuple[list[SceneTerm], SeenPeop
     tracks, _, _ = seen_and_true("lift", pitch_rad=pitch_rad)
     frames, rng = np.arange(len(tracks[0].root_m)), np.random.default_rng(1)
     said = PairDepth((0, 1), frames, rng.normal(0.0, 0.2, len(frames)), np.where(frames % 5, 0.1, np.inf))
-    pitch, seen = PitchEstimate(pitch_rad, deviation_rad), SeenPeople.of(tracks)
-    assert estimate._sides(seen, pitch)[0] == side
-    hands = {couple.people: touching_hands(seen, couple) for couple in seen.couples}
-    terms = estimate.scene_terms(seen, pitch, [said], {}, None, hands, carried=carried)
-    start = estimate._start(seen, pitch, {}, None)
+    seen = SeenPeople(tuple(map(SeenPerson, tracks)))
+    known = estimate.KnownScene(seen, PitchEstimate(pitch_rad, deviation_rad), [said], {}, None)
+    assert known.sides()[0] == side
+    terms, start = known.terms(carried), known.start()
     return terms, seen, start + rng.normal(0.0, 0.03, len(start)), side
 
 

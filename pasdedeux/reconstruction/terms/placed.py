@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -120,23 +119,25 @@ class SeenPerson:
         return np.asarray(capsule_model(OP14).radii_m(np.array([self.stature_m]))[0])
 
 
-class Couple(NamedTuple):
-    """Two people who are in some frames together; frames (n,) are counted from the first of each."""
+@dataclass(frozen=True)
+class Couple:
+    """Two people who are in some frames together.
 
-    first: int
-    second: int
-    first_at: Integers
-    second_at: Integers
+    Args:
+        sides: The number of each, and those frames (n,), counted from the first of that person.
+    """
+
+    sides: tuple[tuple[int, Integers], ...]
 
     @property
     def people(self) -> tuple[int, int]:
         """Numbers of the two."""
-        return self.first, self.second
+        return self.sides[0][0], self.sides[1][0]
 
     @property
-    def sides(self) -> tuple[tuple[int, Integers], tuple[int, Integers]]:
-        """The number of each and the frames."""
-        return (self.first, self.first_at), (self.second, self.second_at)
+    def num_frames(self) -> int:
+        """Number of frames that show both."""
+        return len(self.sides[0][1])
 
 
 @dataclass(frozen=True)
@@ -144,11 +145,6 @@ class SeenPeople:
     """Everybody in a video, and the places of their unknowns."""
 
     people: tuple[SeenPerson, ...]
-
-    @classmethod
-    def of(cls, tracks: Sequence[ReconstructedTrack]) -> SeenPeople:
-        """Return the people of tracks at their initial places."""
-        return cls(tuple(SeenPerson(track) for track in tracks))
 
     @property
     def rate_hz(self) -> float:
@@ -180,11 +176,12 @@ class SeenPeople:
     def couples(self) -> list[Couple]:
         """All pairs of people who are in a frame together."""
         couples = []
-        for first, second in combinations(range(len(self.people)), 2):
-            tracks = [self.people[number].track.track for number in (first, second)]
-            frames = np.intersect1d(tracks[0].frames, tracks[1].frames)
+        for numbers in combinations(range(len(self.people)), 2):
+            tracks = [self.people[number].track.track for number in numbers]
+            frames = np.intersect1d(*(track.frames for track in tracks))
             if len(frames):
-                couples.append(Couple(first, second, *(frames - track.first_frame for track in tracks)))
+                at = [frames - track.first_frame for track in tracks]
+                couples.append(Couple(tuple(zip(numbers, at, strict=True))))
         return couples
 
     def distances(self, number: int) -> Integers:

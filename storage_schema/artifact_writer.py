@@ -12,7 +12,7 @@ from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.durable import write_errors, write_file
 from storage_schema.errors import StorageError
 from storage_schema.keys import content_digest, plain_json
-from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest, TableFile
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest
 from storage_schema.parquet_files import TableWriter
 from storage_schema.provenance import code_version, package_versions, source_digest
 from storage_schema.tables import TABLES
@@ -104,35 +104,27 @@ class ArtifactWriter:
             file = write_file(self._folder / name, data)
         self._attachments[name] = FileEntry(file.num_bytes, file.sha256)
 
-    def finish(self) -> tuple[dict[str, TableFile], dict[str, FileEntry]]:
-        """Bring every file to the disk; gives the parts of tables and the attachments, by name.  The store calls it."""
+    def finish(self, spent: Mapping[str, float], described: ArtifactFields) -> Manifest:
+        """Bring every file to the disk; gives the manifest, with timings of what was `spent`.  The store calls it."""
         with write_errors(self._where):
             tables = {name: self._tables[name].finish() for name in sorted(self._tables)}
-        return tables, dict(sorted(self._attachments.items()))
-
-    def manifest(
-        self,
-        tables: Mapping[str, TableFile],
-        attachments: Mapping[str, FileEntry],
-        spent: Mapping[str, float],
-        described: ArtifactFields,
-    ) -> Manifest:
-        """Return the manifest of what `finish` gave; `spent` are further timings.  The store calls it."""
+        attachments = dict(sorted(self._attachments.items()))
         facts: dict[str, Any] = plain_json(self.facts, "facts")
         digests = {f"{table}.parquet": part.sha256 for table, part in tables.items()}
         digests |= {file_name: entry.sha256 for file_name, entry in attachments.items()}
         place = {"partition": described["partition"], "name": described["name"]}
+        digest = content_digest(**place, facts=facts, files=digests)
         reads = described.get("reads")
         return Manifest(
-            ref=ArtifactRef(described["stage"], described["key"], content_digest(**place, facts=facts, files=digests)),
+            ref=ArtifactRef(described["stage"], described["key"], digest),
             **place,
             version=described["version"],
             parameters=plain_json(dict(described["parameters"]), "parameters"),
             seed=described["seed"],
             inputs=tuple(described["inputs"]),
-            files=tuple((file_name, digest) for file_name, digest in described["files"]),
-            tables=dict(tables),
-            attachments=dict(attachments),
+            files=tuple((file_name, sha256) for file_name, sha256 in described["files"]),
+            tables=tables,
+            attachments=attachments,
             facts=facts,
             sources=merge_credits(self.sources),
             schema_version=SCHEMA_VERSION,

@@ -377,10 +377,9 @@ class Store:
         with closing(staging):
             with closing(ArtifactWriter(staging.path, where=self.root, facts=facts or {}, sources=sources)) as writer:
                 yield writer
-                parts, attachments = writer.finish()
+                manifest = writer.finish(self._spent(), described)
             for ref in described["inputs"]:
                 self.manifest(ref)
-            manifest = writer.manifest(parts, attachments, self._spent(), described)
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)

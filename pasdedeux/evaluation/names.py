@@ -14,8 +14,8 @@ _WORDS = tomllib.loads(resources.files("pasdedeux.evaluation").joinpath("words.t
 def in_words(name: str) -> str:
     """Return a method's or metric's name as people say it; of unknown ones the words of the name.
 
-    >>> in_words("hand_contact_drift_p95"), in_words("cartesian_and_grown_seeds"), in_words("new_score")
-    ('drift of hands and feet in contact, 95 %', 'Cartesian and pairs lifted from seeds', 'new score')
+    >>> in_words("hand_contact_drift_p95"), in_words("cartesian_repaired"), in_words("new_score")
+    ('drift of hands and feet in contact, 95 %', 'Cartesian, repaired', 'new score')
     """
     base, *endings = _parts(name)
     words = known[0] if (known := _known(base)) else re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", base)

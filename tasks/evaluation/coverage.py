@@ -25,7 +25,6 @@ from pasdedeux.evaluation.pictures import (
 )
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
-from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.coverage import CoverageCurve, DrawPart, coverage_curve, curve_of_parts, draw_parts
 from pasdedeux.interaction.nearest import PairTable, cartesian_distances, pair_table
 from pasdedeux.interaction.pair_map import PairMap
@@ -37,7 +36,7 @@ from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.kept import kept
-from tasks.selection import READS, SelectedPairs, select_pairs
+from tasks.selection import READS
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
 from tasks.takes import takes_of
@@ -46,13 +45,9 @@ SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
 """Measures of coverage: where a curve has them, and their unit."""
 _MEASURE_WORDS = {"D_I": "by interaction", "D_C": "joint by joint", "D_S": "by shape"}
-_ALONE = "draws of chains alone"
-"""What is judged beside all sets: draws of chains, which say something about densities."""
 _REAL = "real_frames"
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
 """Sizes of the sets of real frames (the counts of the published scale)."""
-_SELECTED, _RANDOM = "selected_pairs", "random_pairs"
-_SET_METRIC = "coverage_of_a_set_D_C"
 _MAX_DRAWS, _MAX_REAL = 200, 1500
 """Draws and real pairs whose distances are compared for realism, at most."""
 _NUM_MAPPED = 150
@@ -151,21 +146,10 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
     compared = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {name: curve_of_parts(truth, parts.get(name) or _parts(pairs)) for name, pairs in draws.items()}
     levels = real_frame_levels(truth, others, generator)
-    nearest = nearest_by_method(curves, GROWN)
-    scores = coverage_scores(curves, levels, nearest, split=split)
+    scores = coverage_scores(curves, levels, split=split)
     scores += realism_scores(compared, np.concatenate([truth, others]), generator, split=split)
-    where = known.where(places) if split == "held_out" else None
-    selected = select_pairs(store, (*draw_refs, *shard.refs("chains"), *shard.refs("limits")), _REAL_COUNTS[-1])
-    if selected.columns:
-        pool = [draws[name] for name in dots if not name.startswith(PRIOR_ONLY)]
-        scores += set_scores(truth, selected, pool, levels, generator, split=split)
-        notes.append(f"Selected were {selected.in_words()}.")
-    items = {
-        name: Items(nearest_m, *where) if where else Items()
-        for name, nearest_m in (("", nearest), (_ALONE, alone(nearest)))
-    }
     shown = _ShownCoverage(split, words, curves, levels, truth, dots, _first_seed(store, shard.refs("first_seed")))
-    return TopicResult(scores, notes, items, _baselines({score.method for score in scores}), shown)
+    return TopicResult(scores, notes, baselines=_baselines({score.method for score in scores}), shown=shown)
 
 
 def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
@@ -197,9 +181,8 @@ def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
 
 
 def _tabulate(scores: ScoresOf) -> list[TextTable]:
-    """Compare methods of exploration at a glance, and sets of one size."""
-    coverage = scores.get("coverage", ())
-    return [*exploration_table(coverage, scores.get("chains", ())), *set_table(coverage)]
+    """Compare methods of exploration at a glance."""
+    return exploration_table(scores.get("coverage", ()), scores.get("chains", ()))
 
 
 @kept()
@@ -292,78 +275,13 @@ def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[n
     return float(np.exp(np.interp(-coverage, -np.minimum.accumulate(levels), np.log(counts.astype(np.float64)))))
 
 
-def nearest_by_method(curves: Mapping[str, CoverageCurve], grown: str) -> dict[str, Array]:
-    """Return the least D_C of each real pair (truth,), metres, to draws, and to draws and grown pairs together."""
-    alone = {method: curve.min_cartesian_m for method, curve in curves.items()}
-    others = [name for name in alone if name != grown and grown in alone]
-    return alone | {f"{name}_and_{grown}": np.minimum(alone[name], alone[grown]) for name in others}
-
-
-def alone(nearest_m: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what `nearest_by_method` gave for sets without grown pairs: with these in all of them, all are alike."""
-    return {method: found for method, found in nearest_m.items() if not method.endswith(GROWN)}
-
-
-def set_scores(
-    truth: Array,
-    selected: SelectedPairs,
-    pool: Sequence[npt.NDArray[np.floating]],
-    levels: CoverageCurve,
-    generator: np.random.Generator,
-    *,
-    split: str,
-) -> list[Score]:
-    """Return coverage by selected pairs, by random ones of the pool and by real frames.
-
-    All three are sets of the same sizes, those of real frames, as far as so many pairs were selected.
-    """
-    count = len(selected.columns["rank"])
-    sizes = [size for size in levels.num_draws.tolist() if size <= count]
-    starts = np.cumsum([0, *map(len, pool)])
-    rows = generator.permutation(starts[-1])[:count]
-    part = np.searchsorted(starts, rows, side="right") - 1
-    sets = {
-        _SELECTED: np.stack(selected.columns["pair17_m"]),
-        _RANDOM: np.stack([pool[at][row] for at, row in zip(part, rows - starts[part], strict=True)]),
-    }
-    covered = {_REAL: levels.cartesian_m.tolist()}
-    for name, pairs in sets.items():
-        distances = cartesian_distances(truth, pairs.astype(np.float64))
-        covered[name] = [float(distances[:, :size].min(axis=1).mean()) for size in sizes if size <= len(pairs)]
-    return [
-        Score(_SET_METRIC, name, value, "m", split=split, at=float(size), count=len(truth))
-        for name, values in covered.items()
-        for size, value in zip(sizes, values, strict=False)
-    ]
-
-
-def set_table(scores: Sequence[Score]) -> list[TextTable]:
-    """Lay out how well as many selected pairs, random ones and real frames cover, a row for each part and number."""
-    own = [score for score in scores if score.metric == _SET_METRIC]
-    if not own:
-        return []
-    return [
-        pivot_table(
-            own,
-            "Sets of one size: distance from a real pair to the nearest one of the set",
-            ("frames", "size of the set"),
-            lambda score: (part_in_words(score.split), f"{score.at:.0f}"),
-            {name: in_words(name) for name in (_SELECTED, _RANDOM, _REAL)},
-            lambda score: score.method,
-            lambda found: format_value(found[0].value, found[0].unit),
-        )
-    ]
-
-
 def _baselines(methods: Iterable[str]) -> set[str]:
     """Return the methods that others are compared with: real frames, and draws of the prior alone in any set."""
     return {name for name in methods if name == _REAL or name.startswith(PRIOR_ONLY)}
 
 
-def coverage_scores(
-    curves: Mapping[str, CoverageCurve], levels: CoverageCurve, nearest_m: Mapping[str, Array], *, split: str
-) -> list[Score]:
-    """Return the curves and their ends as scores, those of real frames, and the ends of sets that have no curve."""
+def coverage_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> list[Score]:
+    """Return the curves and their ends as scores, and those of real frames."""
     scores = []
     for method, curve in {**curves, _REAL: levels}.items():
         for measure, (name, unit) in _MEASURES.items():
@@ -379,11 +297,6 @@ def coverage_scores(
                 scores.append(Score(f"as_good_as_real_frames_{measure}", method, worth, "frames", split=split))
         if method != _REAL:
             scores.append(Score("num_draws", method, float(curve.num_draws[-1]), split=split))
-    for method in nearest_m.keys() - curves.keys():
-        mean, count = float(nearest_m[method].mean()), len(nearest_m[method])
-        worth = as_good_as_real_frames(mean, levels.cartesian_m, levels.num_draws)
-        for metric, value, unit in (("coverage_D_C", mean, "m"), ("as_good_as_real_frames_D_C", worth, "frames")):
-            scores.append(Score(metric, method, value, unit, split=split, count=count))
     return scores
 
 
@@ -485,8 +398,4 @@ TOPIC = Topic(
     draw=_draw,
     tabulate=_tabulate,
     settings=CoverageSettings,
-    criteria=tuple(
-        Criterion("coverage_D_C", f"distance from a real pair to the nearest {what}", "m", "real pairs", name=name)
-        for name, what in {"": "draw", _ALONE: "draw of a chain"}.items()
-    ),
 )

@@ -78,18 +78,6 @@ def sampled(inputs: Any) -> tuple[Store, StageInputs]:
     return store, StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
 
 
-def test_only_takes_that_are_held_out_are_judged_and_draws_without_grown_pairs_too(inputs: Any) -> None:
-    store, known = sampled(inputs)
-    planned = TOPIC.plan(known, CoverageSettings(num_truth_pairs=300))
-    items = {shard.name: TOPIC.compute(shard, store).items for shard in planned}
-    names = [one.name for one in TOPIC.criteria]
-    for split, takes in {"annotated": set(), "unannotated": set(), "held_out": {"kept_back"}}.items():
-        assert [set(items[split][name].takes) for name in names] == [takes, takes]
-    every, drawn = (set(items["held_out"][name].values) for name in names)
-    assert drawn == {"prior_only"}
-    assert every == {"prior_only", "grown_seeds", "prior_only_and_grown_seeds"}
-
-
 def test_chains_that_run_side_by_side_cover_in_the_order_in_which_they_drew(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=2)

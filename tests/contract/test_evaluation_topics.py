@@ -214,7 +214,7 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
     table = store.read(made[-1].ref, "verdicts")
     ours = [name for stage, name in zip(table["stage"], table["partition"], strict=True) if stage == "evaluation"]
     assert {name.split()[0] for name in ours} == judged
-    assert {"views", "reconstruction", "augmentation", "models", "coverage", "lifting"} <= judged
+    assert {"views", "reconstruction", "augmentation", "models", "sets", "lifting"} <= judged
     card = store.attachment(made[-1].ref, "card.md").decode()
     assert "## Is it good?" in card
     for name in ours:
@@ -318,15 +318,10 @@ def test_another_licence_of_the_same_data_is_another_page(tmp_path: Path) -> Non
 
 def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest], str]) -> None:
     _, made, _ = evaluated
-    covered = {one.name: verdict_of(one) for one in made if one.partition == "coverage"}
-    assert {name: verdict.count > 0 for name, verdict in covered.items() if verdict is not None} == {
-        "annotated": False,
-        "unannotated": False,
-        "held_out": True,
-    }
+    assert [verdict_of(one).count > 0 for one in made if one.partition == "sets"] == [True]
     for one in made:
         for verdict in verdicts_of_parts(one).values():
-            if one.partition in ("views", "lifting", "coverage", "leave_one_out") and verdict.paired is not None:
+            if one.partition in ("views", "lifting", "sets", "leave_one_out") and verdict.paired is not None:
                 assert set(verdict.paired.takes) == {"hug"}, "the take that is held out"
 
 

@@ -64,7 +64,7 @@ def test_a_set_of_real_frames_is_as_good_as_itself() -> None:
 
 def test_coverage_scores_hold_the_curve_and_its_end_for_every_method() -> None:
     curve = CoverageCurve(np.array([1, 5]), np.array([0.5, 0.4]), np.array([0.2, 0.1]), np.array([0.6, 0.5]))
-    scores = coverage_scores({"ic": curve, "prior_only": curve}, curve, {}, split="held_out")
+    scores = coverage_scores({"ic": curve, "prior_only": curve}, curve, split="held_out")
     assert _by_method(scores, "coverage_D_C") == {"ic": 0.1, "prior_only": 0.1, "real_frames": 0.1}
     assert sum(not np.isnan(s.at) for s in scores) == 2 * 3 * 3
     assert curve_points(1, 5) == [1]

@@ -64,8 +64,8 @@ def test_images_give_views_and_are_left_out_of_reconstruction_with_the_reason(
         name: [one for one in store.artifacts() if name in one.tables] for name in ("views", "annotations", "poses")
     }
     (shard,) = VIEWS.plan(StageInputs(made, seed=1), VIEWS.settings())
-    scored = VIEWS.run(shard, store)
-    assert (scored.scores, scored.notes) == ([], ["No true camera is known, so views have no error."])
+    scored = VIEWS.compute(shard, store)
+    assert (list(scored.scores), list(scored.notes)) == ([], ["No true camera is known, so views have no error."])
     (motions,) = store.artifacts("reconstruction")
     (skipped,) = motions.facts["skipped"]
     assert skipped.startswith("images: ")

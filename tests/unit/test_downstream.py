@@ -200,7 +200,7 @@ def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_
     for shard in _shards(_study(store, SEEN), RECOGNITION):
         learned.clear()
         asked.clear()
-        assert {BY_SOLVER, BY_MODEL, WITHOUT} <= {score.method for score in RECOGNITION.run(shard, store).scores}
+        assert {BY_SOLVER, BY_MODEL, WITHOUT} <= {score.method for score in RECOGNITION.compute(shard, store).scores}
         by_solver, by_model, without = learned
         assert sorted(by_solver) == sorted(by_model), "as many variants of the same takes"
         assert len(by_solver) == 3 * len(without), "two beside each"
@@ -217,7 +217,7 @@ def test_seeds_change_what_is_found_and_the_order_of_the_work_does_not(tmp_path:
     store = Store(tmp_path)
     shards = _shards(_study(store, SEEN), PREDICTION)
     once, again = (
-        {shard.name: PREDICTION.run(shard, store).scores for shard in order} for order in (shards, shards[::-1])
+        {shard.name: PREDICTION.compute(shard, store).scores for shard in order} for order in (shards, shards[::-1])
     )
     assert once == again
     assert len({tuple(score.value for score in scores if score.metric == "JME_mean") for scores in once.values()}) == 3

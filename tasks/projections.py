@@ -41,7 +41,7 @@ MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
-_DENSITIES = ("ic", "ic_repaired")
+_DENSITIES = ("ic", "ic_repaired", "repaired")
 """Draws that enter: those of the density that compares with annotations."""
 
 

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
-from pasdedeux.errors import InputError
 from pasdedeux.interaction.nearest import cartesian_distances
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.plausibility.joint_limits import JointLimits
@@ -61,14 +60,13 @@ def fill(
 ) -> Filling:
     """Return up to `num` pairs between pairs (pair, person=2, joint=17, 3), metres.
 
-    Each pair is used in turn, as often as any other.  There are fewer than asked for where most means are refused.
-
-    Raises:
-        InputError: There are fewer pairs than a mean is made of.
+    Each pair is used in turn, as often as any other.  There are fewer than asked for where most means are refused, and
+    none where there are fewer pairs than a mean is made of.
     """
     count = len(pairs_m)
     if count < NUM_PARENTS:
-        raise InputError(f"{count} grown pairs are too few to fill in between: at least {NUM_PARENTS} must have grown")
+        parents, weights = np.zeros((2, 0, NUM_PARENTS))
+        return Filling(pairs_m[:0], parents.astype(np.int64), weights, np.zeros(0), 0)
     nearest = np.argsort(cartesian_distances(pairs_m, pairs_m), axis=1, kind="stable")
     # A pair comes first among its own parents, also where another one is just like it.
     parents = np.stack([np.r_[row, near[near != row][: NUM_PARENTS - 1]] for row, near in enumerate(nearest)])

@@ -107,6 +107,14 @@ def test_pairs_are_filled_in_between_grown_ones_with_their_parents(inputs: Any) 
     np.testing.assert_array_equal(store.read(again[-1].ref, "seeds")["pair17_m"], filled["pair17_m"][:10])
 
 
+def test_nothing_is_filled_in_between_too_few_pairs(inputs: Any) -> None:
+    store, tables = inputs
+    (*_, made) = with_seeds(store, tables, num_seeds=1, num_grown=4, num_filled=5).of("seeds")
+    verdict = verdict_of(made)
+    assert verdict is not None
+    assert (verdict.level, verdict.value, store.read(made.ref, "seeds").num_rows) == (Level.WARN, 0.0, 0)
+
+
 def test_pairs_are_not_filled_in_where_none_grow(inputs: Any) -> None:
     store, tables = inputs
     with pytest.raises(InputError, match=r"num_filled is 5, but none are grown here: say seeds\.num_grown"):

@@ -233,7 +233,7 @@ class ModelMeter:
         lengths = scaled_lengths(source, scales)[0]
         reference = points_of(reference_motion(source, scales)[0])
         asked = VariantRequest(self._request.take_id, source, bone_scale, self._request.solving, self._request.contacts)
-        windows, problems = self._problems
+        windows, problems = self.problems
         terms = [fit_terms(problem, build_targets(problem, scales), 0) for problem in problems]
 
         def energy(motion_m: Array) -> float:
@@ -285,5 +285,6 @@ class ModelMeter:
         return np.asarray(np.linalg.norm(vectors[self.contacts.is_held], axis=-1))
 
     @cached_property
-    def _problems(self) -> tuple[list[slice], list[MeshProblem]]:
+    def problems(self) -> tuple[list[slice], list[MeshProblem]]:
+        """Windows of the take and their problems, for the solver's energy and its steps."""
         return window_problems(self._request)

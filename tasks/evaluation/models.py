@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -15,10 +16,12 @@ from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pac
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.learning.mesh_refine import refine
 from pasdedeux.learning.meter import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
 from pasdedeux.learning.model import VALIDATION_FALL as FALL
-from pasdedeux.learning.model import TrainingItem
+from pasdedeux.learning.model import TrainingItem, VariantModel
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
+from pasdedeux.learning.sampling import NUM_STEPS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, EXPI18
@@ -39,6 +42,7 @@ _LARGEST_SCALE = 1.25
 _AT_LARGEST = f" at {_LARGEST_SCALE}"
 _SCALE_STEP = 0.05
 _PUBLISHED = ("E_r", "E_b", "JPD")
+_OF_LOG = ("model", "step", "quantity", "value")
 _STILL_FALLS = 1.0
 """Percent by which validation falls in the last segment of a training that ended too early."""
 
@@ -62,7 +66,8 @@ def _plan(inputs: StageInputs, settings: ModelsSettings) -> list[Shard]:
         takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in tested]
         variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id in tested]
         own = settings.part(ModelsSettings)
-        found.append(TOPIC.shard(inputs, split, own, models=models, takes=takes, variants=variants))
+        logs = [one for one in inputs.of("training_log") if _split_name(ModelFacts.of(one)) == split]
+        found.append(TOPIC.shard(inputs, split, own, models=models, takes=takes, variants=variants, logs=logs))
     return found
 
 
@@ -81,6 +86,7 @@ class _ShownModels(NamedTuple):
         errors: Errors of each model on them.
         baselines: Models that are dashed.
         cases: Caption of the best, a middling and the worst, and the prediction for each; empty without a model.
+        curves: Steps and validation errors of each network and of the copy.
     """
 
     split: str
@@ -89,6 +95,7 @@ class _ShownModels(NamedTuple):
     errors: Mapping[str, Sequence[Errors]]
     baselines: Collection[str]
     cases: tuple[str, Mapping[str, tuple[TrainingItem, Array]]]
+    curves: Mapping[str, tuple[Array, Array]]
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
@@ -152,6 +159,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     )
     said, shown = "", {}
     best = best_model(scores, split=split, baselines=baselines)
+    if best is not None and skeleton == BODY22.name and best not in baselines:
+        scores += refined_scores(variants, best, models[best], meters, tested, split, takes)
     if best is not None:
         cases = extreme_cases([error["E_r"] for error in errors[best]])
         wanted = [(tested[row].take_id, tested[row].variant_id) for row in cases.values()]
@@ -182,15 +191,24 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
         ),
     ]
     judged = {split_name.replace("_", " "): Items.joined(parts)}
-    drawing = _ShownModels(split_name, caption, tested, distances, baselines, (said, shown))
+    curves = learning_curves([store.read(ref, "training_log") for ref in shard.refs("logs")])
+    drawing = _ShownModels(split_name, caption, tested, distances, baselines, (said, shown), curves)
     return TopicResult(scores, notes, judged, baselines, drawing)
 
 
 def _draw(shown: _ShownModels) -> Iterator[Picture]:
-    """Draw errors against scales, and show cases of the best model."""
+    """Draw errors against scales and steps of training, and show cases of the best model."""
     scales = [key.furthest_scale for key in shown.keys]
     drawn = model_figure(scales, shown.errors, baselines=shown.baselines, split=shown.split)
     yield Picture(f"models-{shown.split}.svg", shown.caption, drawn)
+    if shown.curves:
+        drawn = curve_figure(
+            [CurvePanel("mean joint error of validation windows (cm)", shown.curves, BASELINES)],
+            title=f"training on {shown.split.replace('_', ' ')}",
+            x_label="steps",
+        )
+        words = f"Validation error of each network on split {shown.split} during training, z = 0; the copy is dashed."
+        yield Picture(f"learning-{shown.split}.svg", words, drawn)
     caption, cases = shown.cases
     if cases:
         yield Picture(f"cases-{shown.split}.player.json", caption, case_player(cases))
@@ -245,6 +263,46 @@ def fall_scores(logs: Mapping[str, TableData], split: str) -> list[Score]:
         if str(quantity) == FALL
     }
     return [Score(FALL, name, fall, "%", split=split) for name, fall in falls.items()]
+
+
+def learning_curves(logs: Sequence[TableData]) -> dict[str, tuple[Array, Array]]:
+    """Return steps and validation error, cm, of each network by its name, and of the copy, from all segments' logs."""
+    found: dict[str, dict[float, float]] = {}
+    for log in logs:
+        for model, step, quantity, value in zip(*(log[name] for name in _OF_LOG), strict=True):
+            name = {"validation_error_cm": str(model), "validation_copy_error_cm": BASELINES[0]}.get(str(quantity))
+            if name is not None:
+                found.setdefault(name, {})[float(step)] = float(value)
+    return {name: (np.array(sorted(own)), np.array([own[step] for step in sorted(own)])) for name, own in found.items()}
+
+
+def refined_scores(
+    variants: StoredVariants,
+    name: str,
+    model: VariantModel,
+    meters: Mapping[str, ModelMeter],
+    tested: Sequence[VariantKey],
+    split: str,
+    takes: Sequence[str] | None,
+) -> list[Score]:
+    """Return the figures of a model's predictions of the tested variants after two steps of the mesh."""
+    errors = []
+    for item in variants.items([(key.take_id, key.variant_id) for key in tested]):
+        request, meter = item.request, meters[item.request.take_id]
+        motion_m = refine(request, meter.problems, model.predict(request), NUM_STEPS).motion_m
+        errors.append(meter.measure(request.bone_scale, {name: motion_m}, item.motion_m)[name])
+    return model_scores({f"{name}_refined": errors}, split=split, item="all", takes=takes)
+
+
+def _without_seed(score: Score) -> str:
+    """Return the name of a score's model without the seed that it was trained with."""
+    return re.sub(r"_seed\d+$", "", score.method)
+
+
+def _of_seeds(found: Sequence[Score]) -> str:
+    """Return mean, least and most of the figures of several seeds."""
+    values = [one.value for one in found]
+    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f}, {len(values)} seeds)"
 
 
 def model_figure(
@@ -341,6 +399,12 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
             ("E_r", "PWD"),
             on_splits,
         ),
+        by_model(
+            "Drift of contacts, mm / JPD, cm: as predicted, and of the best network after two steps of the mesh",
+            "all",
+            ("contact_error", "JPD"),
+            _values(("contact_error", "JPD")),
+        ),
         by_motion("As table 2 of the paper (retargeting): E_r, cm / E_b, mm / JPD, cm", is_largest=False),
         by_motion(
             f"As table 3 of the paper, scale {_LARGEST_SCALE} alone: E_r, cm / E_b, mm / JPD, cm", is_largest=True
@@ -353,6 +417,12 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
             _values(_PUBLISHED[1:]),
         ),
     ]
+    seeded = {(_without_seed(one), one.split) for one in of_all if _without_seed(one) != one.method}
+    own = sorted(
+        (one for one in of_all if (_without_seed(one), one.split) in seeded), key=lambda one: order[one.method]
+    )
+    names, caption = lambda one: (in_words(_without_seed(one)),), "E_r, cm, over all seeds: mean (least to most)"
+    tables.insert(1, pivot_table(own, caption, ("model",), names, splits, lambda one: one.split, _of_seeds))
     return [table for table in tables if table.rows]
 
 
@@ -369,7 +439,7 @@ TOPIC = Topic(
     introduction="Models that predict variants from a take and the sizes of two bodies, compared with the solver's "
     "answer. The baselines return the take unchanged, or put its joint angles on the new bones. The table of names "
     "describes each figure and model.",
-    reads=("models", "poses", "variants", "variant_quality"),
+    reads=("models", "training_log", "poses", "variants", "variant_quality"),
     plan=_plan,
     compute=_compute,
     draw=_draw,

@@ -41,6 +41,8 @@ FEW: Mapping[str, Any] = {
     "projections.pitches_deg": [0.0, 20.0],
     "projections.num_clusters": 4,
     "augmentation.scales": [0.75, 0.95, 1.05, 1.25],
+    "training.splits": ["cross_interaction", "extrapolation"],
+    "training.seeds": [0],
     "training.*.num_steps": 1,
     "training.*.segment_steps": 1,
     "generation.num_variants": 2,

@@ -26,7 +26,15 @@ from tasks.evaluation.coverage import (
     curve_points,
     real_frame_levels,
 )
-from tasks.evaluation.models import best_model, fall_scores, model_figure, model_scores, model_tables, share_scores
+from tasks.evaluation.models import (
+    best_model,
+    fall_scores,
+    learning_curves,
+    model_figure,
+    model_scores,
+    model_tables,
+    share_scores,
+)
 from tasks.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_items, reconstruction_scores
 from tasks.evaluation.views import view_errors
 from tests.builders.moving_pairs import swaying_pair
@@ -216,7 +224,8 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
         for item in ("all", "hug", "hug at 1.25")
         for score in model_scores(errors, split=split, item=item)
     ]
-    whole, motions, largest = model_tables(scores)
+    whole, contacts, motions, largest = model_tables(scores)
+    assert [row[1:] for row in contacts.rows] == [("- / 3.00",) * 2, ("- / 0.20",) * 2]
     assert whole.headings == ("model", "random", "cross_scale")
     assert [row[:2] for row in whole.rows] == [
         ("copy of the source", "4 (4 to 4) / 1 (1 to 1)"),
@@ -240,6 +249,20 @@ def test_a_model_whose_validation_still_fell_in_its_last_segment_is_marked_on_th
     (table,) = model_tables([*scores, *fall_scores(logs, "random test")])
     marked = {(row[0], at) for row in table.rows for at, cell in enumerate(row) if "still fell" in cell}
     assert marked == {("falling", table.headings.index("random"))}
+
+
+def test_networks_trained_with_several_seeds_stand_together_and_their_segments_make_a_curve() -> None:
+    values = {"copy": 4.0, "net": 1.0, "net_seed1": 1.5, "net_seed2": 2.0}
+    errors = {name: [{"E_r": value, "PWD": 1.0}] for name, value in values.items()}
+    _, seeds = model_tables(model_scores(errors, split="random test", item="all"))
+    assert seeds.rows == (("net", "1.50 (1.00 to 2.00, 3 seeds)"),)
+    quantities = np.array(["validation_error_cm", "validation_copy_error_cm", "train_loss"])
+    logs = [
+        {"model": np.array(["net"] * 3), "step": np.full(3, step), "quantity": quantities, "value": np.array(found)}
+        for step, found in ((20, [1.0, 4.0, 0.1]), (10, [2.0, 4.0, 0.2]))
+    ]
+    curves = {name: [one.tolist() for one in curve] for name, curve in learning_curves(logs).items()}
+    assert curves == {"net": [[10.0, 20.0], [2.0, 1.0]], "copy": [[10.0, 20.0], [4.0, 4.0]]}
 
 
 def test_tables_put_methods_side_by_side_and_baselines_last() -> None:

@@ -70,12 +70,12 @@ def plan_toys(inputs: StageInputs, _: Parameters) -> list[Shard]:
     return [TOPIC.shard(inputs, "all")]
 
 
-def run_toys(shard: Shard, store: Store) -> TopicResult:
+def count_toys(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(scores=[Score("toys", "counted", 3.0, "", split="all")])
 
 
 READS = ("poses", "variants", "models", "annotations")
-TOPIC = Topic("toys", "Toys", "How many there are.", READS, plan_toys, run_toys)
+TOPIC = Topic("toys", "Toys", "How many there are.", READS, plan_toys, count_toys)
 EVALUATION = evaluation_stage([TOPIC])
 
 

@@ -17,6 +17,7 @@ from types import SimpleNamespace
 
 import dask
 import numpy as np
+import psutil
 import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
@@ -532,7 +533,8 @@ def test_where_the_system_does_not_tell_its_memory_there_is_a_worker_for_each_co
     def refuse(name: str) -> int:
         raise ValueError(f"unrecognized configuration name: {name}")
 
-    monkeypatch.setattr("os.sysconf", refuse)
     monkeypatch.setattr("flows.machine._GROUPS", tmp_path / "cgroup")
+    assert memory_bytes() == pytest.approx(psutil.virtual_memory().total, rel=0.01)
+    monkeypatch.setattr("os.sysconf", refuse)
     monkeypatch.setattr("flows.machine.usable_cores", lambda: 8)
     assert (memory_bytes(), cluster_settings(None).num_workers, why_few(ClusterSettings(3))) == (None, 8, "")

@@ -34,6 +34,7 @@ from storage_schema import (
     create_dataset,
     in_use,
     lease,
+    list_datasets,
     list_runs,
     open_table,
     verify,
@@ -723,6 +724,21 @@ def test_a_dataset_in_a_bucket_does_not_tell_who_made_it_where_and_when(server: 
     create_dataset(store, "toys", [commit_rows(store, name="one")], attachments={"card.md": b"# Card"})
     with tarfile.open(fileobj=io.BytesIO(RemoteStore(server.place).read("datasets/toys@1"))) as file:
         assert {(one.uname, one.uid, one.mtime) for one in file} == {("", 0, 0)}
+
+
+def test_a_mirror_takes_a_new_dataset_of_another_machine_beside_the_one_that_it_has(
+    server: S3Server, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    store = Store(server.place)
+    create_dataset(store, "toys", [commit_rows(store, name="one")])
+    store.refresh()
+    elsewhere()
+    other = Store(server.place)
+    create_dataset(other, "toys", [commit_rows(other, name="two")])
+    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
+    back = Store(server.place)
+    back.refresh()
+    assert [one.label for one in list_datasets(back)] == ["toys@1", "toys@2"]
 
 
 def test_a_bucket_that_does_not_answer_or_is_not_there_is_one_sentence_before_any_work(

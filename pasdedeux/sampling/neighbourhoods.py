@@ -65,8 +65,8 @@ def fill(
     """
     count = len(pairs_m)
     if count < NUM_PARENTS:
-        parents, weights = np.zeros((2, 0, NUM_PARENTS))
-        return Filling(pairs_m[:0], parents.astype(np.int64), weights, np.zeros(0), 0)
+        none = np.zeros((0, NUM_PARENTS))
+        return Filling(pairs_m[:0], none.astype(np.int64), none, np.zeros(0), 0)
     nearest = np.argsort(cartesian_distances(pairs_m, pairs_m), axis=1, kind="stable")
     # A pair comes first among its own parents, also where another one is just like it.
     parents = np.stack([np.r_[row, near[near != row][: NUM_PARENTS - 1]] for row, near in enumerate(nearest)])

@@ -178,7 +178,7 @@ class SeenPeople:
         couples = []
         for numbers in combinations(range(len(self.people)), 2):
             tracks = [self.people[number].track.track for number in numbers]
-            frames = np.intersect1d(*(track.frames for track in tracks))
+            frames = np.intersect1d(tracks[0].frames, tracks[1].frames)
             if len(frames):
                 at = [frames - track.first_frame for track in tracks]
                 couples.append(Couple(tuple(zip(numbers, at, strict=True))))

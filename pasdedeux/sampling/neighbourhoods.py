@@ -28,8 +28,10 @@ MIN_FILLED_LOG_PRIOR = -100.0
 """Log prior below which a filled pair is refused: half of what a selected pair may have."""
 _CONCENTRATION = 0.7
 """Of the Dirichlet distribution of the weights: below 1 a few parents count more than the others."""
-_MAX_ROUNDS = 20
-"""How often each grown pair is tried on average for each pair that is asked of it, at most."""
+_MAX_TRIES = 20
+"""Means that are drawn for each pair that is asked for, at most."""
+_MIN_KEPT_SHARE = 0.05
+"""When less of the means with each pair first is kept than this, there is no more room between them."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ def fill(
     selector.add(pairs_m, *np.ones((2, count)))
     found: list[Filling] = []
     num_found = num_tried = 0
-    while num_found < num and num_tried < _MAX_ROUNDS * num:
+    is_full = False
+    while num_found < num and num_tried < _MAX_TRIES * num and not is_full:
         rows = rng.permutation(count)[: num - num_found]
         weights = rng.dirichlet(np.full(NUM_PARENTS, _CONCENTRATION), len(rows))
         means = [
@@ -88,6 +91,7 @@ def fill(
         found.append(Filling(np.stack(means)[kept], parents[rows[kept]], weights[kept], quality.log_prior[kept], 0))
         num_found += len(kept)
         num_tried += len(rows)
+        is_full = len(rows) == count and len(kept) < _MIN_KEPT_SHARE * count
     return Filling(
         np.concatenate([one.pairs_m for one in found]),
         np.concatenate([one.parents for one in found]),

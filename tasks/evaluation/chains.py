@@ -167,7 +167,9 @@ TOPIC = Topic(
     name="chains",
     heading="Chains",
     introduction="Each chain samples poses that agree with the annotations, from a seed on. Where chains mix, the "
-    "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1).",
+    "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1). They seldom "
+    "do: modes of the density differ by some 100 nats, so chains stay near where they start. Sets of pairs, above all "
+    "repaired ones, are the draws to use.",
     reads=("chain_info", "draws", "annotations", "views"),
     plan=_plan,
     compute=_compute,

@@ -5,7 +5,8 @@ order or by name, alone or one list for each person; a table has a row for each 
 visibility`) or a row for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, ...`, with several people `p1_nose_x`),
 also with the rows of DeepLabCut above it (`scorer`, `individuals`, `bodyparts`, `coords`).
 
-JSON may have frames by number or image, and in them people by number or name, as AlphaPose's forms of OpenPose have.
+JSON may have frames by number or image, and in them people by number or name, as AlphaPose's forms of OpenPose have; or
+people by number (`person_0`) and in them their frames.
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ _FRAME_KEYS = ("frame", "frame_id", "frame_index", "frame_idx", "frame_number", 
 _PERSON_KEYS = ("person", "person_id", "track_id", "pose_index", "pose_id", "individual", "id")
 _VIDEO_KEYS = ("video", "video_name", "sequence", "filename")
 _IMAGE_KEYS = ("image", "image_name", "image_file", "img", "img_name", "filename", "file_name", "file", *_FRAME_KEYS)
+_PERSON = re.compile(
+    r"(?:p|id|ind|person|people|player|dancer|track|subject|actor|individual|body)[ _-]?\d+", re.IGNORECASE
+)
 _IMAGE = re.compile(r"\.(?:jpe?g|png|bmp|tiff?|webp)$", re.IGNORECASE)
 _LANDMARK_KEYS = (
     *("landmark_name", "landmark", "landmark_id", "landmark_index", "landmark_idx"),
@@ -129,7 +133,7 @@ def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:
 
 def _of_frames(content: Any) -> Iterator[Detection]:
     """Yield the people of JSON: a list of frames, an object with one, an object by frame numbers, or one frame."""
-    frames = content
+    content = frames = _by_frame(content)
     if isinstance(content, dict):
         are_frames = not _is_pose(content) and all(
             _is_nested(one) and re.search(r"\d", key) for key, one in content.items()
@@ -160,6 +164,23 @@ def _of_frames(content: Any) -> Iterator[Detection]:
             own = person if is_number or (isinstance(person, str) and person) else None
             for who, pose, names in _poses(frame if are_people else low or frame):
                 yield Detection(("", number), own if who is None else who, pose, where, names=names)
+
+
+def _by_frame(content: Any) -> Any:
+    """Return people by number with their frames as frames with their people, anything else as it is."""
+    if not (isinstance(content, dict) and content and all(map(_PERSON.fullmatch, content))):
+        return content
+    if not all(map(_is_nested, content.values())):
+        return content
+    frames: dict[str, dict[str, Any]] = {}
+    for person, own in content.items():
+        has_frames = not _is_pose(own) and any(map(_is_nested, own.values() if isinstance(own, dict) else own))
+        if not has_frames:
+            own = [own]
+        for frame, pose in own.items() if isinstance(own, dict) else enumerate(own):
+            if pose is not None:
+                frames.setdefault(str(frame), {})[person] = pose
+    return frames
 
 
 def _is_point(value: Any) -> bool:

@@ -136,5 +136,6 @@ def test_a_plan_shows_what_readers_assumed(tmp_path: Path, capsys: pytest.Captur
     said = capsys.readouterr().out
     assert "note: t: a.bvh: it states 3 frames and holds 4, which are read" in said
     assert "note: c: the keypoints of 'c' lie in a quarter of the image" in said
+    assert "note: c: keypoints without names taken as 'coco17'" in said
     assert run_command_line([*asked, "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["notes"]) == 2
+    assert len(json.loads(capsys.readouterr().out)["notes"]) == 3

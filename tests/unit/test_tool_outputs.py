@@ -125,6 +125,15 @@ TEXTS = {
     "people by name in a list of frames": json.dumps(
         [{"AB"[int(p)]: one for p, one in people.items()} for people in BY_NAME.values()]
     ),
+    "frames by number in people by number": json.dumps(
+        {f"person_{p}": {f: BY_NAME[f][p] for f in BY_NAME} for p in "01"}
+    ),
+    "frames by image in people by number": json.dumps(
+        {f"dancer {p}": {f"frame_{f}.jpg": BY_NAME[f][p] for f in BY_NAME} for p in "01"}
+    ),
+    "frames in order in people by number": json.dumps(
+        {f"Dancer{p}": [[*BY_NAME[f][p].values()] for f in BY_NAME] for p in "01"}
+    ),
     "lists of named joints by frame": json.dumps({f"frame_{f}": [*people.values()] for f, people in BY_NAME.items()}),
     "AlphaPose's lists in OpenPose's words": json.dumps(
         {

@@ -44,6 +44,10 @@ def write_video(path: Path, *, rate_hz: float = 12.0, size: tuple[int, int] = (6
     writer.release()
 
 
+def test_a_format_keeps_its_former_name(tmp_path: Path) -> None:
+    assert AnnotationOptions(id="clip", path=tmp_path, format="mediapipe").format == "points"
+
+
 def test_cameras_by_the_beginning_of_names_are_sequences_and_none_vanishes(tmp_path: Path) -> None:
     write_frames(tmp_path, "cam1_", 6)
     write_frames(tmp_path, "cam2_", 4)

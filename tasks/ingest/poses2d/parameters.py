@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import ANNOTATION_FORMATS
@@ -14,7 +14,9 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 from tasks.ingest.common import ID, one_of
 from tasks.stage import Parameters
 
-AnnotationFormatName = Annotated[str, one_of(ANNOTATION_FORMATS)]
+AnnotationFormatName = Annotated[
+    str, one_of(ANNOTATION_FORMATS), BeforeValidator(lambda name: "points" if name == "mediapipe" else name)
+]
 KeypointLayoutName = Annotated[str, one_of(KEYPOINT_LAYOUTS)]
 
 

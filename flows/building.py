@@ -136,9 +136,11 @@ class Build:
 
     def end(self) -> None:
         """End the tasks, and cancel shards that have not ended."""
-        self._pool.give_up()
-        for work in self._work.values():
-            work.ended.set()
+        try:
+            self._pool.give_up()
+        finally:
+            for work in self._work.values():
+                work.ended.set()
 
     def _follow(self, work: _StageWork, show: ShowPartitions) -> None:
         """Do the task of a stage: show its partitions until it has ended, and fail as it failed."""
@@ -148,7 +150,7 @@ class Build:
             show(self._tally.partitions(work.plan.stage.name))
         if work.error is not None:
             raise work.error
-        if work.num_left:
+        if work.outcome is None:
             raise Stopped("given up")
 
     def _next(self) -> ShardDone | ShardFailed | None:

@@ -12,6 +12,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
+from threading import Thread
 from typing import Any, Self
 
 import pytest
@@ -41,6 +42,7 @@ from tasks.shards import (
     ShardDone,
     ShardError,
     ShardFailed,
+    Stopped,
     connect,
 )
 from tasks.stage import EarlyPlan, Parameters, Shard
@@ -259,13 +261,13 @@ def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tm
 
 
 def execute_shown(
-    tmp_path: Path, graph: Graph, *settings: str, fail: frozenset[str] = frozenset()
+    tmp_path: Path, graph: Graph, *settings: str, fail: frozenset[str] = frozenset(), until: str = "grow"
 ) -> tuple[ManyWorkers, dict[str, Future[None]], dict[str, list[PartitionCount]]]:
-    """Build up to the stage grow; gives the pool, the task of each stage, and the partitions that it showed last."""
+    """Build up to a stage; gives the pool, the task of each stage, and the partitions that it showed last."""
     tasks: dict[str, Future[None]] = {}
     shown: dict[str, list[PartitionCount]] = {}
     chosen, known = load_study(str(write_study(tmp_path)), graph, settings=settings, environment={})
-    run = Run(chosen, known, Store(tmp_path / "store"), StageSelection(until="grow"))
+    run = Run(chosen, known, Store(tmp_path / "store"), StageSelection(until=until))
     pool = ManyWorkers(tmp_path / "store", num_workers=2, fail=fail)
     with ThreadPoolExecutor(9) as threads:
 
@@ -304,6 +306,38 @@ def test_the_task_of_a_stage_fails_as_the_stage_does(tmp_path: Path) -> None:
     assert str(tasks["grow"].exception()).startswith("stage grow, t1, shard s0: ")
     failed = {count.partition: (count.num_computed, count.num_failed) for count in shown["grow"]}
     assert failed == {"t0": (2, 0), "t1": (0, 2)}, "the other one of t1 was not tried"
+
+
+def test_the_task_of_a_stage_that_is_not_whole_fails_though_all_its_early_shards_ended(tmp_path: Path) -> None:
+    settings, fail = ["grow.num_takes=2", "grow.num_segments=2"], frozenset({"grow t1 s1"})
+    pool, tasks, _ = execute_shown(tmp_path, TOYS, *settings, fail=fail, until="bend")
+    assert "bend t0 s1" in pool.started
+    assert isinstance(tasks["bend"].exception(), Stopped)
+
+
+def test_tasks_end_also_where_shards_cannot_be_cancelled(tmp_path: Path) -> None:
+    class Unreachable(ManyWorkers):
+        def give_up(self) -> None:
+            raise OSError("nobody answers")
+
+    tasks: list[Thread] = []
+
+    def start(stage: str, follow: Callable[[ShowPartitions], None]) -> None:
+        def do() -> None:
+            with suppress(ShardError, Stopped):
+                follow(lambda _: None)
+
+        tasks.append(Thread(target=do, daemon=True))
+        tasks[-1].start()
+
+    chosen, graph = load_study(str(write_study(tmp_path)), TOYS, environment={})
+    run = Run(chosen, graph, Store(tmp_path / "store"))
+    plan, pool = make_plan(chosen, graph, run.store), Unreachable(tmp_path / "store", fail=frozenset({"grow t1 s2"}))
+    with pytest.raises(OSError, match="nobody answers"):
+        execute(run, begin(run, plan), plan, pool, start)
+    for task in tasks:
+        task.join(timeout=10.0)
+    assert [task.is_alive() for task in tasks] == [False] * 3
 
 
 def test_a_stage_whose_task_is_never_begun_is_built_all_the_same(undisturbed: Path, tmp_path: Path) -> None:
@@ -401,7 +435,7 @@ def test_a_clock_that_jumps_changes_times_and_nothing_else(
         def now(cls, tz: tzinfo | None = None) -> Self:
             return super().now(tz) + next(jumps)
 
-    for module in ("runs", "store"):
+    for module in ("runs", "artifact_writer"):
         monkeypatch.setattr(f"storage_schema.{module}.datetime", Jumping)
     study, store = write_study(tmp_path), tmp_path / "store"
     with pytest.raises(ShardError):

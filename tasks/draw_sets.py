@@ -14,6 +14,8 @@ from tasks.stage import StageInputs
 
 GROWN, FILLED = "grown_seeds", "filled_seeds"
 """Names under which grown pairs, and pairs filled in between, stand beside the densities."""
+REPAIRED = "_repaired"
+"""Ending of the name of a density under which the ends of short chains from grown and filled pairs are kept."""
 
 
 @dataclass(frozen=True)

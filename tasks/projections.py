@@ -30,6 +30,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.committing import commit, followed
+from tasks.draw_sets import REPAIRED
 from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, merge_takes
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
@@ -41,7 +42,7 @@ MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
-_DENSITIES = ("ic", "ic_repaired", "repaired")
+_DENSITIES = ("ic", f"ic{REPAIRED}", "repaired")
 """Draws that enter: those of the density that compares with annotations."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 
@@ -11,6 +11,7 @@ from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import NamedVerdict, merge_verdicts, part_name
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
+from tasks.draw_sets import is_chain
 from tasks.facts import (
     DrawFacts,
     Facts,
@@ -31,19 +32,21 @@ _APART = "evaluation"
 
 @dataclass(frozen=True)
 class _Thing:
-    """A thing that people count, by rows or artifacts: name, table, the topics that judge it."""
+    """A thing that people count, by rows or artifacts: name, table, topics that judge it, which artifacts have it."""
 
     name: str
     table: str
     is_artifact: bool = False
     topics: tuple[str, ...] = ()
+    is_in: Callable[[Manifest], bool] = lambda _: True
 
 
 _THINGS = (
     _Thing("takes", "poses", is_artifact=True),
     _Thing("annotations", "annotations"),
     _Thing("seeds", "seeds"),
-    _Thing("draws", "draws", topics=("coverage", "leave one out")),
+    _Thing("draws", "draws", topics=("coverage", "leave one out"), is_in=is_chain),
+    _Thing("repaired pairs", "draws", is_in=lambda one: not is_chain(one)),
     _Thing("lifted pairs", "lifted_pairs", topics=("lifting",)),
     _Thing("database poses", "projections"),
     _Thing("reconstructed sequences", "motions", is_artifact=True, topics=("reconstruction",)),
@@ -56,14 +59,15 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
     found = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
     told = [(one, facts_of(one)) for one in found]
-    holding: dict[str, list[tuple[Manifest, Facts]]] = {}
-    for one, facts in told:
-        for table in one.tables:
-            holding.setdefault(table, []).append((one, facts))
+    parts = {
+        thing: [(one, facts) for one, facts in told if thing.table in one.tables and thing.is_in(one)]
+        for thing in _THINGS
+    }
+    chains = stage_verdict(one for one in found if "chain_info" in one.tables)
     verdicts = dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank))
     sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in found for s in one.sources}}
     return Summary(
-        made=[made for thing in _THINGS if (made := _made(thing, holding.get(thing.table, ()), verdicts)).count],
+        made=[made for thing, own in parts.items() if (made := _made(thing, own, chains)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
         skipped=folded(sorted({sentence for one, facts in told for sentence in _skipped(one, facts)})),
         verdicts=verdicts,
@@ -140,7 +144,7 @@ def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
 
 
-def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], verdicts: Mapping[str, Verdict]) -> Made:
+def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdict | None) -> Made:
     """Count a thing in its artifacts; seconds are of motion, where its artifacts say how many frames it has."""
     count, seconds = 0, math.nan
     for one, facts in parts:
@@ -156,18 +160,17 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], verdicts: Mapp
             times = own if thing.table == "variant_quality" else 1
             length = times * facts.num_frames / facts.rate_hz
             seconds = length if math.isnan(seconds) else seconds + length
-    independent = _independent(thing, [facts for _, facts in parts], verdicts)
+    independent = _independent(thing, [facts for _, facts in parts], chains)
     return Made(thing.name, count, seconds, sum(one.num_bytes for one, _ in parts), independent)
 
 
-def _independent(thing: _Thing, facts: Sequence[Facts], verdicts: Mapping[str, Verdict]) -> tuple[int, str] | None:
+def _independent(thing: _Thing, facts: Sequence[Facts], chains: Verdict | None) -> tuple[int, str] | None:
     """Return how many of a thing are independent of each other, in words that people count; None where all are."""
     if thing.table == "variant_quality":
         return len({fact.take_id for fact in facts if isinstance(fact, VariantFacts)}), "takes with variants"
     if thing.table == "annotations":
         found = {name for fact in facts if isinstance(fact, SequenceFacts) for name in fact.sequence_ids}
         return len(found), "annotated sequences"
-    chains = verdicts.get("chains")
-    if thing.table == "draws" and chains is not None and chains.figure == "effective sample size":
+    if thing.name == "draws" and chains is not None and chains.figure == "effective sample size":
         return round(chains.value * chains.count), "independent draws"
     return None

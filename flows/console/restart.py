@@ -31,11 +31,12 @@ from flows.study_files import HEAD, PUBLISH, StudyTree
 from pasdedeux.errors import named
 from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
 from storage_schema import Store, latest_studies
+from tasks.draw_sets import REPAIRED
 from tasks.seeds.files import DrawSeed, pair_of_draw
 from tasks.sweep import merged
 from tasks.user_files import read_file
 
-_NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0}
+_NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0, "num_filled": 0}
 
 
 @app.command()
@@ -84,7 +85,8 @@ def restart(
         tree["chains"] = merged(tree["chains"], sweeps[chosen.density])
         tree["chains"]["densities"] = tree["chains"]["densities"][:1]
     else:
-        tree["chains"]["densities"] = [chosen.density]
+        tree["chains"]["densities"] = [chosen.density.removesuffix(REPAIRED)]
+    tree["chains"]["starts"] = "all"
     study, graph = study_from_tree(
         StudyTree(name, tree, {(): Path.cwd()}), graph_of(context), here=Path.cwd(), settings=settings or ()
     )

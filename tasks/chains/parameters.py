@@ -13,6 +13,7 @@ from pasdedeux.sampling.densities.density import PRIOR_ONLY, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.sampling.repair import RepairSettings
 from pasdedeux.settings import Settings
+from tasks.draw_sets import REPAIRED
 from tasks.stage import Parameters
 from tasks.sweep import SweptParameters
 
@@ -64,7 +65,8 @@ class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSetti
     starts: Literal["all", "seeds", "grown", "every"] = Field(
         "all",
         description="Where chains start: the seeds and chosen grown ones, or only either of them; every: a short chain "
-        "from every grown and filled pair, of which the end is kept, under the density's name and `_repaired`",
+        "from every grown and filled pair, of which the end is kept, under the density's name and "
+        f"`{REPAIRED}`",
     )
     num_chains: int = Field(default=2, ge=1, le=1000, description="Chains of each seed and density")
     num_draws: int = Field(default=500, ge=1, description="Draws kept of each chain; rounded up to whole segments")
@@ -78,14 +80,18 @@ class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSetti
     def _has_one_name_each(self) -> ChainsParameters:
         if len(set(self.densities)) != len(self.densities):
             raise ValueError("chains.densities names a density twice")
-        if taken := sorted(DENSITIES.keys() & self.sweep):
+        names = {f"{name}{self._end}" for name in self.densities}
+        if taken := sorted((DENSITIES.keys() | names) & self.sweep.keys()):
             raise ValueError(f"chains.sweep: '{taken[0]}' is the name of a density")
         return self
 
+    @property
+    def _end(self) -> str:
+        return REPAIRED if self.starts == "every" else ""
+
     def named(self) -> dict[str, ChainsParameters]:
         """Return the settings of all chains by the name that draws are kept under, each with one density."""
-        end = "_repaired" if self.starts == "every" else ""
-        found = {f"{name}{end}": self.model_copy(update={"densities": (name,)}) for name in self.densities}
+        found = {f"{name}{self._end}": self.model_copy(update={"densities": (name,)}) for name in self.densities}
         swept = {name: own.model_copy(update={"densities": own.densities[:1]}) for name, own in self.swept().items()}
         return found | swept
 

@@ -23,7 +23,7 @@ from tasks.draw_sets import GROWN, is_set
 from tasks.facts import SeedFacts
 from tasks.stage import Shard, StageInputs, StageName
 
-CHAINS = StageName("chains", 17)
+CHAINS = StageName("chains", 18)
 _STARTS_OF_A_SHARD = 200
 
 Inputs = dict[str, Sequence[Manifest]]

@@ -129,7 +129,7 @@ def _repair(shard: Shard, options: RepairParameters, store: Store) -> ArtifactRe
     pairs, indices = pairs[is_possible], indices[is_possible]
     facts = DrawFacts(
         density=options.name,
-        seed_index=int(indices.min(initial=0)),
+        seed_index=int(indices[0]) if len(indices) else 0,
         num_draws=len(pairs),
         num_starts=options.num_rows,
         takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
@@ -149,7 +149,7 @@ def _repair(shard: Shard, options: RepairParameters, store: Store) -> ArtifactRe
         chart = PairChart(pair)
         targets.append(PairDensity(chart, PhysicalPrior(chart, limits, sharp), evidence.likelihood, sharp))
     labels = ("chains", options.name, "repair")
-    scales = learn_scales(targets, stream(shard.seed, *labels, "scales", options.first_row))
+    scales = learn_scales(targets, stream(shard.seed, *labels, "scales", int(indices[0])))
     ends = [
         repair(target, stream(shard.seed, *labels, int(index)), scales, options.repair.repair_steps)
         for target, index in zip(targets, indices, strict=True)

@@ -33,6 +33,8 @@ from tasks.takes import takes_of
 
 SIZE = 500
 """Pairs of every set that are compared, or fewer where a set has fewer."""
+_LARGEST = 10 * SIZE
+"""Pairs of a set that are then judged, at most."""
 _REAL, _SELECTED = "real_frames", "selected_pairs"
 _NUM_TRUTH, _NUM_REAL, _NUM_MEMBERS = 300, 1500, 300
 """Held-out pairs that are covered, real frames that members are compared with, and members compared, at most."""
@@ -90,7 +92,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     for name, pairs in sets.items():
         # Selected pairs come by how much they differ, others in any order.
         mixed = pairs if name == _SELECTED else pairs[generator.permutation(len(pairs))]
-        for count in dict.fromkeys((size, min(len(mixed), 10 * SIZE))):
+        for count in dict.fromkeys((size, min(len(mixed), _LARGEST))):
             covered, figures = judge_set(mixed[:count], truth, references, limits)
             nearest.setdefault(name, covered)
             scores += [
@@ -139,7 +141,7 @@ def set_table(scores: Sequence[Score]) -> list[TextTable]:
     return [
         pivot_table(
             ranked,
-            "Can these pairs be used as a set? As many of each, then all of them",
+            f"Can these pairs be used as a set? As many of each, then up to {_LARGEST:,}",
             ("set", "pairs"),
             lambda score: (in_words(score.method), f"{score.at:,.0f}"),
             _HEADINGS,

@@ -10,6 +10,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.repair import learn_scales
 from pasdedeux.sampling.seeds import seed_quality
 from storage_schema import Manifest, Store
 from tasks import chains
@@ -19,7 +20,8 @@ from tasks.judgements import verdict_of
 from tasks.seeds.files import pair_of_draw
 from tasks.selection import select_pairs
 from tasks.stage import StageInputs
-from tests.builders.sampling_store import inputs, run, with_seeds
+from tasks.summary import summary_of
+from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 
 __all__ = ["inputs"]
 
@@ -46,6 +48,8 @@ def test_every_grown_and_filled_pair_is_repaired_once(repaired: Any) -> None:
     moved_m = np.linalg.norm(found - starts[is_possible], axis=-1).mean(axis=(1, 2))
     assert 0.001 < moved_m.mean() < 0.1
     assert verdict_of(made[0]).count == 12
+    firsts = [int(store.read(one.ref, "draws")["seed_index"][0]) for one in made]
+    assert [one.facts["seed_index"] for one in made] == firsts
     table = store.read(made[0].ref, "draws")
     pair = pair_of_draw(store, f"draws@{made[0].ref.key}#3").pair.pair_m
     np.testing.assert_allclose(pair, table["pair17_m"][3], atol=1e-5)
@@ -75,6 +79,31 @@ def test_repaired_pairs_are_selected_as_independent_ones(repaired: Any) -> None:
     assert set(selected.columns["origin"]) <= {"repaired", "grown", "filled"}
     assert "repaired" in selected.columns["origin"]
     assert selected.num_independent <= selected.num_plausible
+
+
+def test_every_shard_learns_its_scales_with_numbers_of_its_own(repaired: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, given, made = repaired
+    states = set()
+
+    def learn(targets: Any, rng: np.random.Generator) -> Any:
+        states.add(str(rng.bit_generator.state))
+        return learn_scales(targets, rng)
+
+    monkeypatch.setattr(sys.modules["tasks.chains.run"], "learn_scales", learn)
+    run(chains.plan(given, ChainsParameters(**REPAIR)), chains, store)
+    assert len(states) == len(made)
+
+
+def test_repaired_pairs_are_counted_apart_from_the_draws_of_chains(repaired: Any) -> None:
+    store, given, made = repaired
+    few = ChainsParameters(**QUICK, num_chains=1, densities=("ic",), starts="seeds")
+    drawn = run(chains.plan(given, few), chains, store)
+    (alone,) = summary_of(drawn).made
+    draws, others = summary_of([*drawn, *made]).made
+    assert draws == alone
+    assert alone.independent is not None
+    assert (others.thing, others.independent) == ("repaired pairs", None)
+    assert others.count == sum(one.tables["draws"].rows for one in made)
 
 
 def test_nothing_is_repaired_where_nothing_grows(inputs: Any) -> None:

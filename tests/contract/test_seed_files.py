@@ -22,6 +22,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
+from tasks.draw_sets import REPAIRED
 from tasks.evaluation.chains import TOPIC as CHAINS
 from tasks.seeds import SeedsParameters
 from tasks.seeds.files import SeedFile, pair_of_draw
@@ -206,6 +207,33 @@ def test_a_draw_of_a_sweep_is_gone_on_from_with_the_keys_of_the_sweep_alone(
     assert answer.code == 0, answer.err
     chains = runs[0].study.parameters["chains"]
     assert (chains.densities, chains.sigma_l, chains.sweep) == (("ic",), 0.1, {})
+
+
+def test_draws_of_every_kind_start_chains_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of chains, repaired pairs and sweeps of both, in a study whose chains start at what its own seeds grow."""
+    store = Store(tmp_path / "store")
+    sweeps = "chains.sweep={repaired = {densities = ['ic']}, wide = {starts = 'grown', sigma_l = 0.1}}"
+    more = ("seeds.num_grown=4", "seeds.num_filled=2", "seeds.num_starts=1")
+    base = ("chains.starts=every", "chains.repair_steps=2", sweeps)
+    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1", *more, *base)
+    kinds = open_table("draws:edited", store)["density"].tolist()
+    assert set(kinds) == {f"ic{REPAIRED}", "repaired", "wide"}
+    runs: list[Run] = []
+
+    def build(run: Run, *_: object, **__: object) -> None:
+        plan = make_plan(run.study, run.graph, run.store, run.selection)
+        execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
+        runs.append(run)
+
+    monkeypatch.setattr("flows.console.restart.build_and_report", build)
+    fewer = ("--set", "chains.num_draws=4", "--set", "chains.num_chains=1")
+    for kind in sorted(set(kinds)):
+        draw = f"draws:edited#{kinds.index(kind)}"
+        answer = call_in_process(capsys, "restart", draw, "--store", store.root, "--out", tmp_path / "out", *fewer)
+        assert answer.code == 0, answer.err
+        assert open_table(f"draws:{runs[-1].study.name}", store)["density"].tolist() == ["ic"] * 4
 
 
 def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

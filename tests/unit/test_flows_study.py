@@ -93,6 +93,10 @@ def test_unknown_keys_are_named_with_the_nearest_known_name(tmp_path: Path) -> N
         ("[chains.sweep.hot.sweep.hotter]", r"chains\.sweep: .*a sweep has no sweeps"),
         ("[chains.sweep.ic]", r"chains\.sweep: 'ic' is the name of a density"),
         (
+            '[chains]\nstarts = "every"\nsweep.ic_repaired = {}',
+            r"chains\.sweep: 'ic_repaired' is the name of a density",
+        ),
+        (
             "[training.sweep.near.mesh_refine]\nnum_iterations = -1",
             r"training\.sweep\.near\.mesh_refine\.num_iterations: ",
         ),

@@ -191,7 +191,7 @@ FAULTS = (
           "if bound > limit:", "if 4.0 * bound > limit:", "unit/test_selection.py::"
           "test_what_is_selected_is_farthest_from_all_before_and_weighs_what_is_nearest_to_it"),
     Fault("sets of pairs are judged at sizes of their own", "tasks/evaluation/sets.py",
-          "(size, min(len(mixed), 10 * SIZE))", "(min(len(mixed), 10 * SIZE),)",
+          "(size, min(len(mixed), _LARGEST))", "(min(len(mixed), _LARGEST),)",
           "contract/test_sets_topic.py::test_every_set_is_judged_at_one_size_on_held_out_takes_alone"),
     Fault("takes that draws were made from are to be covered and judged", "tasks/evaluation/sets.py",
           "sorted(known.held_out - learned)", "sorted(set(known.takes) - learned)",

@@ -37,8 +37,8 @@ class SelectedPairs:
         num_draws: Draws of chains, but for those of the prior alone.
         num_grown: Grown and filled pairs.
         num_plausible: How many of both are plausible.
-        num_independent: Effective sample size of all chains, and number of grown and filled pairs that differ, both of
-            what is plausible.
+        num_independent: Effective sample size of all chains, and number of grown, filled and repaired pairs that
+            differ, both of what is plausible.
         radius_m: D_C below which two pairs counted as one, metres.
     """
 
@@ -82,7 +82,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are passed over.
 
     Draws of the prior alone, a baseline, are passed over too.  Plausible is what keeps the joint limits and has a log
-    prior of `MIN_LOG_PRIOR` at least.  One artifact is in memory at a time.
+    prior of `MIN_LOG_PRIOR` at least.  One artifact is in memory at a time, and all pairs of no chain that differ.
 
     Raises:
         InputError: Nobody knows how a chain went.
@@ -93,6 +93,8 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     limits = read_limits(store, refs)
     chains = _read_chains(store, manifests)
     selector = PairSelector(count)
+    num_single = sum(one.tables[_table(one)].rows for one in (*grown, *drawn) if not is_chain(one))
+    singles = PairSelector(1, min_room=num_single)  # of no chain: those that differ, whatever artifacts they are in
     parts: list[_PlausibleRows] = []
     first = num_plausible = 0
     num_independent = 0.0
@@ -108,7 +110,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
                 prior = PriorSettings.model_validate(dict(manifest.parameters), extra="ignore")
                 rows = rows[seed_quality(pairs[rows], limits, prior).is_possible]
             num_plausible += len(rows)
-            rows = rows[PairSelector(1, min_room=len(rows)).add(pairs[rows], *np.ones((2, len(rows))))]
+            rows = rows[singles.add(pairs[rows], *np.ones((2, len(rows))))]
         selector.add(pairs[rows], np.full(len(rows), share), log_prior[rows])
         num_independent += share * len(rows)
         parts.append(_PlausibleRows(first, manifest, rows))

@@ -6,17 +6,17 @@ them is in files or messages.
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 from obstore.store import S3Store
@@ -37,8 +37,9 @@ _PAUSES_S = (0.1, 8.0)
 """First and longest pause before a request is repeated; each pause is twice the one before."""
 _SAY_AFTER_S, _SAY_AGAIN_S = 1.5, 15.0
 _PASSING = re.compile(
-    r"status code: (408|429|500|502|503|504)|response body|kind: (Timeout|Interrupted)"
+    r"status code: (408|429|500|502|503|504|52\d|530)|response body|kind: (Timeout|Interrupted)"
     r"|Connection(Refused|Reset|Aborted)|TimedOut|BrokenPipe|IncompleteMessage|UnexpectedEof|(Network|Host)Unreachable"
+    r"|Temporary failure in name resolution"
 )
 """Marks of faults that pass: an outage, an overload, an answer that was cut off; any other is reported at once."""
 _CAUSES = {
@@ -57,7 +58,9 @@ _log = logging.getLogger(__name__)
 _DELETED_AT_ONCE = 1000
 """Files in one request: more are several requests, which end in any order."""
 _TIMEOUT = timedelta(seconds=60)
-"""Longest time for one answer; a slower one is asked for again."""
+"""Longest time for one answer; the rest of a slower one is asked for again."""
+_PIECE_BYTES = 65536
+"""A file is read in pieces of this size, and those that came before an answer broke off are kept."""
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -99,14 +102,7 @@ class RemoteStore:
 
     def read(self, path: str, *, limit: int | None = None) -> bytes:
         """Return a file; FileNotFoundError without it, CorruptArtifact where it has more bytes than `limit`."""
-
-        def ask() -> bytes:
-            found = self._store.get(path)
-            if limit is not None and found.meta["size"] > limit:
-                raise CorruptArtifact(f"{self.url}/{path} is larger than {limit / 1e6:.0f} MB")
-            return bytes(found.bytes())
-
-        return self._asked(f"read {path}", ask)
+        return b"".join(self._pieces(path, limit))
 
     def changed_at(self, path: str) -> datetime:
         """Return when a file was written, by the server's clock; FileNotFoundError where there is none."""
@@ -114,20 +110,26 @@ class RemoteStore:
 
     def write(self, path: str, data: bytes | Path) -> None:
         """Put a file whose name follows from its content: it does not matter who was first."""
-        self._put(path, data)
+        # Parts that are sent at the same time share the line, and each must arrive before the timeout.
+        self._written(path, lambda: self._store.put(path, data, max_concurrency=1))
 
     def create(self, path: str, data: bytes) -> bool:
         """Put a new file; false where there is another one already, which stays.
 
         One with these bytes is this: an answer that was lost is asked for again.
         """
-        try:
-            self._put(path, data, mode="create")
-        except FileExistsError:
-            with suppress(FileNotFoundError):  # taken away since
-                return self.read(path) == data
-            return False
-        return True
+
+        def ask() -> bool:
+            try:
+                self._store.put(path, data, mode="create")
+            except AlreadyExistsError as error:
+                try:
+                    return self.read(path) == data
+                except FileNotFoundError:  # taken away since, or another request was in the way
+                    raise error from None
+            return True
+
+        return self._written(path, ask)
 
     def read_tagged(self, path: str) -> tuple[bytes, str]:
         """Return a file and the tag of this content of it; FileNotFoundError where there is none."""
@@ -165,15 +167,11 @@ class RemoteStore:
 
     def fetch(self, path: str, target: Path) -> str:
         """Stream a file to a new one here; gives its sha256."""
-
-        def stream() -> str:
-            target.unlink(missing_ok=True)
-            with HashingFile(target) as file:
-                for chunk in self._store.get(path):
-                    file.write(bytes(chunk))
-            return file.sha256
-
-        return self._asked(f"read {path}", stream)
+        target.unlink(missing_ok=True)
+        with HashingFile(target) as file:
+            for piece in self._pieces(path):
+                file.write(piece)
+        return file.sha256
 
     def at_once(self, do: Callable[[S], T], each: Iterable[S]) -> list[T]:
         """Do something with each, some at the same time; what the first that fails raises is raised.
@@ -187,9 +185,33 @@ class RemoteStore:
                 self.is_hurried.set()
                 raise
 
-    def _put(self, path: str, data: bytes | Path, mode: Literal["overwrite", "create"] = "overwrite") -> None:
+    def _pieces(self, path: str, limit: int | None = None) -> Iterator[bytes]:
+        """Yield a file; after an answer that breaks off, the rest of it is asked for."""
+        num_bytes, tag = 0, None
+        stream: Iterator[bytes] | None = None
+
+        def ask() -> bytes | None:
+            nonlocal tag, stream
+            if stream is None:
+                found = self._store.get(path, options={"range": {"offset": num_bytes}} if num_bytes else None)
+                if limit is not None and found.meta["size"] > limit:
+                    raise CorruptArtifact(f"{self.url}/{path} is larger than {limit / 1e6:.0f} MB")
+                if num_bytes and found.meta["e_tag"] != tag:
+                    raise RemoteError(f"{self.url}: cannot read {path}: it was replaced meanwhile; try again")
+                tag, stream = found.meta["e_tag"], map(bytes, found.stream(min_chunk_size=_PIECE_BYTES))
+            try:
+                return next(stream, None)
+            except BaseError:
+                stream = None
+                raise
+
+        while (piece := self._asked(f"read {path}", ask)) is not None:
+            num_bytes += len(piece)
+            yield piece
+
+    def _written(self, path: str, put: Callable[[], T]) -> T:
         try:
-            self._asked(f"write {path}", lambda: self._store.put(path, data, mode=mode))
+            return self._asked(f"write {path}", put)
         except FileNotFoundError:
             raise RemoteError(f"{self.url}: cannot write {path}: there is no such bucket") from None
 
@@ -198,8 +220,6 @@ class RemoteStore:
         while True:
             try:
                 return ask()
-            except AlreadyExistsError:
-                raise FileExistsError(f"{self.url}: cannot {what}: it is there") from None
             except (FileNotFoundError, ValueError):  # also a name that none can have; the client's own says the address
                 raise FileNotFoundError(f"{self.url}: cannot {what}: it is not there") from None
             except PreconditionError:
@@ -208,7 +228,8 @@ class RemoteStore:
                 now = time.monotonic()
                 failed_at = failed_at or now
                 left_s = _PATIENCE_S - (now - failed_at)
-                if left_s <= 0.0 or self.is_hurried.is_set() or not _PASSING.search(str(error)):
+                is_passing = isinstance(error, AlreadyExistsError) or _PASSING.search(str(error))
+                if left_s <= 0.0 or self.is_hurried.is_set() or not is_passing:
                     raise self._refused(what, error) from None
                 if now - began > _SAY_AFTER_S:
                     self._say_waiting(left_s)
@@ -231,3 +252,8 @@ class RemoteStore:
         # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.
         reason = _ADDRESS.sub("the server", text.partition("<?xml")[0].partition("\n")[0].rstrip(": "))
         return RemoteError(f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on")
+
+
+def has_md5_tag(entry: ObjectMeta, data: bytes) -> bool:
+    """Tell whether a listed file is known to have these bytes: for small files the tag is nearly always their md5."""
+    return hashlib.md5(data, usedforsecurity=False).hexdigest() == str(entry["e_tag"]).strip('"')

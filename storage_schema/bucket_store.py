@@ -21,11 +21,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from storage_schema.bucket import RemoteStore
+from storage_schema.bucket import RemoteStore, has_md5_tag
 from storage_schema.bucket_layout import (
     DATASET_PLACE,
     MANIFEST_PLACE,
     RECORD_PLACE,
+    is_old_list,
     manifest_place,
     pack_dataset,
     part_place,
@@ -33,7 +34,7 @@ from storage_schema.bucket_layout import (
     unpack_dataset,
 )
 from storage_schema.durable import cache_folder, lock_file, make_folder, write_errors
-from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
+from storage_schema.errors import CorruptArtifact, DatasetExists, OlderSchema, StorageError
 from storage_schema.folder_store import STORE_TEXT, FolderStore
 from storage_schema.keys import file_sha256
 from storage_schema.lease import Lease, each_beat
@@ -80,6 +81,8 @@ class BucketStore(Store):
         Raises:
             RemoteError: The bucket refuses or does not answer.
         """
+        if not self._num_holding:
+            self.remote.is_hurried.clear()  # of a command of this process that was interrupted
         with self._locked(fcntl.LOCK_SH | fcntl.LOCK_NB) as is_alone:
             if is_alone and not self._num_holding:
                 self._refresh()
@@ -185,10 +188,16 @@ class BucketStore(Store):
         return self.here.take_place(staging, new.ref, lambda: None)
 
     def add_dataset(self, staged: Path, label: str) -> bool:
-        """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then."""
+        """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then.
+
+        Raises:
+            DatasetExists: An earlier release pushed one of this name.
+        """
         packed = pack_dataset({path.name: path.read_bytes() for path in staged.iterdir()})
         if not self.remote.create(f"datasets/{label}", packed):
             self.bring_datasets()
+            if not (self.root / "datasets" / label).is_dir():
+                raise DatasetExists(f"{self} has a dataset {label} of an earlier release; name another version")
             return False
         return self.here.add_dataset(staged, label)
 
@@ -334,9 +343,12 @@ class BucketStore(Store):
                 continue
             with write_errors(self.root), closing(StagingFolder(self.staging_root)) as staging:
                 try:
-                    files = unpack_dataset(read_dataset(self.remote, folder.name), f"{self}/{entry['path']}")
+                    packed = read_dataset(self.remote, folder.name)
                 except FileNotFoundError:
                     continue  # removed since it was listed
+                if is_old_list(packed):
+                    continue  # what it names lies elsewhere, where only `dataset pull` looks
+                files = unpack_dataset(packed, f"{self}/{entry['path']}")
                 (staging.path / "new").mkdir()
                 for name, data in files.items():
                     (staging.path / "new" / name).write_bytes(data)
@@ -419,15 +431,14 @@ def _mark(entry: ObjectMeta) -> int:
 
 
 def _is_same(path: Path, entry: ObjectMeta) -> bool:
-    """Tell whether a file here is what the bucket lists; for small files the tag is their md5 nearly everywhere."""
+    """Tell whether a file here is what the bucket lists."""
     mtime_ns, size = _state(path)
     if size != entry["size"]:
         return False
     if mtime_ns == _mark(entry):
         return True
     with suppress(FileNotFoundError):
-        is_same = hashlib.md5(path.read_bytes(), usedforsecurity=False).hexdigest() == str(entry["e_tag"]).strip('"')
-        if is_same:
+        if is_same := has_md5_tag(entry, path.read_bytes()):
             os.utime(path, ns=(_mark(entry), _mark(entry)))
         return is_same
     return False

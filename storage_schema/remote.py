@@ -14,8 +14,15 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from storage_schema.ancestry import walk
-from storage_schema.bucket import RemoteStore
-from storage_schema.bucket_layout import manifest_place, pack_dataset, part_place, read_dataset, unpack_dataset
+from storage_schema.bucket import RemoteStore, has_md5_tag
+from storage_schema.bucket_layout import (
+    is_old_list,
+    manifest_place,
+    pack_dataset,
+    part_place,
+    read_dataset,
+    unpack_dataset,
+)
 from storage_schema.columns import is_plain_name
 from storage_schema.datasets import DATASET_FILE, Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
@@ -101,7 +108,7 @@ def _closure(
 def _listed(remote: RemoteStore, label: str, path: Path) -> tuple[Dataset, dict[str, bytes], bool]:
     """Return a dataset of the bucket as one in a folder, its files, and whether it is of an earlier release's form."""
     data, where = read_dataset(remote, label), f"{remote.url}/datasets/{label}"
-    if data[:1] != b"{":
+    if not is_old_list(data):
         files = unpack_dataset(data, where)
         listed = files.pop(DATASET_FILE, b"")
         return dataset_from_json(lambda: listed, path), files, False
@@ -120,18 +127,19 @@ def _file_place(sha256: str, *, is_old: bool) -> str:
 
 def _push_artifacts(store: Store, manifests: Sequence[Manifest], remote: RemoteStore) -> int:
     """Put those into the bucket that it has not; gives their number."""
-    there = {entry["path"]: entry["size"] for folder in ("parts", "manifests") for entry in remote.entries(folder)}
+    there = {entry["path"]: entry for folder in ("parts", "manifests") for entry in remote.entries(folder)}
 
     def push(manifest: Manifest) -> bool:
         place, text = manifest_place(manifest.ref), manifest.to_json().encode()
         files = {part_place(entry.sha256): (name, entry) for name, entry in manifest.data_files.items()}
-        if all(there.get(path) == entry.bytes for path, (_, entry) in files.items()) and there.get(place) == len(text):
+        new = [path for path, (_, entry) in files.items() if path not in there or there[path]["size"] != entry.bytes]
+        if not new and place in there and has_md5_tag(there[place], text):
             return False
         for path, (name, entry) in files.items():
             source = store.data_file(manifest.ref, name, entry)
             if file_sha256(source) != entry.sha256:
                 raise CorruptArtifact(f"{source} is not what its manifest says (`pasdedeux verify`); it is not pushed")
-            if there.get(path) != entry.bytes:
+            if path in new:
                 remote.write(path, source)
         is_new = remote.create(place, text)
         if not is_new and Manifest.from_json(remote.read(place), where=f"{remote.url}/{place}").ref != manifest.ref:

@@ -245,10 +245,16 @@ def push_as_before(store: Store, dataset: Dataset, remote: RemoteStore) -> None:
 
 
 def test_what_earlier_releases_pushed_is_pulled_and_checked(
-    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (store, dataset), remote, other = built, remote_of(server), Store(tmp_path / "other")
     push_as_before(store, dataset, remote)
+    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
+    there = Store(server.place)
+    there.refresh()
+    assert list_datasets(there) == [], "a store in the same place goes on, without the artifacts of that release"
+    with pytest.raises(DatasetExists, match="has a dataset toys@1 of an earlier release; name another version"):
+        create_dataset(there, "toys", [commit_rows(there, name="more")])
     found, num_new = pull_dataset(remote, "toys", other)
     assert (found, num_new) == (replace(dataset, path=other.root / "datasets" / "toys@1"), 13)
     assert (found.path / "card.md").read_bytes() == b"# Card"
@@ -304,6 +310,19 @@ def test_other_bytes_under_a_key_of_the_bucket_stay(server: S3Server, tmp_path: 
     with pytest.raises(CorruptArtifact, match=r"has other bytes for artifact .*; push to another prefix"):
         push_dataset(two, open_dataset(two, "two"), remote_of(server))
     assert pull_dataset(remote_of(server), "one", Store(tmp_path / "three"))[1] == 1
+
+
+def test_other_bytes_of_the_same_length_under_a_key_of_the_bucket_are_noticed(server: S3Server, tmp_path: Path) -> None:
+    store, remote = Store(tmp_path / "store"), remote_of(server)
+    ref = commit_rows(store)
+    dataset = create_dataset(store, "toys", [ref])
+    push_dataset(store, dataset, remote)
+    place = f"manifests/{ref.stage}/{ref.key}"
+    text = remote.read(place)
+    remote.write(place, text.replace(ref.content_digest.encode(), b"0" * 64))
+    assert len(remote.read(place)) == len(text)
+    with pytest.raises(CorruptArtifact, match=r"has other bytes for artifact .*; push to another prefix"):
+        push_dataset(store, dataset, remote)
 
 
 def test_the_command_line_pushes_and_pulls_and_says_no_credential(

@@ -141,8 +141,12 @@ def test_draws_enter_when_asked_with_all_the_takes_they_come_from(store: Store) 
             },
             {"takes": ["a", "c"], "density": density},
         )
-        for density in ("prior_only", "ic")
+        for density in ("prior_only", "ic", "repaired")
     ]
+    asked = projections.ProjectionsParameters(include_draws=True)
+    for given, entering in [(draws, draws[1]), ([draws[0], draws[2]], draws[2])]:
+        (shard,) = projections.plan(StageInputs({"draws": given}, seed=0), asked)
+        assert shard.all_inputs == (entering.ref,), "repaired pairs enter where no chain draws"
     take, drawn = build(store, [put_take(store, "a")], draws=draws)
     assert take.facts["takes"] == ["a"]
     assert drawn.facts["takes"] == ["a", "c"]

@@ -100,6 +100,8 @@ def test_what_ends_a_run_from_outside_ends_everything_and_the_next_run_goes_on(
     start: Start, tmp_path: Path, undisturbed: dict[str, list[str]], number: signal.Signals, is_for_all: bool
 ) -> None:
     gate = hold(tmp_path, "bend-t0-s1")
+    if signal.getsignal(number) is signal.SIG_IGN:  # tests that run under `nohup` ignore SIGHUP, and so would the run
+        signal.signal(number, signal.SIG_DFL)
     first = start()
     first.wait_for("bend-t0-s1")
     left = descendants(first)

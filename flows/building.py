@@ -1,6 +1,6 @@
 """The driver of a run: plans a stage when what it reads is committed, submits its shards, and records it when complete.
 
-A task is a stage, from its first shard to its record; it shows what the driver does and does nothing itself.
+A stage is a task, from its first shard to its record. The task only shows progress; the driver does the work.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NAMED = 5
 
 ShowPartitions = Callable[[Sequence[PartitionCount]], None]
 StartTask = Callable[[str, Callable[[ShowPartitions], None]], object]
-"""Starts the task of a stage in a thread: gives what it does a function that shows the partitions."""
+"""Starts the task of a stage in a thread; its work gets a function that shows the partitions."""
 
 
 @dataclass(eq=False)

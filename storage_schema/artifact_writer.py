@@ -20,14 +20,14 @@ from storage_schema.version import SCHEMA_VERSION
 
 
 class ArtifactFields(TypedDict):
-    """What an artifact says about itself when it is written."""
+    """The record of an artifact, made when it is written."""
 
     stage: str
     """Name of the stage."""
     key: str
     """Key of the artifact, from `artifact_key`."""
     partition: str
-    """What a person sees as one step."""
+    """Step of the work as people see it."""
     name: str
     """Name of the shard in its partition."""
     version: int

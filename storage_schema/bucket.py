@@ -174,9 +174,9 @@ class RemoteStore:
         return file.sha256
 
     def at_once(self, do: Callable[[S], T], each: Iterable[S]) -> list[T]:
-        """Do something with each, some at the same time; what the first that fails raises is raised.
+        """Do something with each, some at the same time; the error of the first that fails is raised.
 
-        Who is interrupted waits for no outage.
+        After an interruption no outage is waited for.
         """
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             try:

@@ -22,7 +22,7 @@ from storage_schema.manifest import ArtifactRef
 MANIFEST_PLACE = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
 RECORD_PLACE = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
 DATASET_PLACE = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
-"""What has a place in a store; whatever else is put into the bucket is left alone."""
+"""Files of a store; others in the bucket are left alone."""
 MAX_DATASET_BYTES = 200_000_000
 """Largest tar file of a dataset: its list, card, study and environment."""
 

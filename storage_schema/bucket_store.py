@@ -202,7 +202,7 @@ class BucketStore(Store):
         return self.here.add_dataset(staged, label)
 
     def remove_folders(self, targets: Iterable[Path]) -> None:
-        """Take back what the folders of artifacts and runs stand for, and remove them here."""
+        """Remove folders of artifacts and runs here and in the bucket."""
         targets = list(targets)
         places = []
         for target in targets:
@@ -347,7 +347,7 @@ class BucketStore(Store):
                 except FileNotFoundError:
                     continue  # removed since it was listed
                 if is_old_list(packed):
-                    continue  # what it names lies elsewhere, where only `dataset pull` looks
+                    continue  # its artifacts lie elsewhere, where only `dataset pull` looks
                 files = unpack_dataset(packed, f"{self}/{entry['path']}")
                 (staging.path / "new").mkdir()
                 for name, data in files.items():

@@ -54,7 +54,7 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Map
     is_new = remote.create(f"datasets/{dataset.label}", packed)
     if not is_new and _listed(remote, dataset.label, dataset.path)[0].digest != dataset.digest:
         raise DatasetExists(f"{remote.url} has another {dataset.label} already, which never changes")
-    _push_artifacts(store, manifests, remote)  # what a `gc` of the bucket took before the dataset named it
+    _push_artifacts(store, manifests, remote)  # a `gc` of the bucket may have taken some before the dataset named them
     return num_new
 
 

@@ -158,7 +158,7 @@ class Store:
 
     @property
     def staging_root(self) -> Path:
-        """Folder that holds what is being written."""
+        """Folder of unfinished artifacts."""
         return self.root / "tmp"
 
     def folder(self, stage: str, key: str) -> Path:

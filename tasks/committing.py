@@ -1,4 +1,4 @@
-"""Commit what a shard computed, with its facts and the artifacts that it rests on."""
+"""Commit the results of a shard, with its facts and the artifacts that it rests on."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def density_of(manifest: Manifest) -> str:
 
 
 def is_set(manifest: Manifest) -> bool:
-    """Tell whether an artifact has pairs that count as draws although no chain drew them: grown or filled ones."""
+    """Tell whether an artifact has grown or filled pairs, which count as draws without a chain."""
     return "seeds" in manifest.tables and SeedFacts.of(manifest).kind in (GROWN, FILLED)
 
 
@@ -69,7 +69,7 @@ def is_chain(manifest: Manifest) -> bool:
 
 
 def knows_annotations(manifest: Manifest) -> bool:
-    """Tell whether the pairs of an artifact are more than a baseline: not those of the prior alone."""
+    """Tell whether annotations shaped the pairs of an artifact; those of the prior alone are a baseline."""
     return not density_of(manifest).startswith(PRIOR_ONLY)
 
 

@@ -10,11 +10,11 @@ VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
 
 
 def verdict_of(manifest: Manifest) -> Verdict | None:
-    """Return what a shard thinks of its result; None where it judged nothing."""
+    """Return the verdict of a shard; None where it has none."""
     values = manifest.facts.get(VERDICT_FACT)
     return None if values is None else Verdict.from_json(values)
 
 
 def verdicts_of_parts(manifest: Manifest) -> dict[str, Verdict]:
-    """Return what a shard thinks of the parts of its result, by name; empty where it judged none."""
+    """Return the verdicts of a shard's parts, by name; empty where it has none."""
     return {name: Verdict.from_json(values) for name, values in manifest.facts.get(PARTS_FACT, {}).items()}

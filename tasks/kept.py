@@ -1,4 +1,4 @@
-"""What a worker keeps ready from shard to shard."""
+"""A cache of a worker, from shard to shard."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KEPT: list[Callable[[], None]] = []
 
 
 def kept(count: int = 1) -> Callable[[F], F]:
-    """Return a decorator: a worker keeps what the last `count` calls that differ gave, from shard to shard of a stage.
+    """Return a decorator: a worker caches results of the last `count` different calls between shards of a stage.
 
     For what many shards make ready alike; until `forget_kept`.
     """

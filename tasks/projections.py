@@ -30,7 +30,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.committing import commit, followed
-from tasks.draw_sets import REPAIRED
+from tasks.draw_sets import is_chain
 from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, merge_takes
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
@@ -42,10 +42,11 @@ MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
-_SAMPLED, _REPAIRED = ("ic",), (f"ic{REPAIRED}", "repaired")
-"""Draws that enter: those of chains that compare with annotations, and repaired pairs where there are none of these.
+_DENSITY = "ic"
+"""Density whose draws enter: the one that compares with annotations.
 
-Beside draws of chains, 300 repaired pairs of the duets worsen the fit to the image from 6.6 to 7.5 cm.
+Repaired pairs enter where no chain draws: beside its draws, 300 of the duets worsen the fit to the image from 6.6 to
+7.5 cm.
 """
 
 
@@ -98,18 +99,17 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     return shards
 
 
-def plan_poses(
-    inputs: StageInputs, parameters: ProjectionsParameters, repaired: Sequence[str] = _REPAIRED
-) -> list[Shard]:
+def plan_poses(inputs: StageInputs, parameters: ProjectionsParameters, *, may_be_repaired: bool = True) -> list[Shard]:
     """Plan a shard per take that is not held out, and per artifact of draws."""
     takes = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
     found: list[tuple[Literal["take", "draw"], str, Manifest]] = [
         ("take", take.take_id, manifest) for take, manifest in takes if not take.is_held_out
     ]
     if parameters.include_draws or (parameters.include_draws is None and not found):
-        drawn = [(DrawFacts.of(manifest).density, manifest) for manifest in inputs.of("draws")]
-        draws = [manifest for density, manifest in drawn if density in _SAMPLED]
-        draws = draws or [manifest for density, manifest in drawn if density in repaired]
+        draws = [manifest for manifest in inputs.of("draws") if DrawFacts.of(manifest).density == _DENSITY]
+        if not draws and may_be_repaired:
+            short = [manifest for manifest in inputs.of("draws") if not is_chain(manifest)]
+            draws = [manifest for manifest in short if manifest.parameters["density"] == _DENSITY]
         found += [("draw", manifest.partition, manifest) for manifest in draws]
     shards = []
     for origin, partition, manifest in found:
@@ -121,7 +121,7 @@ def plan_poses(
 
 def _plan_early(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan the shards of some artifacts alone: not draws that enter only where others are not there."""
-    return [] if parameters.include_draws is None else plan_poses(inputs, parameters, repaired=())
+    return [] if parameters.include_draws is None else plan_poses(inputs, parameters, may_be_repaired=False)
 
 
 def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The pairs of a study that differ most, of all draws and all grown and filled pairs, and what is known of each."""
+"""The pairs of a study that differ most, selected from draws, grown and filled pairs, with their origins."""
 
 from __future__ import annotations
 

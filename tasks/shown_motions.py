@@ -17,7 +17,7 @@ from tasks.takes import rate_of
 
 
 class ShownMotion(NamedTuple):
-    """What the last method made of a sequence; arguments of `reconstruction_player`."""
+    """Result of the last method for a sequence; arguments of `reconstruction_player`."""
 
     sequence_id: str
     caption: str

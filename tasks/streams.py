@@ -8,7 +8,7 @@ import numpy as np
 
 
 def stream(seed: int, *labels: str | int) -> np.random.Generator:
-    """Return the random generator of (seed, labels...): the labels say what it is for, never who runs it.
+    """Return the random generator of (seed, labels...): the labels name its purpose, never its worker.
 
     Text labels enter by their sha256, so streams of different labels are independent.
     """

@@ -30,7 +30,7 @@ class LinkPane:
 
     @classmethod
     def build(cls, panel: Panel, viewer: Viewer) -> Self:
-        """Add the widgets to the panel; nobody waits for what is being saved."""
+        """Add the widgets to the panel; saving runs in the background."""
         with panel.gui.add_folder("Link and save", expand_by_default=False):
             pane = cls(panel.gui.add_text("moment", "", hint="Copy it, or paste another one"))
             for label, save in (("Save picture", save_picture), ("Save clip", save_clip)):

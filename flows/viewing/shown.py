@@ -1,4 +1,4 @@
-"""The top of the panel: what is shown, of which frame, and how."""
+"""The top of the panel: the item, its frame, and the way it is drawn."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ class Viewer:
 
     def _show_item(self, index: int, scene: Scene, row: int | None) -> None:
         self.index, self.pose, self.image_px = index, None, None
-        set_value(self.panel.message, "")  # what was said is of something else
+        set_value(self.panel.message, "")  # the message was about another item
         self._show_scene(scene, row)
         pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
 

@@ -94,7 +94,7 @@ def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
     A camera sees somebody at the edge of its image from another side than somebody in the middle.
 
     Args:
-        motion_m: What is turned (frame, person, 14, 3), camera axes, metres.
+        motion_m: Motion to turn (frame, person, 14, 3), camera axes, metres.
         place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
             is nearer than half a metre, as without a known place, are left as they are.
     """

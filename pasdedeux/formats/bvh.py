@@ -67,7 +67,7 @@ def read_bvh(data: bytes | str, person: int = 0) -> SourceMotion:
 def read_bvh_head(data: bytes | str, person: int = 0) -> MotionHead:
     """Read a BVH file but do not convert its rotations, which takes most of the time.
 
-    Of a file larger than 2 MB some 2000 frames are read: what is wrong with another is told by `read_bvh`.
+    Of a file larger than 2 MB some 2000 frames are read; `read_bvh` finds faults of the others.
 
     Raises:
         FormatError: As `read_bvh`.

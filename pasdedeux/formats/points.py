@@ -168,16 +168,14 @@ def _of_frames(content: Any) -> Iterator[Detection]:
 
 def _by_frame(content: Any) -> Any:
     """Return people by number with their frames as frames with their people, anything else as it is."""
-    if not (isinstance(content, dict) and content and all(map(_PERSON.fullmatch, content))):
-        return content
-    if not all(map(_is_nested, content.values())):
+    are_people = isinstance(content, dict) and content and all(map(_PERSON.fullmatch, content))
+    if not are_people or not all(map(_is_nested, content.values())):
         return content
     frames: dict[str, dict[str, Any]] = {}
-    for person, own in content.items():
-        has_frames = not _is_pose(own) and any(map(_is_nested, own.values() if isinstance(own, dict) else own))
-        if not has_frames:
-            own = [own]
-        for frame, pose in own.items() if isinstance(own, dict) else enumerate(own):
+    for person, poses in content.items():
+        is_one = _is_pose(poses) or not any(map(_is_nested, poses.values() if isinstance(poses, dict) else poses))
+        by_frame = {0: poses} if is_one else poses if isinstance(poses, dict) else dict(enumerate(poses))
+        for frame, pose in by_frame.items():
             if pose is not None:
                 frames.setdefault(str(frame), {})[person] = pose
     return frames

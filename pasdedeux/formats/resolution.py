@@ -133,7 +133,7 @@ def resolve_up_axes(
 
     Args:
         sources: The motion of each person.
-        layouts: What the joints of each are; None where that is not known.
+        layouts: Layout of the joints of each; None where it is unknown.
         stated: What is said of each: an axis, or "auto".
         stands_alone: Whether each has a file of his own, with a rest pose.
     """

@@ -90,9 +90,9 @@ VALIDATION_FALL = "validation_fall"
 """Quantity of the log: by how much a segment brought the smallest validation error down, percent."""
 
 ACTIVITY = "activity/"
-"""Prefix of quantities of the log: how much of what a rectifier gives is above 0, percent, and its name."""
+"""Prefix of activities in the log, before the name of a rectifier: share of its outputs above 0, percent."""
 _MIN_ACTIVITY = 1.0
-"""Percent; with less a layer is dead, and what it should tell does not arrive."""
+"""Percent; a layer with less activity is dead and passes no information on."""
 
 
 @dataclass(frozen=True)

@@ -215,7 +215,7 @@ class WindowVae(VariantModel):
         return request.bone_scale, self._finish(request, source.positions_m + moved)
 
     def _finish(self, request: VariantRequest, motion_m: Array) -> Array:
-        """Return the motion that is given for what the network says."""
+        """Return the motion that an output of the network stands for."""
         return motion_m
 
     def batch(self, windows: list[Window], variants: list[int]) -> dict[str, Narrow]:

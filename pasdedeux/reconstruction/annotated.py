@@ -89,7 +89,7 @@ def lift_over_time(
     Args:
         tracks: The two people.
         frames: Annotated frames of the sequence (frame,) that show both, rising; need not be regular.
-        database: What they are matched to.
+        database: Database that they are matched to.
         camera: What is known of the camera.
         statures_m: Stature by person id, where it is known.
 

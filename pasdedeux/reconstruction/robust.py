@@ -38,7 +38,7 @@ def solve(terms: Sequence[SceneTerm], seen: SeenPeople, start: Array, *, side: f
     and McClure (1985), which start wide.
 
     Args:
-        terms: What is summed.
+        terms: Terms of the sum.
         seen: The people.
         start: First guess of the unknowns (n,).
         side: On which side of the camera the floor is, see `PlacedPeople`.

@@ -12,7 +12,7 @@ value.  Its terms are in `terms`:
 - contact: two bodies do not pass through each other, and a hand that keeps its place on a bone of the other's image for
   long touches it there.  A carried person is not on the floor but on the other's body, all the time: that is tried for
   each of two people whose hands are seen on each other, and accepted if the cost falls enough;
-- pairs: pairs of the database that look like both tell how far apart in depth people stand who are seen so;
+- pairs: the difference in depth of two people follows from pairs of the database that look alike;
 - stature, pitch and priors: statures are people's, the lens is a common one, and the pitch is near the one whose poses
   fit the image best.
 
@@ -121,7 +121,7 @@ def estimate_scene(
 
     Args:
         tracks: People as the camera sees them, at least one, at initial places; mid-hips before the camera.
-        pitch: What the image says of the pitch.
+        pitch: Estimate of the pitch from the image.
         pairs: What pairs of a database say of couples, by their numbers in `tracks`.
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.
@@ -164,7 +164,7 @@ class KnownScene:
 
     Args:
         seen: The people.
-        pitch: What the image says of the pitch.
+        pitch: Estimate of the pitch from the image.
         pairs: What pairs of a database say of couples.
         statures_m: Stature by person id, where it is known.
         camera_height_m: Height of the camera over the floor where it is known.

@@ -31,7 +31,7 @@ class SearchedDatabase:
         take_ids: Take of each pose (row,); motions of one take are left out together.
         take_frames: Its frame in the take (row,).
         pairs_m: Pairs of people (row, person=2, 14, 3), as `pairs.centre_pairs` gives them; None for no pairs.
-        clusters: What the method `published` needs.
+        clusters: Clusters of the database, for the method `published`.
         ready: Searchers at these pitches, where they are at hand.
     """
 

@@ -1,4 +1,4 @@
-"""How large people are, by what is stated: their statures and the height of the camera over their floor."""
+"""Sizes of people from stated facts: their statures, and the height of the camera over their floor."""
 
 from __future__ import annotations
 

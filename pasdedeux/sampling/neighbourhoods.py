@@ -1,9 +1,9 @@
 """Filling: new pairs between grown pairs that are alike.
 
-Growth gives a pair for each annotation, and leaves room between them.  A filled pair is a random mean of a grown pair
-and those nearest to it by D_C, over the parameters of the first: turns of bones, changes of lengths, places of roots.
-What the mean makes of a body is a body again, and errors of single pairs go down in it; what is not plausible, or is
-like a pair that is there, is refused.  Our own.
+Growth gives one pair for each annotation and leaves gaps between them.  A filled pair is a random mean of a grown pair
+and its nearest pairs by D_C.  The mean is taken over the parameters of the grown pair (turns of bones, changes of
+lengths, places of roots), so that it is a body again; errors of single pairs average out.  Implausible means and near
+duplicates are refused.  Our own.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _CONCENTRATION = 0.7
 _MAX_TRIES = 20
 """Means that are drawn for each pair that is asked for, at most."""
 _MIN_KEPT_SHARE = 0.05
-"""When less of the means with each pair first is kept than this, there is no more room between them."""
+"""Filling ends after a round over all pairs that keeps a smaller share of its means: the gaps are full."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Filling:
     Args:
         pairs_m: Pairs (n, person=2, joint=17, 3), metres, gauge-fixed.
         parents: Rows of the pairs that each is a mean of, the one whose parameters were used first, (n, 7).
-        weights: What each parent counts, (n, 7), summing to 1.
+        weights: Weights of the parents, (n, 7), summing to 1.
         log_prior: Log of eq. 2 (Yin et al. 2018) with the pair's own bone lengths, (n,).
         num_refused: Means that were not plausible, or like a pair that was there.
     """
@@ -73,32 +73,30 @@ def fill(
     # A pair comes first among its own parents, also where another one is just like it.
     parents = np.stack([np.r_[row, near[near != row][: NUM_PARENTS - 1]] for row, near in enumerate(nearest)])
     charts = [PairChart(pair) for pair in pairs_m]
-    parameters = [_parameters(chart, pairs_m[own]) for chart, own in zip(charts, parents, strict=True)]
+    parameters = [_parameters(chart, pairs_m[rows]) for chart, rows in zip(charts, parents, strict=True)]
     selector = PairSelector(1, min_room=count + num)
     selector.add(pairs_m, *np.ones((2, count)))
-    found: list[Filling] = []
-    num_found = num_tried = 0
+    rounds: list[tuple[Array, Array, Array, Array]] = []
+    num_filled = num_tried = 0
     is_full = False
-    while num_found < num and num_tried < _MAX_TRIES * num and not is_full:
-        rows = rng.permutation(count)[: num - num_found]
+    while num_filled < num and num_tried < _MAX_TRIES * num and not is_full:
+        rows = rng.permutation(count)[: num - num_filled]
         weights = rng.dirichlet(np.full(NUM_PARENTS, _CONCENTRATION), len(rows))
-        means = [
-            gauge_fix(charts[row].positions(own @ parameters[row])) for row, own in zip(rows, weights, strict=True)
-        ]
-        quality = seed_quality(np.stack(means), limits, prior)
+        means = np.stack(
+            [
+                gauge_fix(charts[row].positions(weight @ parameters[row]))
+                for row, weight in zip(rows, weights, strict=True)
+            ]
+        )
+        quality = seed_quality(means, limits, prior)
         kept = np.flatnonzero(quality.is_possible & (quality.log_prior >= MIN_FILLED_LOG_PRIOR))
-        kept = kept[selector.add(np.stack(means)[kept], *np.ones((2, len(kept))))]
-        found.append(Filling(np.stack(means)[kept], parents[rows[kept]], weights[kept], quality.log_prior[kept], 0))
-        num_found += len(kept)
+        kept = kept[selector.add(means[kept], *np.ones((2, len(kept))))]
+        rounds.append((means[kept], parents[rows[kept]], weights[kept], quality.log_prior[kept]))
+        num_filled += len(kept)
         num_tried += len(rows)
         is_full = len(rows) == count and len(kept) < _MIN_KEPT_SHARE * count
-    return Filling(
-        np.concatenate([one.pairs_m for one in found]),
-        np.concatenate([one.parents for one in found]),
-        np.concatenate([one.weights for one in found]),
-        np.concatenate([one.log_prior for one in found]),
-        num_tried - num_found,
-    )
+    means, origins, weights, log_prior = map(np.concatenate, zip(*rounds, strict=True))
+    return Filling(means, origins, weights, log_prior, num_tried - num_filled)
 
 
 def _parameters(chart: PairChart, parents_m: Array) -> Array:

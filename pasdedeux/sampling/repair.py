@@ -1,9 +1,9 @@
-"""Repair: some steps of a chain from each of many pairs, which make them plausible while they still look like images.
+"""Repair: short chains from many pairs make them plausible and keep them like their annotations.
 
-A chain stays near where it starts: modes of the density differ by some 100 nats.  So a set that is to cover starts in
-many places and goes a short way from each.  The likelihood and the prior are sharpened, or a hundred steps would lead
-off into the many directions in which the density is flat.  What is kept is the last step of each chain: no draws of one
-distribution, but pairs that lie where annotations are.  Our own use of the chains of Yin et al. (2018).
+A chain stays near its start, because modes of the density differ by about 100 nats.  A set that covers a motion
+therefore starts many chains and takes a hundred steps of each.  The likelihood and the prior are sharpened: otherwise
+the chains drift along the many directions in which the density is flat.  The last state of each chain is kept.  These
+states are no draws of one distribution.  Our own use of the chains of Yin et al. (2018).
 """
 
 from __future__ import annotations

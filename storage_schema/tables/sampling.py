@@ -100,7 +100,7 @@ SEEDS = Table(
         array(
             "filled_from", "Seeds that a filled pair is a mean of; -1 in others", axes={"parent": 7}, dtype=pa.int32()
         ),
-        array("filled_weight", "What each of them counts in it; NaN in others", axes={"parent": 7}, dtype=pa.float64()),
+        array("filled_weight", "Weights of the parents; NaN in other pairs", axes={"parent": 7}, dtype=pa.float64()),
         integer("generation", "Steps of growth from a seed that did not grow; 0 for those"),
         float64(
             "image_distance_m",

@@ -91,9 +91,12 @@ class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSetti
 
     def named(self) -> dict[str, ChainsParameters]:
         """Return the settings of all chains by the name that draws are kept under, each with one density."""
-        found = {f"{name}{self._end}": self.model_copy(update={"densities": (name,)}) for name in self.densities}
-        swept = {name: own.model_copy(update={"densities": own.densities[:1]}) for name, own in self.swept().items()}
-        return found | swept
+        base = {f"{name}{self._end}": self.model_copy(update={"densities": (name,)}) for name in self.densities}
+        swept = {
+            name: settings.model_copy(update={"densities": settings.densities[:1]})
+            for name, settings in self.swept().items()
+        }
+        return base | swept
 
 
 class ChainSegmentParameters(Parameters):
@@ -111,7 +114,7 @@ class ChainSegmentParameters(Parameters):
 
 
 class RepairParameters(Parameters):
-    """What decides the ends of short chains from some rows of an artifact with grown or filled pairs."""
+    """Parameters of a shard that repairs some rows of an artifact with grown or filled pairs."""
 
     name: str
     density: str

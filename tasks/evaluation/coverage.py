@@ -36,7 +36,6 @@ from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.kept import kept
-from tasks.selection import READS
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
 from tasks.takes import takes_of
@@ -98,7 +97,7 @@ def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
         return []
     seeds = [seed for seed in inputs.of("seeds") if SeedFacts.of(seed).kind != GROWN]
     named: dict[str, Sequence[Manifest]] = {"takes": takes, "annotations": annotations, "draws": draws}
-    named |= {"first_seed": seeds[:1], "chains": inputs.of("chain_info"), "limits": inputs.of("joint_limits")}
+    named["first_seed"] = seeds[:1]
     has_held_out = any(TakeFacts.of(take).is_held_out for take in takes)
     return [
         TOPIC.shard(inputs, split, settings.part(CoverageParameters, split=split), **named)
@@ -392,7 +391,7 @@ TOPIC = Topic(
     heading="Coverage",
     introduction="Whether draws reach captured poses: distance from real pairs to their nearest draw, beside chains of "
     "the prior alone (the baseline) and beside real pairs in place of draws.",
-    reads=(*READS, "poses", "annotations"),
+    reads=("poses", "annotations", "draws", "seeds"),
     plan=_plan,
     compute=_compute,
     draw=_draw,

@@ -113,8 +113,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
 
 
 def _draw(shown: _ShownGeneration) -> Iterator[Picture]:
-    """Show the first take beside what was generated for it."""
-    caption = f"{shown.take_id}, and what was generated for it; contacts of the take are green."
+    """Show the first take beside the motion generated for it."""
+    caption = f"{shown.take_id}, and the motion generated for it; contacts of the take are green."
     player = variant_player(shown.source, {"take": shown.source.positions_m, **shown.motions_m})
     yield Picture(f"generated-{shown.take_id}.player.json", caption, player)
 

@@ -57,7 +57,7 @@ _HEADINGS = {
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
-    """Plan one shard where takes are held out: only these say whether pairs hold beyond what they were made of."""
+    """Plan one shard where takes are held out: only these show whether pairs generalise."""
     draws, takes = draw_manifests(inputs), takes_of(inputs, 2)
     if not draws or not any(TakeFacts.of(take).is_held_out for take in takes):
         return []

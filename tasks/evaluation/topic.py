@@ -1,4 +1,4 @@
-"""What a topic of the evaluation is: it computes scores, draws pictures, and tabulates the scores of all its shards."""
+"""A topic of the evaluation: it computes scores, draws pictures, and tabulates the scores of all its shards."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ D = TypeVar("D")
 
 @dataclass(frozen=True)
 class TopicResult(Generic[D]):
-    """What a topic computed in one shard.
+    """Result of a topic in one shard.
 
     Args:
         scores: The figures.
         notes: Sentences for the reader: what was measured, what was skipped and why.
         items: By name of a criterion, what it judges: items that nothing was learned from; empty where there is none.
         baselines: Methods that others are compared with, in scores and items.
-        shown: What the topic draws; None where there is nothing to draw.
+        shown: Input of the pictures; None where there are none.
     """
 
     scores: Sequence[Score] = ()

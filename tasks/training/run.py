@@ -140,7 +140,7 @@ def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[]
 def _judge(name: str, trained: Trained, items: Callable[[], Iterator[TrainingItem]]) -> Verdict:
     """Return whether a model is better than every baseline over validation variants; the test set is not looked at.
 
-    A baseline is what others are judged by.  A network with a dead layer fails, whatever it comes to.
+    A baseline is not judged.  A network with a dead layer fails whatever its error.
     """
     if name in BASELINES:
         return Verdict(Level.PASS)

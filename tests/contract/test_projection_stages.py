@@ -139,7 +139,8 @@ def test_draws_enter_when_asked_with_all_the_takes_they_come_from(store: Store) 
                     "take_id": ["a", None],
                 }
             },
-            {"takes": ["a", "c"], "density": density},
+            {"takes": ["a", "c"], "density": density, "num_starts": 2 * (density == "repaired")},
+            density=density.replace("repaired", "ic"),
         )
         for density in ("prior_only", "ic", "repaired")
     ]

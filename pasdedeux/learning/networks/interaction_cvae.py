@@ -38,7 +38,7 @@ _UNIT_M = 0.05
 _NEAR_M = 0.1
 """Joints of the partner nearer than this weigh alike."""
 _KNOWN = 64
-"""Numbers that tell each joint of all others: their ends, and what is seen of the scaled body or its motion."""
+"""Inputs of each joint about all others: their ends, and the scaled body or its motion."""
 _EACH = 13
 """Numbers that a decoder over plain kinematics is given in each frame, a joint."""
 _FREE_NATS = 0.1
@@ -160,7 +160,7 @@ class InteractionCvae(WindowNetwork):
         seen: Tensor,
         moved_b: Tensor | None,
     ) -> Tensor:
-        """Return what a decoder makes of z, of all joints' ends and of what is seen, each joint knowing which it is."""
+        """Decode z with all joints' ends, the condition and the identity of each joint."""
         template, joints = batch["template_m"], self.skeleton.num_joints
         own = torch.cat([self._ends(template)[:, person], seen], -1)
         everybody = torch.cat([z, known(own.flatten(1))], -1)[:, None].expand(-1, joints, -1)

@@ -73,7 +73,7 @@ def mlp(*sizes: int, rectifier: type[nn.Module] = nn.ReLU) -> nn.Sequential:
 
 
 def activity(network: WindowNetwork, batch: Batch) -> dict[str, float]:
-    """Return how much of what each rectifier gives is above 0 while a loss is computed, percent, by its name."""
+    """Return the share of outputs above 0 while a loss is computed, percent, by the name of the rectifier."""
     parts: dict[str, list[float]] = defaultdict(list)
     hooks = [
         layer.register_forward_hook(
@@ -202,7 +202,7 @@ class GraphGru(nn.Module):
         self.out = mlp(hidden, hidden, outputs, rectifier=nn.GELU)
 
     def forward(self, known: Tensor, num_frames: int, each: Tensor | None = None) -> Tensor:
-        """Unroll over frames for what is given in all (W, J, inputs), and in each of them (W, T, J, each)."""
+        """Unroll over frames, given inputs of all frames (W, J, inputs) and of each frame (W, T, J, each)."""
         state, given = torch.tanh(self.begin(known)), self.given(known)
         frames = [given] * num_frames if each is None else (given[:, None] + self.each(each)).unbind(1)
         last = known.new_zeros(*known.shape[:-1], self.last.in_features)

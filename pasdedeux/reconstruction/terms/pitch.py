@@ -22,7 +22,7 @@ class PitchTerm(SceneTerm):
     Of a stated pitch it is (x - pitch) / deviation.
 
     Args:
-        pitch: What the image says of the pitch.
+        pitch: Estimate of the pitch from the image.
     """
 
     pitch: PitchEstimate

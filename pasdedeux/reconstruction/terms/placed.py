@@ -121,7 +121,7 @@ class SeenPerson:
 
 @dataclass(frozen=True)
 class Couple:
-    """Two people who are in some frames together.
+    """Two people that some frames share.
 
     Args:
         sides: The number of each, and those frames (n,), counted from the first of that person.
@@ -174,7 +174,7 @@ class SeenPeople:
 
     @cached_property
     def couples(self) -> list[Couple]:
-        """All pairs of people who are in a frame together."""
+        """All pairs of people that share a frame."""
         couples = []
         for numbers in combinations(range(len(self.people)), 2):
             tracks = [self.people[number].track.track for number in numbers]

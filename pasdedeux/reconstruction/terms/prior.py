@@ -12,7 +12,7 @@ from pasdedeux.reconstruction.terms.placed import PlacedPeople
 from pasdedeux.reconstruction.terms.term import Jacobian, SceneTerm
 
 KNOWN_DEVIATION = 0.01
-"""Standard deviation of the log of what is stated: a stature, a height, a lens."""
+"""Standard deviation of the log of a stated stature, height or lens."""
 
 
 @dataclass(frozen=True)

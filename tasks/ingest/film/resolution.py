@@ -37,7 +37,7 @@ _MAX_RATE_RATIO = 1.02
 
 @dataclass(frozen=True)
 class FoundShot:
-    """A shot of a film that was found: parameters and files of its shard, and what to say of what is given of it."""
+    """A shot of a film: parameters and files of its shard, and remarks on its given poses."""
 
     parameters: FilmParameters
     files: tuple[SourceFile, ...]

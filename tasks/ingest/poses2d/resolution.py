@@ -114,7 +114,7 @@ def find_annotations(
         skipped: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
         take_seconds: Only so much from the start of each sequence.
 
-    What is larger than 16 MB is read when its shard runs.
+    Sources larger than 16 MB are read when their shard runs.
 
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.

@@ -109,7 +109,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
 
 
 def track_columns(resolved: ResolvedPeople) -> dict[str, Any]:
-    """Return the columns of the table of annotations that say who is where, which tracks are made of."""
+    """Return the columns of the table of annotations that tracks are made of."""
     frames = resolved.frames
     sizes = [frames.image_size_px.get(name) or (None, None) for name in frames.sequence_id]
     return {

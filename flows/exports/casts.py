@@ -65,12 +65,14 @@ class Rig:
         motion: The motion.
         radii_m: Radius of the bone that ends in each joint (J,), metres.
         positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
+        roles: Joints of working skeletons by names of its joints; None where they have those names.
         own: On the source's own skeleton: who it is, the motion, and body22 of the variant that it plays.
     """
 
     motion: Motion
     radii_m: Array
     positions_m: Array | None = None
+    roles: Mapping[str, str] | None = None
     own: tuple[TakePerson, OwnSkeleton, Array | None] | None = None
 
 
@@ -243,10 +245,10 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
 def _own_rig(person: TakePerson, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose) -> Rig:
     drawn = rig_of(own, rest_pose)
-    names = zip(drawn.body.joint_names(drawn.motion.skeleton), BODY22.joint_names, strict=True)
+    roles = dict(zip(drawn.body.joint_names(drawn.motion.skeleton), BODY22.joint_names, strict=True))
     lengths = np.median(bone_lengths(BODY22, own.body.of(own.motion)), axis=0)
-    radii = bone_radii(drawn.motion, float(body_height_m(BODY22, lengths)), dict(names))
-    return Rig(drawn.motion, radii, own=(person, own, wanted_m))
+    radii = bone_radii(drawn.motion, float(body_height_m(BODY22, lengths)), roles)
+    return Rig(drawn.motion, radii, roles=roles, own=(person, own, wanted_m))
 
 
 def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
@@ -273,7 +275,7 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
         def rigs(_: RestPose, motions: list[Motion] = motions, heights: Array = heights) -> list[Rig]:
             both = zip(motions, heights.tolist(), strict=True)
-            return [Rig(one, bone_radii(one, height_m, _BODY22_NAMES)) for one, height_m in both]
+            return [Rig(one, bone_radii(one, height_m, _BODY22_NAMES), roles=_BODY22_NAMES) for one, height_m in both]
 
         who = ", ".join(f"{letter} is person {one}" for letter, one in zip(person_names(len(ids)), ids, strict=True))
         yield Cast(

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from flows.exports.cast_files import CastFiles
-from flows.exports.casts import POSED, casts, holds_poses
+from flows.exports.casts import POSED, Rig, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat
-from pasdedeux.formats.glb import GlbPerson, write_glb
+from pasdedeux.bodies import body_of, standing_motion
+from pasdedeux.formats.glb import GlbPerson, Skin, write_glb
 
 _SAID = (
     "GLB files are in metres, seconds and unit quaternions (x, y, z, w); set the scene of Blender to their rate before "
@@ -17,17 +18,25 @@ _SAID = (
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write a file for each cast: metres, Y up, the people called A, B, ..., each a skin of capsules."""
+    """Write a file for each cast: metres, Y up, the people called A, B, ..., each a skinned body."""
     files = CastFiles(export, out, _SAID)
     for cast in casts(export):
-        people = [
-            GlbPerson(letter, rig.motion, rig.radii_m, rig.positions_m)
-            for letter, rig in zip(cast.letters, cast.rigs(export.rest_pose), strict=True)
-        ]
+        rigs = zip(cast.letters, cast.rigs(export.rest_pose), strict=True)
+        people = [_person(letter, rig) for letter, rig in rigs]
         facts = {"unit": "m", "axes": cast.axes, "rate_hz": cast.rate_hz, "frames": cast.in_words()}
         data = write_glb(people, copyright_text=export.credit, facts=facts)
         files.path(cast, suffix=".glb").write_bytes(data)
     return files.close()
+
+
+def _person(name: str, rig: Rig) -> GlbPerson:
+    """Return a person with a body; one of positions alone rests in a T-pose."""
+    motion = rig.motion
+    if rig.positions_m is not None:
+        motion = standing_motion(motion.skeleton, rig.positions_m, motion.rate_hz)
+    body = body_of(motion.skeleton, motion.rest_positions_m(), rig.radii_m, rig.roles)
+    skin = Skin(body.vertices_m, body.normals, body.faces, *body.strongest())
+    return GlbPerson(name, motion, skin, rig.positions_m)
 
 
 FORMAT = ExportFormat(_write, holds_poses, POSED, has_rest_pose=True, options=VERDICT)

@@ -1,4 +1,4 @@
-"""Writing binary glTF: skinned people made of capsules, animated, all in one scene.
+"""Writing binary glTF: skinned bodies, animated, all in one scene.
 
 An own writer, because what is written is one buffer and a tree of plain JSON: pygltflib 1.16 would build the same tree
 of its classes in as many lines and pack the buffer no more than this does.  The tests read files back with it.
@@ -14,17 +14,33 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.kinematics import Motion
-from pasdedeux.kinematics.rotations import conjugate, rotate, rotmat_from_unitquat, swing_between
+from pasdedeux.kinematics.rotations import conjugate, rotate
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _COLOURS = ((0.82, 0.33, 0.27), (0.25, 0.47, 0.75), (0.35, 0.62, 0.35), (0.75, 0.6, 0.25))
-_SIDES, _RINGS = 10, 3
-"""Points round a capsule, and rings of each of its half spheres."""
-_SHORTEST_M = 1e-3
 _SWAP_M = 1e-4
 """Bones that differ from their rest by more move their joint, beside turning it."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A surface in the rest pose of a motion, and the joints that its vertices move with.
+
+    Args:
+        points_m: Vertices (n, 3), metres.
+        normals: Unit normals at them (n, 3).
+        faces: Vertices of each triangle (m, 3), counterclockwise from outside.
+        joints: Joints that each vertex moves with (n, 4).
+        weights: How much it moves with each (n, 4); rows sum to 1.
+    """
+
+    points_m: Array
+    normals: Array
+    faces: Integers
+    joints: Integers
+    weights: Array
 
 
 @dataclass(frozen=True)
@@ -34,13 +50,13 @@ class GlbPerson:
     Args:
         name: Name of the figure.
         motion: The motion.
-        radii_m: Radius of the bone that ends in each joint (J,), metres.
+        skin: Its surface.
         positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
     """
 
     name: str
     motion: Motion
-    radii_m: Array
+    skin: Skin
     positions_m: Array | None = None
 
 
@@ -102,7 +118,7 @@ def write_glb(people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[s
                 samplers.append({"input": times, "output": buffer.add(values.astype("<f4"), kind)})
         bind = np.tile(np.eye(4, dtype="<f4"), (skeleton.num_joints, 1, 1))
         bind[:, 3, :3] = -rest  # column by column
-        meshes.append({"name": person.name, "primitives": [_skin(buffer, person, rest, number % len(_COLOURS))]})
+        meshes.append({"name": person.name, "primitives": [_primitive(buffer, person.skin, number % len(_COLOURS))]})
         skins.append(
             {
                 "name": person.name,
@@ -149,47 +165,13 @@ def _translations(person: GlbPerson) -> Array:
     return moved
 
 
-def _skin(buffer: _Buffer, person: GlbPerson, rest: Array, material: int) -> dict[str, Any]:
-    """Add a capsule round every bone, which moves with the joint that the bone starts in."""
-    points, normals, faces = (list[Array]() for _ in range(3))
-    joints: list[int] = []
-    unit, triangles = _capsule()
-    for parent, child in person.motion.skeleton.bones:
-        bone, radius = rest[child] - rest[parent], float(person.radii_m[child])
-        length = float(np.linalg.norm(bone))
-        if length < _SHORTEST_M or radius <= 0:
-            continue
-        turn = rotmat_from_unitquat(swing_between(np.array([0.0, 1.0, 0.0]), bone))
-        along = np.where(unit[:, 3:] > 0, [0.0, length, 0.0], 0.0)
-        faces.append(triangles + len(joints))
-        points.append((radius * unit[:, :3] + along) @ turn.T + rest[parent])
-        normals.append(unit[:, :3] @ turn.T)
-        joints += [parent] * len(unit)
-    bound = np.zeros((len(joints), 4), dtype="<u2")
-    bound[:, 0] = joints
-    places = np.concatenate(points).astype("<f4")
+def _primitive(buffer: _Buffer, skin: Skin, material: int) -> dict[str, Any]:
+    """Add a surface, and the joints that each vertex moves with."""
     attributes = {
-        "POSITION": buffer.add(places, "VEC3", is_bounded=True),
-        "NORMAL": buffer.add(np.concatenate(normals).astype("<f4"), "VEC3"),
-        "JOINTS_0": buffer.add(bound, "VEC4"),
-        "WEIGHTS_0": buffer.add(np.tile(np.array([1, 0, 0, 0], dtype="<f4"), (len(joints), 1)), "VEC4"),
+        "POSITION": buffer.add(skin.points_m.astype("<f4"), "VEC3", is_bounded=True),
+        "NORMAL": buffer.add(skin.normals.astype("<f4"), "VEC3"),
+        "JOINTS_0": buffer.add(skin.joints.astype("<u2"), "VEC4"),
+        "WEIGHTS_0": buffer.add(skin.weights.astype("<f4"), "VEC4"),
     }
-    indices = buffer.add(np.concatenate(faces).astype("<u4").reshape(-1), "SCALAR")
+    indices = buffer.add(skin.faces.astype("<u4").reshape(-1), "SCALAR")
     return {"attributes": attributes, "indices": indices, "material": material}
-
-
-def _capsule() -> tuple[Array, Array]:
-    """Return points (n, 4) of the unit sphere, cut at its equator (the last number is the end it is of), and faces."""
-    heights = np.concatenate([np.linspace(-0.5, 0.0, _RINGS + 1), np.linspace(0.0, 0.5, _RINGS + 1)]) * np.pi
-    ends = np.repeat([0.0, 1.0], _RINGS + 1)
-    around = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
-    rings = [
-        np.stack(
-            [np.cos(h) * np.cos(around), np.full(_SIDES, np.sin(h)), np.cos(h) * np.sin(around), np.full(_SIDES, e)], -1
-        )
-        for h, e in zip(heights, ends, strict=True)
-    ]
-    low = np.arange((len(rings) - 1) * _SIDES)
-    beside = low - low % _SIDES + (low + 1) % _SIDES
-    faces = np.stack([low, low + _SIDES, beside, beside, low + _SIDES, beside + _SIDES], axis=-1).reshape(-1, 3)
-    return np.concatenate(rings), faces

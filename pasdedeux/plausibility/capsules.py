@@ -202,7 +202,7 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
     """Return the default capsules of pair17, op14 or body22."""
     bones = [child for _, child in skeleton.bones]
     radii = radius_per_height(skeleton)
-    stand = _standing(skeleton)
+    stand = standing_m(skeleton)
     steps, within = _bones_on_paths(skeleton), []
     for (start, one), (other_start, other) in combinations(skeleton.bones, 2):
         ends = stand[[start, one, other_start, other]]
@@ -228,7 +228,7 @@ def _bones_on_paths(skeleton: Skeleton) -> Array:
     return np.asarray(shortest_path(links, directed=False, unweighted=True))
 
 
-def _standing(skeleton: Skeleton) -> Array:
+def standing_m(skeleton: Skeleton) -> Array:
     """Return a person of stature 1 in the T-pose (J, 3) of pair17, op14 or body22; its nose is its head."""
     places = np.array([t_pose(joint) for joint in (*BODY22.joint_names, "head")])
     return LAYOUTS[BODY22.name].joint_map(skeleton.name).positions(places, (*BODY22.joint_names, "nose"))

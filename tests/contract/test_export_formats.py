@@ -201,9 +201,10 @@ def joints_of(file: pygltflib.GLTF2) -> np.ndarray:
         people.append(joints[..., :3, 3])
         bind = values(skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
         shape = mesh.primitives[0].attributes
-        bound = values(shape.JOINTS_0, "<u2")[:, 0]
+        bound, weights = values(shape.JOINTS_0, "<u2"), values(shape.WEIGHTS_0)
+        np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-6)
         points = np.c_[values(shape.POSITION), np.ones(len(bound))]
-        posed = np.einsum("nij,nj->ni", (joints[0] @ bind)[bound], points)[:, :3]
+        posed = np.einsum("nk,nkij,nj->ni", weights, (joints[0] @ bind)[bound], points)[:, :3]
         near = np.linalg.norm(posed[:, None] - joints[0, None, :, :3, 3], axis=-1).min(axis=1)
         assert near.max() < 0.3
         faces = posed[values(mesh.primitives[0].indices, "<u4").reshape(-1, 3)]

@@ -1,0 +1,5 @@
+"""Skinned bodies: one watertight mesh round a skeleton, made from the radii of its capsules."""
+
+from pasdedeux.bodies.body import Body, body_of, standing_motion
+
+__all__ = ["Body", "body_of", "standing_motion"]

@@ -1,0 +1,171 @@
+"""The shape of a body: round cones along its bones, and those of head, hands, heels and flanks, which lie outside.
+
+Limbs taper to either side of their capsules by less than a centimetre.  Lengths of head, hands and heels are shares of
+the bone that ends there, those of the flanks of the trunk's radius: children and giants keep their proportions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.skeletons import Skeleton
+
+_TAPERS: Mapping[str, tuple[float, float]] = {
+    "neck": (1.0, 0.85),
+    "head": (0.85, 0.95),
+    "hip": (1.0, 1.05),
+    "knee": (1.1, 0.85),
+    "ankle": (1.15, 0.8),
+    "toe": (1.1, 0.9),
+    "shoulder": (0.9, 1.0),
+    "elbow": (1.12, 0.88),
+    "wrist": (1.15, 0.8),
+}
+"""Radii at the start and the end of the bone that ends in a joint, in radii of its capsule; (1, 1) of the others."""
+_THINNER_M, _THICKER_M = 0.009, 0.003
+"""A capsule loses and gains this much at most."""
+_FLANKS: Mapping[str, tuple[float, float]] = {
+    "pelvis": (0.5, 0.9),
+    "spine": (0.4, 0.85),
+    "spine1": (0.4, 0.85),
+    "spine2": (0.5, 0.85),
+    "spine3": (0.75, 0.8),
+    "chest": (0.75, 0.8),
+    "neck": (0.3, 0.55),
+}
+"""Flanks, beside the bones of the trunk: how far to the sides of a joint, and their radii, in radii of the trunk."""
+_HEAD = ((0.0, 0.45, 0.02, 0.62), (0.0, 0.75, -0.05, 0.62)), ((0.0, 0.1, 0.25, 0.42), (0.0, 0.35, 0.3, 0.45))
+"""Skull and jaw: two ends each, left, up and forward of the head joint, and their radii, in lengths of neck to head."""
+_HAND = (
+    ((0.0, 0.0, 0.0, 0.07), (0.36, 0.0, 0.06, 0.065)),
+    ((0.0, 0.0, 0.0, 0.07), (0.36, 0.0, -0.06, 0.065)),
+    ((0.36, 0.0, 0.06, 0.065), (0.64, 0.0, 0.05, 0.055)),
+    ((0.36, 0.0, -0.06, 0.065), (0.62, 0.0, -0.05, 0.055)),
+    ((0.08, 0.0, 0.06, 0.055), (0.36, 0.0, 0.19, 0.05)),
+)
+"""Palm, fingers and thumb: two ends each, away from the elbow, up and forward of the wrist in a T-pose, and their
+radii, in lengths of the forearm."""
+_HEEL = ((0.0, -0.05, -0.05, 0.2), (0.0, -0.2, -0.25, 0.17))
+"""Heel: two ends, left, up and forward of the ankle, and their radii, in lengths of ankle to toe."""
+
+
+@dataclass(frozen=True)
+class Cones:
+    """Round cones: the space swept by a ball that moves from one end to the other while its radius changes.
+
+    Args:
+        ends_m: Ends (cone, 2, 3) in the rest pose, metres.
+        radii_m: Radii at the ends (cone, 2), metres.
+        joints: Joint that each moves with (cone,).
+        is_beside: Which of them meet in a joint, each with itself as well (cone, cone).
+    """
+
+    ends_m: Array
+    radii_m: Array
+    joints: Integers
+    is_beside: Flags
+
+
+def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, roles: Mapping[str, str]) -> Cones:
+    """Return the cones of a body in its rest pose.
+
+    Args:
+        skeleton: Its joints.
+        rest_m: Where they are in the rest pose (J, 3), metres.
+        radii_m: Radius of the capsule round the bone that ends in each joint (J,), metres; 0 where there is none.
+        roles: Joints of `body22` or `pair17` by names of these joints; joints that are not in it have capsules only.
+    """
+    names = [roles.get(name, "") for name in skeleton.joint_names]
+    axes = _axes(rest_m, {name: joint for joint, name in enumerate(names) if name})
+    made = _Made([], [], [], [])
+    for parent, child in skeleton.bones:
+        radius, meets = float(radii_m[child]), frozenset((parent, child))
+        is_end = names[parent].rpartition("_")[2] in ("wrist", "head") and _is_last(skeleton, parent)
+        if radius > 0 and not is_end:
+            taper = np.array(_TAPERS.get(names[child].rpartition("_")[2], (1.0, 1.0)))
+            radii = radius + np.clip(radius * (taper - 1.0), -_THINNER_M, _THICKER_M)
+            made.add(rest_m[[parent, child]], radii, parent, meets)
+        if axes is None:
+            continue
+        if names[parent] in _FLANKS and names[child] in _FLANKS:
+            shape = np.array([_FLANKS[names[parent]], _FLANKS[names[child]]])
+            width = float(max(radii_m[[parent, child]].max(), radii_m[skeleton.parents[parent]]))
+            for side in (-1.0, 1.0):
+                beside = rest_m[[parent, child]] + side * width * shape[:, :1] * axes[0]
+                made.add(beside, width * shape[:, 1], parent, meets)
+        joint, frame, parts = _outside(skeleton, rest_m, parent, child, names[child], axes)
+        length = float(np.linalg.norm(rest_m[child] - rest_m[parent]))
+        for ends in length * np.array(parts):
+            made.add(rest_m[joint] + ends[:, :3] @ frame, ends[:, 3], joint, frozenset((joint,)))
+    return made.cones()
+
+
+@dataclass
+class _Made:
+    """Cones one after another: ends, radii, the joint that each moves with, the joints in which it meets others."""
+
+    ends_m: list[Array]
+    radii_m: list[Array]
+    joints: list[int]
+    meets: list[frozenset[int]]
+
+    def add(self, ends_m: Array, radii_m: Array, joint: int, meets: frozenset[int]) -> None:
+        """Add a cone with ends (2, 3) and radii (2,)."""
+        self.ends_m.append(ends_m)
+        self.radii_m.append(radii_m)
+        self.joints.append(joint)
+        self.meets.append(meets)
+
+    def cones(self) -> Cones:
+        """Return all of them."""
+        return Cones(
+            np.array(self.ends_m).reshape(-1, 2, 3),
+            np.array(self.radii_m).reshape(-1, 2),
+            np.array(self.joints, dtype=np.int64),
+            np.array([[bool(one & other) for other in self.meets] for one in self.meets]).reshape(len(self.meets), -1),
+        )
+
+
+def _outside(
+    skeleton: Skeleton, rest_m: Array, parent: int, child: int, role: str, axes: Array
+) -> tuple[int, Array, Any]:
+    """Return what lies outside the capsules at the end of a bone: its joint, its axes (3, 3) and its parts."""
+    bone = normalise(rest_m[child] - rest_m[parent], fallback=axes[1])
+    kind = role.rpartition("_")[2]
+    if kind == "wrist" and _is_last(skeleton, child):
+        forward = normalise(axes[2] - bone * (axes[2] @ bone), fallback=axes[1])
+        return child, np.stack([bone, np.cross(forward, bone), forward]), _HAND
+    if kind == "head" and _is_last(skeleton, child):
+        return child, axes, _HEAD
+    if kind == "toe":
+        forward = normalise(bone - axes[1] * (bone @ axes[1]), fallback=axes[2])
+        return parent, np.stack([np.cross(axes[1], forward), axes[1], forward]), (_HEEL,)
+    return child, axes, np.empty((0, 2, 4))
+
+
+def _is_last(skeleton: Skeleton, joint: int) -> bool:
+    """Return whether nothing but an end site follows a joint."""
+    below = skeleton.children(joint)
+    return not below or (len(below) == 1 and not skeleton.children(below[0]))
+
+
+def _axes(rest_m: Array, by_role: Mapping[str, int]) -> Array | None:
+    """Return left, up and forward of a body in its rest pose (3, 3); None where its joints do not tell."""
+    sides = [(by_role[role], by_role[f"right_{role[5:]}"]) for role in by_role if role.startswith("left_")]
+    middle = [by_role[role] for role in ("head", "neck") if role in by_role]
+    hips = [by_role[role] for role in ("left_hip", "right_hip") if role in by_role]
+    if not (sides and middle and len(hips) == 2):
+        return None
+    up = normalise(rest_m[middle[0]] - rest_m[hips].mean(axis=0))
+    left = np.sum([rest_m[one] - rest_m[other] for one, other in sides], axis=0)
+    left = left - up * (left @ up)
+    if not (np.isfinite(left).all() and np.linalg.norm(left) > 1e-6):
+        return None
+    left = normalise(left)
+    return np.stack([left, up, np.cross(left, up)])

@@ -1,0 +1,204 @@
+"""The surface of round cones: a smooth union, its mesh, and how much of each vertex moves with each joint."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.bodies.shape import Cones
+from pasdedeux.compiled import compiled, inner_kernel
+
+_SMOOTH_M = 0.006
+"""Width of the smooth union; where two cones are equally near, the surface is ln 2 times this farther out."""
+_BLENDS = 8.0
+"""A cone farther away than the nearest by so many widths does not count: exp(-8) of a width is 2 micrometres."""
+NUM_VERTICES = 4000
+"""About as many vertices has a body."""
+_VERTICES_PER_SQUARE = 1.15
+"""Vertices that marching cubes makes for an area of one voxel's side, with overlaps of the cones taken off."""
+_STEPS, _STEP_M = 2, 1e-4
+"""Newton's steps of each vertex onto the surface, and the step of differences."""
+_NEAR = 3.0
+"""Voxels within so many sides of the surface are computed."""
+_SOFT = 0.5
+"""Width of the change from one bone to the next, in radii."""
+_MAX_JOINTS, _LEAST = 4, 0.01
+"""A vertex moves with so many joints, with each by no less than this."""
+
+
+def _packed(cones: Cones) -> Array:
+    """Return cones as kernels read them (cone, 15).
+
+    Start, unit axis, length, both radii, sine and cosine of the side's slope; middle and radius of a ball round it.
+    """
+    along = cones.ends_m[:, 1] - cones.ends_m[:, 0]
+    lengths = np.linalg.norm(along, axis=-1)
+    start, end = cones.radii_m.T
+    sine = np.clip((start - end) / np.maximum(lengths, 1e-9), -1.0, 1.0)
+    ball = 0.5 * lengths + cones.radii_m.max(axis=-1)
+    unit, cosine = along / np.maximum(lengths, 1e-9)[:, None], np.sqrt(1.0 - sine**2)
+    return np.column_stack(
+        [cones.ends_m[:, 0], unit, lengths, start, end, sine, cosine, cones.ends_m.mean(axis=1), ball]
+    )
+
+
+@inner_kernel()
+def _distance(x: float, y: float, z: float, cones: Array, cone: int) -> float:
+    """Return the signed distance of a point to a round cone, metres."""
+    px, py, pz = x - cones[cone, 0], y - cones[cone, 1], z - cones[cone, 2]
+    square = px * px + py * py + pz * pz
+    along = px * cones[cone, 3] + py * cones[cone, 4] + pz * cones[cone, 5]
+    off = math.sqrt(max(square - along * along, 0.0))
+    length, sine, cosine = cones[cone, 6], cones[cone, 9], cones[cone, 10]
+    place = along * cosine - off * sine  # along the side of the cone
+    if place <= 0.0 or sine >= 1.0:
+        return math.sqrt(square) - cones[cone, 7]
+    if place >= cosine * length:
+        return math.sqrt(off * off + (along - length) ** 2) - cones[cone, 8]
+    return off * cosine + along * sine - cones[cone, 7]
+
+
+@inner_kernel()
+def _scan(x: float, y: float, z: float, cones: Array, width: float, near: Array, active: Integers) -> int:
+    """Write which cones count at a point, and their distances; return how many."""
+    least = math.inf
+    for cone in range(len(cones)):
+        dx, dy, dz = x - cones[cone, 11], y - cones[cone, 12], z - cones[cone, 13]
+        bound = least + _BLENDS * width + cones[cone, 14]  # outside its ball a cone is too far to count
+        near[cone] = math.inf
+        if bound > 0.0 and dx * dx + dy * dy + dz * dz < bound * bound:
+            near[cone] = _distance(x, y, z, cones, cone)
+            least = min(least, near[cone])
+    count = 0
+    for cone in range(len(cones)):
+        if near[cone] < least + _BLENDS * width:
+            active[count] = cone
+            count += 1
+    return count
+
+
+@inner_kernel()
+def _blend(count: int, active: Integers, near: Array, is_beside: Flags, width: float) -> float:
+    """Return the smooth union of the cones that count at a point."""
+    least = near[active[0]]
+    for at in range(1, count):
+        least = min(least, near[active[at]])
+    found = least
+    for at in range(count):
+        total = 0.0
+        for other in range(count):
+            if is_beside[active[at], active[other]]:
+                total += math.exp((least - near[active[other]]) / width)
+        found = min(found, near[active[at]] - width * math.log(total))
+    return found
+
+
+@compiled()
+def surface_field(points: Array, cones: Array, is_beside: Flags, width: float) -> Array:
+    """Return the smooth union of round cones at points (n, 3): about the distance to its surface, negative inside.
+
+    Cones that meet blend.  With d the distance to a cone, d_k those to cones beside it and itself, d_min the least
+    of all, the field is the least of d - width ln sum_k exp((d_min - d_k) / width) over the cones.
+
+    Args:
+        points: Metres.
+        cones: As `_packed` (cone, 15), metres.
+        is_beside: Which of them blend (cone, cone).
+        width: Of the blend, metres.
+    """
+    values = np.empty(len(points))
+    near, active = np.empty(len(cones)), np.empty(len(cones), dtype=np.int64)
+    for row in range(len(points)):
+        count = _scan(points[row, 0], points[row, 1], points[row, 2], cones, width, near, active)
+        values[row] = _blend(count, active, near, is_beside, width)
+    return values
+
+
+@compiled()
+def carry_onto(points: Array, cones: Array, is_beside: Flags, width: float, step: float) -> Array:
+    """Carry points (n, 3) onto the surface of `surface_field`, in place, and return its unit normals there (n, 3).
+
+    Args:
+        points: Metres, near the surface.
+        cones: As `_packed` (cone, 15), metres.
+        is_beside: Which of them blend (cone, cone).
+        width: Of the blend, metres.
+        step: Greatest length of a step of Newton's, metres.
+    """
+    normals, slope = np.empty(points.shape), np.empty(3)
+    near, active = np.empty(len(cones)), np.empty(len(cones), dtype=np.int64)
+    for row in range(len(points)):
+        point = points[row]
+        for number in range(_STEPS + 1):
+            count = _scan(point[0], point[1], point[2], cones, width, near, active)
+            value = _blend(count, active, near, is_beside, width)
+            size = 0.0
+            for axis in range(3):
+                point[axis] += _STEP_M
+                for at in range(count):
+                    near[active[at]] = _distance(point[0], point[1], point[2], cones, active[at])
+                point[axis] -= _STEP_M
+                slope[axis] = (_blend(count, active, near, is_beside, width) - value) / _STEP_M
+                size += slope[axis] ** 2
+            if number < _STEPS:
+                length = max(-step, min(step, value / max(size, 0.25)))
+                for axis in range(3):
+                    point[axis] -= length * slope[axis]
+        for axis in range(3):
+            normals[row, axis] = slope[axis] / max(math.sqrt(size), 1e-9)
+    return normals
+
+
+@compiled()
+def cone_distances(points: Array, cones: Array) -> Array:
+    """Return signed distances of points (n, 3) to each round cone (n, cone), metres."""
+    values = np.empty((len(points), len(cones)))
+    for row in range(len(points)):
+        for cone in range(len(cones)):
+            values[row, cone] = _distance(points[row, 0], points[row, 1], points[row, 2], cones, cone)
+    return values
+
+
+def mesh_of(cones: Cones) -> tuple[Array, Integers, Array]:
+    """Return vertices (n, 3), metres, faces (m, 3), outside counterclockwise, and unit normals (n, 3) of the surface.
+
+    Marching cubes (Lewiner et al. 2003) on voxels near the surface; each vertex is then carried onto it.
+    """
+    from skimage.measure import marching_cubes  # here: it takes a while, and few need it
+
+    shape = (_packed(cones), cones.is_beside, _SMOOTH_M)
+    lengths, widest = np.linalg.norm(cones.ends_m[:, 1] - cones.ends_m[:, 0], axis=-1), cones.radii_m.max(axis=-1)
+    area = float(np.sum(np.pi * cones.radii_m.sum(axis=-1) * lengths))
+    voxel = math.sqrt(_VERTICES_PER_SQUARE * area / NUM_VERTICES)
+    low = (cones.ends_m.min(axis=1) - widest[:, None]).min(axis=0) - 2.0 * voxel
+    high = (cones.ends_m.max(axis=1) + widest[:, None]).max(axis=0) + 2.0 * voxel
+    coarse = np.indices(np.ceil((high - low) / (2.0 * voxel)).astype(int)).transpose(1, 2, 3, 0) + 0.25
+    volume = surface_field(low + 2.0 * voxel * coarse.reshape(-1, 3), *shape).reshape(coarse.shape[:3])
+    for axis in range(3):
+        volume = volume.repeat(2, axis=axis)
+    is_near = np.abs(volume) < _NEAR * voxel
+    volume[is_near] = surface_field(low + voxel * np.argwhere(is_near), *shape)
+    found, faces, *_ = marching_cubes(volume, 0.0, gradient_direction="descent", allow_degenerate=False)
+    points = low + voxel * found.astype(np.float64)
+    normals = carry_onto(points, *shape, voxel)
+    return points, faces.astype(np.int64), normals
+
+
+def joint_weights(points: Array, cones: Cones, num_joints: int) -> Array:
+    """Return how much of each point (n, 3) moves with each joint (n, J); at most four joints, summing to 1.
+
+    The weight of a cone falls as a Gaussian of its distance beyond that of the nearest; only cones that meet the
+    nearest take part, so that an arm beside the body does not move the trunk.
+    """
+    away = np.maximum(cone_distances(points, _packed(cones)), -0.5 * cones.radii_m.min(axis=-1))
+    nearest = away.argmin(axis=1)
+    width = _SOFT * cones.radii_m.mean(axis=-1)[nearest][:, None]
+    beyond = (away - away.min(axis=1, keepdims=True)) / width
+    by_cone = np.where(cones.is_beside[nearest], np.exp(-(beyond**2)), 0.0)
+    weights = by_cone @ (cones.joints[:, None] == np.arange(num_joints)).astype(np.float64)
+    fourth = max(num_joints - _MAX_JOINTS, 0)
+    least = np.partition(weights, fourth, axis=1)[:, fourth, None]
+    weights[(weights < least) | (weights < _LEAST)] = 0.0
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

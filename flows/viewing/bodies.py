@@ -1,4 +1,4 @@
-"""Bodies as capsules: instances of two small meshes, a rod for each bone and a ball at each of its ends."""
+"""Bodies as skins, or as capsules: instances of two small meshes, a rod for each bone, a ball at each of its ends."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import numpy as np
 
 from flows.viewing.scene import People
 from pasdedeux.arrays import Array
+from pasdedeux.bodies import Body, body_of, standing_rest_m
 from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb, shade_of
 from pasdedeux.interaction.contacts import find_contacts
 from pasdedeux.interaction.surfaces import surface_gaps
-from pasdedeux.plausibility.capsules import capsule_model
-from pasdedeux.skeletons import Skeleton
+from pasdedeux.plausibility.capsules import capsule_model, standing_m
+from pasdedeux.skeletons import WORKING_SKELETONS, Skeleton
 from pasdedeux.spread import evenly_spread
 
 THROUGH_M = 0.01
@@ -62,7 +63,7 @@ def capsules(ends_m: Array, radii_m: Array) -> Instances:
 
 
 class Bodies:
-    """Everybody's capsules over time, and objects after them.
+    """Everybody over time, and objects: skins where a T-pose is known and no joint is missing, else capsules.
 
     Args:
         people: Who.
@@ -74,8 +75,12 @@ class Bodies:
         self, people: People, ends_m: Array | None = None, radii_m: Array | None = None, *, is_thin: bool = False
     ) -> None:
         self._people, self._ends_m = people, ends_m
-        self._bones = np.array(people.skeleton.bones)
-        self.radii_m = _radii(people)
+        self.radii_m, self.skins = _radii(people), list[Body]()
+        bones: Any = people.skeleton.bones
+        if people.skeleton.name in WORKING_SKELETONS and not is_thin and _are_whole(people):
+            bones = []
+            self.skins = [body_of(people.skeleton, *both) for both in zip(_rests(people), self.radii_m, strict=True)]
+        self._bones = np.array(bones, dtype=np.int64).reshape(-1, 2)
         radii = np.full_like(self.radii_m, _STICK_M) if is_thin else self.radii_m
         self._radii = np.concatenate([radii[:, self._bones[:, 1]].ravel(), [] if radii_m is None else radii_m])
 
@@ -87,6 +92,28 @@ class Bodies:
         """Return the same of other positions (person, joint, 3)."""
         ends = positions_m[:, self._bones].reshape(-1, 2, 3)
         return capsules(ends if self._ends_m is None else np.concatenate([ends, self._ends_m[frame]]), self._radii)
+
+    def turns(self, frame: int, pose: Array | None = None) -> list[tuple[Array, Array]]:
+        """Return how the joints of each skin are turned (J, 4), w first, and where they are (J, 3) in a frame.
+
+        Args:
+            frame: The frame.
+            pose: Positions (person, joint, 3), metres, in place of those of the frame.
+        """
+        if not self.skins:
+            return []
+        positions = self._people.frame(frame) if pose is None else pose
+        is_there = np.isfinite(positions).all(axis=(1, 2))
+        found = []
+        for body, own, here in zip(self.skins, positions, is_there, strict=True):
+            places = own if here else np.full_like(own, _NOWHERE_M)
+            turns = body.turns(self._people.skeleton, places) if here else np.tile([0.0, 0.0, 0.0, 1.0], (len(own), 1))
+            found.append((turns[:, [3, 0, 1, 2]], places))
+        return found
+
+    def person_colours(self, grey: tuple[int, int, int] | None = None) -> list[tuple[int, int, int]]:
+        """Return the colour of each skin, 0 to 255; all of them grey where asked."""
+        return [grey or rgb(PERSON_COLOURS[at % len(PERSON_COLOURS)]) for at in range(len(self.skins))]
 
     def colours(self, grey: tuple[int, int, int] | None = None) -> Array:
         """Return the colour of each capsule (n, 3), 0 to 255: left limbs darker; all of them grey where asked."""
@@ -100,12 +127,30 @@ class Bodies:
         return int(self._people.positions_m.shape[1])
 
 
-def _radii(people: People) -> Array:
-    """Return radii (person, joint), metres, from the frames in which everybody is there; a usual body's where none."""
-    model = capsule_model(people.skeleton)
+def _are_whole(people: People) -> bool:
+    """Return whether everybody has all joints in each frame, or none."""
+    is_known = np.isfinite(people.positions_m[..., 0])
+    return bool((is_known.all(axis=-1) == is_known.any(axis=-1)).all())
+
+
+def _whole(people: People) -> Array:
+    """Return some frames (frame, person, joint, 3), metres, in which everybody is there."""
     is_whole = np.isfinite(people.positions_m).all(axis=(1, 2, 3))
     some = np.flatnonzero(is_whole)[evenly_spread(int(is_whole.sum()), 64)]
-    whole = np.asarray(people.positions_m[some], dtype=np.float64)
+    return np.asarray(people.positions_m[some], dtype=np.float64)
+
+
+def _rests(people: People) -> Array:
+    """Return everybody's T-pose (person, joint, 3), metres, with median bone lengths; a usual body's where none are."""
+    whole = _whole(people)
+    if not len(whole):
+        return np.broadcast_to(1.7 * standing_m(people.skeleton), people.positions_m.shape[1:])
+    return np.stack([standing_rest_m(people.skeleton, one) for one in np.moveaxis(whole, 1, 0)])
+
+
+def _radii(people: People) -> Array:
+    """Return radii (person, joint), metres, from the frames in which everybody is there; a usual body's where none."""
+    model, whole = capsule_model(people.skeleton), _whole(people)
     if not len(whole) or not np.ptp(whole[..., 2]):
         return np.broadcast_to(model.radii_m(1.7), people.positions_m.shape[1:3])
     return model.radii_of(whole)

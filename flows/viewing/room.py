@@ -34,6 +34,15 @@ _CAMERA_M = 0.15
 _NO_POINTS = np.empty((0, 3))
 
 
+@dataclass(frozen=True)
+class _Put:
+    """What stands for some bodies in the room: skins, and rods and balls where there are capsules."""
+
+    skins: list[Any]
+    rods: Any = None
+    balls: Any = None
+
+
 class Room:
     """What a scene looks like.
 
@@ -48,7 +57,7 @@ class Room:
         # A rod along z, of radius and length 1; its ends are in balls.
         self._rod, self._ball, self._mark = _surface(np.ones(2), np.array([-0.5, 0.5]), 20), _ball(16), _ball(8)
         self._middle = np.full(3, np.inf)
-        self._grey: tuple[Any, Any] | None = None
+        self._grey: _Put | None = None
         server.scene.set_up_direction("+y")
         # Browsers that draw by software take three times as long with reflections, shadows and a shaded floor.
         server.scene.configure_environment_map(None)
@@ -76,7 +85,7 @@ class Room:
                 self._aim(client)
         for name in self._groups:
             self._show_node(name, is_shown=False)
-        self._rods, self._balls = self._put_bodies("/people", self._bodies, self._bodies.colours())
+        self._people = self._put_bodies("/people", self._bodies)
         places, sizes = marker_balls((_NO_POINTS,) * 2, _MARK_M)
         both = np.repeat(np.array(list(_COLOURS.values()), dtype=np.uint8), len(places) // 2, axis=0)
         self._marks = self._instances("/marks/balls", places, sizes, both)
@@ -84,7 +93,7 @@ class Room:
         if self._behind is not None and where != "hidden":
             away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
             more = {} if where == "beside" else {"opacity": 0.3}
-            self._grey = self._put_bodies(f"/{where}", self._behind, self._behind.colours(_GREY), away, **more)
+            self._grey = self._put_bodies(f"/{where}", self._behind, _GREY, away, **more)
         self._show_node("/film", is_shown=False)
         self._film: Any = None
         self._show_node("/camera", is_shown=shown.camera is not None)
@@ -106,17 +115,13 @@ class Room:
             has_marks: Whether contacts and penetrations are marked.
         """
         scene, touch, through = self._scene, _NO_POINTS, _NO_POINTS
-        at = self._bodies.at(frame) if pose is None else self._bodies.of(pose, frame)
         if has_marks and not scene.is_flat:
             shown = scene.people.frame(frame) if pose is None else pose
             touch, through = marks(scene.people.skeleton, shown, self._bodies.radii_m)
         with self._server.atomic():
-            _place(self._rods, at.rods_m, at.rods_wxyz, at.rods_scale)
-            _place(self._balls, at.balls_m, None, at.balls_scale)
+            _move(self._people, self._bodies, frame, pose)
             if self._behind is not None and self._grey is not None and scene.behind is not None:
-                behind = self._behind.at(min(frame, len(scene.behind.positions_m) - 1))
-                _place(self._grey[0], behind.rods_m, behind.rods_wxyz, behind.rods_scale)
-                _place(self._grey[1], behind.balls_m, None, behind.balls_scale)
+                _move(self._grey, self._behind, min(frame, len(scene.behind.positions_m) - 1))
             places, sizes = marker_balls((touch, through), _MARK_M)
             _place(self._marks, places, None, sizes)
         return len(touch), len(through)
@@ -143,22 +148,40 @@ class Room:
             with client.atomic():
                 client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
 
-    def _put_bodies(self, where: str, bodies: Bodies, colours: Array, away: float = 0.0, **more: Any) -> Any:
-        """Show the rods and balls of bodies; those of as many capsules are used again."""
-        here, name = bodies.at(0), f"{where}/{len(colours)}"
+    def _put_bodies(
+        self, where: str, bodies: Bodies, grey: tuple[int, int, int] | None = None, away: float = 0.0, **more: Any
+    ) -> _Put:
+        """Show bodies; the nodes of as many capsules are used again."""
+        here, colours, name = bodies.at(0), bodies.colours(grey), f"{where}/{len(bodies.radii_m)}"
         if name not in self._groups:
             self._groups.add(name)
             self._server.scene.add_frame(name, show_axes=False)
         frame = self._server.scene.get_handle_by_name(name)
         frame.visible, frame.position = True, (away, 0.0, 0.0)
-        return (
-            self._instances(f"{name}/rods", here.rods_m, here.rods_scale, colours, **more),
-            self._instances(f"{name}/balls", here.balls_m, here.balls_scale, np.repeat(colours, 2, 0), **more),
+        skins = []
+        for at, (body, colour) in enumerate(zip(bodies.skins, bodies.person_colours(grey), strict=True)):
+            upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(body.rest_m), 1))
+            skins.append(
+                self._server.scene.add_mesh_skinned(
+                    f"{name}/skin{at}", body.vertices_m.astype(np.float32), body.faces.astype(np.uint32),
+                    bone_wxyzs=upright, bone_positions=body.rest_m, skin_weights=body.weights.astype(np.float32),
+                    color=tuple(_pale(np.array(colour)).tolist()), cast_shadow=False, receive_shadow=False, **more,
+                )
+            )  # fmt: skip
+        rods, balls = f"{name}/{len(colours)}/rods", f"{name}/{len(colours)}/balls"
+        for node in [node for node in self._nodes if node.startswith(f"{name}/")]:
+            self._show_node(node, is_shown=node in (rods, balls))
+        if not len(colours):
+            return _Put(skins)
+        return _Put(
+            skins,
+            self._instances(rods, here.rods_m, here.rods_scale, colours, **more),
+            self._instances(balls, here.balls_m, here.balls_scale, np.repeat(colours, 2, 0), **more),
         )
 
     def _instances(self, name: str, places: Array, sizes: Array, colours: Any, **more: Any) -> Any:
         """Show instances of rods or balls: where they are there already, in their place."""
-        pale = (255.0 * (colours / 255.0) ** _DARKER).astype(np.uint8)
+        pale = _pale(colours)
         if (handle := self._nodes.get(name)) is not None:
             handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
             return handle
@@ -217,6 +240,22 @@ def _ball(sides: int) -> _Mesh:
     """Return a ball of radius 1."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
     return _surface(np.cos(latitude), np.sin(latitude), sides)
+
+
+def _pale(colours: Array) -> Array:
+    """Return colours, 0 to 255, as they must be given to look like these under the room's lights."""
+    return np.asarray((255.0 * (colours / 255.0) ** _DARKER).astype(np.uint8))
+
+
+def _move(put: _Put, bodies: Bodies, frame: int, pose: Array | None = None) -> None:
+    """Move bodies to a frame, or to other positions (person, joint, 3), metres."""
+    for skin, (turns, places) in zip(put.skins, bodies.turns(frame, pose), strict=True):
+        for bone, turn, place in zip(skin.bones, turns, places, strict=True):
+            bone.wxyz, bone.position = turn, place
+    if put.rods is not None:
+        at = bodies.at(frame) if pose is None else bodies.of(pose, frame)
+        _place(put.rods, at.rods_m, at.rods_wxyz, at.rods_scale)
+        _place(put.balls, at.balls_m, None, at.balls_scale)
 
 
 def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.bodies.shape import cones_of
 from pasdedeux.bodies.surface import joint_weights, mesh_of
-from pasdedeux.kinematics import Motion, bone_lengths, local_rotations, place_bones
+from pasdedeux.kinematics import Motion, bone_lengths, forward_kinematics, local_rotations, place_bones
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.capsules import standing_m
 from pasdedeux.skeletons import Skeleton
@@ -49,6 +49,12 @@ class Body:
         matrices = blended.reshape(-1, 3, 4)
         return np.einsum("nab,nb->na", matrices[..., :3], self.vertices_m) + matrices[..., 3]
 
+    def turns(self, skeleton: Skeleton, positions_m: Array) -> Array:
+        """Return rotations from the rest pose (*batch, J, 4) that fit positions (*batch, J, 3), metres."""
+        local = local_rotations(skeleton, self.rest_m, positions_m)
+        offsets = self.rest_m - self.rest_m[[max(parent, 0) for parent in skeleton.parents]]
+        return forward_kinematics(skeleton, offsets, positions_m[..., skeleton.root, :], local)[1]
+
     def strongest(self) -> tuple[Integers, Array]:
         """Return the joints that each vertex moves with (n, 4), strongest first, and how much (n, 4); rows sum to 1."""
         joints = np.argsort(-self.weights, axis=1, kind="stable")[:, :4]
@@ -79,21 +85,29 @@ def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, roles: Mapping[st
     return Body(rest_m, vertices, faces, normals, joint_weights(vertices, cones, skeleton.num_joints))
 
 
+def standing_rest_m(skeleton: Skeleton, positions_m: Array) -> Array:
+    """Return a T-pose (J, 3), metres, with the median bone lengths of positions (frame, J, 3); its root is at 0.
+
+    Args:
+        skeleton: pair17, op14 or body22.
+        positions_m: Metres.
+    """
+    stand = standing_m(skeleton)
+    parents = [max(parent, 0) for parent in skeleton.parents]
+    directions = normalise(stand - stand[parents], fallback=np.array([0.0, 1.0, 0.0]))
+    lengths = np.median(bone_lengths(skeleton, positions_m), axis=0)
+    return place_bones(skeleton, np.zeros(3), directions, lengths)
+
+
 def standing_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
     """Return a motion of positions (frame, J, 3) of pair17, op14 or body22 whose rest pose is a T-pose.
 
     Bones have their median lengths; rotations are swings, and the best fit where a joint has several children.
     """
-    stand = standing_m(skeleton)
-    directions = np.zeros_like(stand)
-    for parent, child in skeleton.bones:
-        directions[child] = normalise(stand[child] - stand[parent])
-    lengths = np.median(bone_lengths(skeleton, positions_m), axis=0)
-    offsets = directions * lengths[:, None]
-    rest = place_bones(skeleton, np.zeros(3), directions, lengths)
+    rest = standing_rest_m(skeleton, positions_m)
     return Motion(
         skeleton=skeleton,
-        rest_offsets_m=offsets,
+        rest_offsets_m=rest - rest[[max(parent, 0) for parent in skeleton.parents]],
         root_translation_m=positions_m[:, skeleton.root],
         local_unitquat=local_rotations(skeleton, rest, positions_m),
         rate_hz=rate_hz,

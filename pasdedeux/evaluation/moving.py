@@ -1,4 +1,4 @@
-"""People in motion as a small animated image (WebP): capsule bodies on one floor, contacts marked."""
+"""People in motion as a small animated image (WebP): bodies on one floor, contacts marked."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.arrays import Array
+from pasdedeux.bodies import Body, body_of, standing_rest_m
 from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS, rgb
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
@@ -19,6 +20,8 @@ _FINER = 2
 _TITLE_PX, _BOTTOM_PX, _GAP_M = 34, 12, 0.35
 _PAPER, _FLOOR, _INK = (252, 252, 251), (195, 202, 211), (28, 36, 48)
 _QUALITY = 40
+_LIGHT, _DARK = np.array([-0.36, 0.72, 0.6]), 0.35
+"""Where light comes from (right, up, towards the viewer), and the brightness of what it does not reach."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,8 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
         start, stop = (tuple(int(value) for value in end[:2]) for end in ends)
         cv2.line(canvas, start, stop, colour, max(1, round(thick)), cv2.LINE_AA)
 
-    model = capsule_model(BODY22)
-    radii = [model.radii_of(one.people_m) for one in groups]
+    bodies = [_bodies(one.people_m) for one in groups]
+    to_viewer = np.array([0.0, sin, cos])
     font = ImageFont.truetype(_font_path(), 14)
     frames = []
     for frame in range(len(groups[0].people_m)):
@@ -69,16 +72,18 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
             ends = [project(middles[at] + [side * reach, 0.0, z], at) for at, side in ((0, -1), (len(groups) - 1, 1))]
             line(canvas, np.stack(ends), _FLOOR, _FINER)
         for number, group in enumerate(groups):
-            strokes = []
-            for person, joints in enumerate(project(group.people_m[frame], number)):
-                colour = rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])
-                for parent, child in BODY22.bones:
-                    shade = 0.7 if BODY22.joint_names[child].startswith("left_") else 1.0
-                    shaded = tuple(int(shade * value) for value in colour)
-                    strokes.append((joints[[parent, child]], shaded, 2.0 * scale * radii[number][person, child]))
-            for ends, shaded, thick in sorted(strokes, key=lambda stroke: float(stroke[0][:, 2].sum())):
-                line(canvas, ends, tuple(int(0.6 * value) for value in shaded), thick + 2 * _FINER)
-                line(canvas, ends, shaded, thick)
+            drawn = []
+            for person, body in enumerate(bodies[number]):
+                joints = group.people_m[frame, person]
+                corners = body.posed(body.turns(BODY22, joints), joints)[body.faces]
+                across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+                normals = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+                is_seen = normals @ to_viewer > 0.0
+                light = _DARK + (1.0 - _DARK) * np.clip(normals[is_seen] @ _LIGHT, 0.0, 1.0)
+                colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
+                drawn += list(zip(project(corners[is_seen], number), light[:, None] * colour, strict=True))
+            for points, shaded in sorted(drawn, key=lambda one: float(one[0][:, 2].sum())):
+                cv2.fillConvexPoly(canvas, points[:, :2].round().astype(np.int32), shaded.tolist())
             for ends in project(group.links_m[frame], number):
                 if np.isfinite(ends).all():
                     line(canvas, ends, rgb(LINK_COLOUR), 2 * _FINER)
@@ -94,6 +99,13 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
     more = {"duration": round(1000 / rate_hz), "loop": 0, "quality": _QUALITY, "method": 4}
     frames[0].save(buffer, format="WEBP", save_all=True, append_images=frames[1:], **more)
     return buffer.getvalue()
+
+
+def _bodies(people_m: Array) -> list[Body]:
+    """Return everybody's body, by positions (frame, person, 22, 3), metres."""
+    radii = capsule_model(BODY22).radii_of(people_m)
+    rests = (standing_rest_m(BODY22, one) for one in np.moveaxis(people_m, 1, 0))
+    return [body_of(BODY22, rest, own) for rest, own in zip(rests, radii, strict=True)]
 
 
 def _font_path() -> str:

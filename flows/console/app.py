@@ -15,7 +15,7 @@ import typer
 import typer.core
 from typer import Option
 
-from flows.console.context import Context, app, echo
+from flows.console.context import Context, app, echo, say
 from flows.signals import ended_as_by_ctrl_c
 from pasdedeux.plain_text import visible
 
@@ -28,32 +28,44 @@ _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 _UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(Exception) - 1]
 
 
-COMMANDS = {
-    "annotate": "Annotate every frame of a film.",
-    "run": "Build a study: compute what is missing or stale in the store.",
-    "plan": "List what a run would compute and why, by stage and partition; nothing is started.",
-    "diff": "Compare two finished runs or two versions of datasets; only differences are shown, scores last.",
-    "rerun": "Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.",
-    "curate": "Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion.",
-    "deploy": "Deploy a study to a Prefect server, as a build that runs on a schedule or on request.",
-    "restart": "Start new chains from a draw.",
-    "complete": "Fill in the unknown joints of a 3D pair, such as one from a depth camera.",
-    "generate": "Sample new bodies of person B, and the motion of both, from a trained model.",
-    "reconstruct": "Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study.",
-    "retarget": "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.",
-    "show": "Print the columns, first rows and lineage of what a reference names.",
-    "export": "Export what a reference names to files, with units, licence and credits.",
-    "status": "Show what is in a store: the studies built in it, their verdicts, its runs and its size.",
-    "verify": "Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong.",
-    "gc": "Delete what nothing needs from a store; without --yes only list it.",
-    "doctor": "Check the installation; exit code 1 if something is missing.",
-    "bench": "Measure kernels or whole commands, each relative to a plain form; needs a checkout.",
-    "view": "Look at takes, draws, pairs, reconstructions and variants in a browser.",
-    "dataset": "Named, immutable versions of what was built.",
-    "fetch": "Download freely available motion capture, and networks of detectors.",
-    "study": "List, show and write studies; explain their keys.",
+GROUPS: dict[str, dict[str, str]] = {
+    "Build": {
+        "run": "Build a study: compute what is missing or stale in the store.",
+        "plan": "List what a run would compute and why, by stage and partition; nothing is started.",
+        "study": "List, show and write studies; explain their keys.",
+        "rerun": "Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.",
+        "restart": "Start new chains from a draw.",
+        "deploy": "Deploy a study to a Prefect server, as a build that runs on a schedule or on request.",
+    },
+    "Look": {
+        "status": "Show what is in a store: the studies built in it, their verdicts, its runs and its size.",
+        "view": "Look at takes, draws, pairs, reconstructions and variants in a browser.",
+        "show": "Print the columns, first rows and lineage of what a reference names.",
+        "diff": "Compare two finished runs or two versions of datasets; only differences are shown, scores last.",
+    },
+    "Your own files": {
+        "annotate": "Annotate every frame of a film.",
+        "reconstruct": "Reconstruct the 3D motion of people from 2D keypoints, with a study's projection database.",
+        "retarget": "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.",
+        "complete": "Fill in the unknown joints of a 3D pair, such as one from a depth camera.",
+        "generate": "Sample new bodies of person B, and the motion of both, from a trained model.",
+        "fetch": "Download freely available motion capture, and networks of detectors.",
+    },
+    "Datasets": {
+        "curate": "Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion.",
+        "export": "Export what a reference names to files, with units, licence and credits.",
+        "dataset": "Named, immutable versions of what was built.",
+    },
+    "Operate": {
+        "verify": "Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong.",
+        "gc": "Delete what nothing needs from a store; without --yes only list it.",
+        "doctor": "Check the installation; exit code 1 if something is missing.",
+        "bench": "Measure kernels or whole commands, each relative to a plain form; needs a checkout.",
+    },
 }
-"""What the help of each command begins with; `--help` lists them in this order, without importing their modules."""
+"""What the help of each command begins with; `--help` lists them in these groups, without importing their modules."""
+
+COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
 
 
 class Program(typer.core.TyperGroup):
@@ -62,6 +74,12 @@ class Program(typer.core.TyperGroup):
     def __init__(self, *, commands: dict[str, Any], **attributes: Any) -> None:
         known = {name: typer.core.TyperCommand(name, help=summary) for name, summary in COMMANDS.items()}
         super().__init__(commands={**known, **commands}, **attributes)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands in their groups."""
+        for heading, group in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl(list(group.items()))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is called, by its name, in its module."""
@@ -91,7 +109,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
             if isinstance(error, ShardError):
                 echo(error.trace, err=True)
         else:
-            echo(f"error: {_sentence(error)}", err=True)
+            say(f"error: {_sentence(error)}".split("\n"), err=True)
         return exit_code_of(error)
     if code == _INTERRUPTED:
         # Python warns of Prefect's calls that were cut off when it collects them, after this.
@@ -156,7 +174,7 @@ def options(
     \b
       pasdedeux run                              build the built-in duets into ./store
       pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
-      pasdedeux plan                             what a run would compute, and why; starts nothing
+      pasdedeux plan                             what a run would compute, and why
       pasdedeux study new my.toml --from a.bvh --from b.bvh
       pasdedeux run my.toml
     """

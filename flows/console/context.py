@@ -25,7 +25,12 @@ if TYPE_CHECKING:
     from storage_schema import Store
     from tasks.graph import Graph
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 """The program; a module of this package adds its commands when it is imported, which is when one is called."""
 
 StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]

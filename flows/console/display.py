@@ -192,10 +192,11 @@ def outcome_lines(outcome: Outcome) -> list[str]:
     return format_table(("stage", "shards", "fresh", "computed", "seconds", ""), rows, text_columns=(0, 5))
 
 
-def summary_lines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[str]:
-    """Return what the last run of a study built, from what, and whether it is good, as the report and the card do."""
+def headlines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[str]:
+    """Return what the last run of a study built and what of it is good, as the report and the card begin."""
     last = read_last_run(store, study)
-    return manifest_lines({} if last is None else last_manifests(store, last, seen))
+    found = {} if last is None else last_manifests(store, last, seen)
+    return summary_of([one for manifests in found.values() for one in manifests]).headlines() if found else []
 
 
 def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:

@@ -61,7 +61,7 @@ def reconstruct(
     units: Annotated[Literal["cm", "m"], Option(help="Unit of lengths in BVH files.")] = "cm",
     clean_up: Annotated[bool, key_option(LiveOptions, "has_clean_up", "--clean-up/--no-clean-up")] = True,
 ) -> None:
-    """Reconstruct the 3D motion of people from 2D keypoints, with the projection database of a study.
+    """Reconstruct the 3D motion of people from 2D keypoints, with a study's projection database.
 
     Inputs are OpenPose folders, COCO annotations and result lists, MediaPipe landmarks, and the CSV and npz of the
     docs; each camera in a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.

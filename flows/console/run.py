@@ -35,7 +35,7 @@ from flows.console.context import (
     next_command,
     open_store,
 )
-from flows.console.display import make_listener, outcome_lines, summary_lines
+from flows.console.display import headlines, make_listener, outcome_lines
 from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
 from flows.outcomes import Outcome, Run
@@ -177,7 +177,7 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         yield f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}"
-    yield from summary_lines(run.store, run.study.name, made.manifests if made.is_fresh else ())
+    yield from headlines(run.store, run.study.name, made.manifests if made.is_fresh else ())
     if outcome.report is not None:
         page = outcome.report / "report.html"
         yield f"report: {page if page.is_file() else outcome.report}"

@@ -82,13 +82,13 @@ def pivot_table(
 def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = False) -> TextTable:
     """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
 
-    Several methods stand in columns of their own beside each other, baselines marked as such; of a single method the
-    figures stand in columns and the items in rows.  With marks the best value of a row has a star, where it is known
-    what is better; bounds have none.
+    Several methods stand in columns of their own beside each other, baselines and bounds marked as such; of a single
+    method the figures stand in columns and the items in rows.  With marks the best value of a row has a star,
+    where it is known what is better; bounds have none.
     """
     single = sorted((score for score in scores if np.isnan(score.at)), key=_all_first)
     methods = {
-        method: f"{in_words(method)} (baseline)" if is_baseline else in_words(method)
+        method: in_words(method) + (" (bound)" if is_bound(method) else " (baseline)" if is_baseline else "")
         for is_baseline, method in sorted({(score.is_baseline, score.method) for score in single})
     }
     if len(methods) == 1:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.verdicts import verdict_words
+from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level, Verdict
 
 _MAX_SKIPPED = 8
@@ -38,6 +39,7 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "generated motion": {"evaluation: generation": _COMPARED},
 }
 """What a reader may use: the verdicts on it, or on its parts, and what these say in a few words."""
+_ADVICE = {True: "use", False: "do not use"}
 _JUDGES = tuple(start for judges in _PRODUCTS.values() for start in judges)
 
 
@@ -148,6 +150,22 @@ class Summary:
         return sorted(products, key=lambda product: -product.level.rank)
 
     @property
+    def advice(self) -> str:
+        """What to use and what not, in one sentence; empty where there is no product.
+
+        >>> verdicts = {"augmentation": Verdict(Level.PASS), "evaluation: coverage": Verdict(Level.FAIL, "far")}
+        >>> Summary([], [], verdicts).advice
+        'Use the variants; do not use the draws.'
+        """
+        named: dict[bool, list[str]] = {True: [], False: []}
+        for product in reversed(self.products):
+            if product.level is not Level.NOT_JUDGED:
+                named[product.level is not Level.FAIL].append(f"the {product.name}")
+        parts = (f"{words} {together(named[is_good])}" for is_good, words in _ADVICE.items() if named[is_good])
+        sentence = "; ".join(parts)
+        return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
+
+    @property
     def ranked(self) -> tuple[dict[str, Verdict], dict[str, Verdict]]:
         """The verdicts on products and those that fail, and the others; of both the worst first."""
         first = {name: verdict for product in self.products for name, verdict in product.verdicts.items()}
@@ -155,11 +173,27 @@ class Summary:
         others = {name: verdict for name, verdict in self.verdicts.items() if name not in first}
         return _worst_first(first), _worst_first(others)
 
+    def headlines(self) -> list[str]:
+        """What a run ends with: what was built, what to use, each product, and each verdict that fails."""
+        failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL or not self.products}
+        lines = [f"built: {self.built}", f"is it good: {self.judgement}", *filter(None, [self.advice])]
+        lines += self._product_lines()
+        lines += [f"{name}: {verdict_words(one)}" for name, one in failed.items()]
+        if rest := len(self.verdicts) - len(failed):
+            lines.append(
+                f"{counted(rest, 'more verdict')}, and what was skipped: see the report, or `pasdedeux status`"
+            )
+        return lines
+
+    def _product_lines(self) -> list[str]:
+        return [f"{product.name}: {product.level.value}: {product.words}" for product in self.products]
+
     @property
     def good(self) -> list[str]:
         """Whether it is good, as the page says it: a line for each product, then for each verdict."""
-        products = [f"{product.name}: {product.level.value}: {product.words}" for product in self.products]
-        return products + [f"{name}: {verdict_words(one)}" for part in self.ranked for name, one in part.items()]
+        return self._product_lines() + [
+            f"{name}: {verdict_words(one)}" for part in self.ranked for name, one in part.items()
+        ]
 
     def lines(self) -> list[str]:
         """All of it, a line for each answer, each product, each verdict, and for what was skipped."""
@@ -190,6 +224,15 @@ def folded(sentences: Iterable[str]) -> list[str]:
         name, colon, rest = sentence.partition(": ")
         names.setdefault(colon + rest if colon else sentence, []).append(name if colon else "")
     return [f"{listed(found)}{rest}" for rest, found in names.items()]
+
+
+def together(names: Sequence[str]) -> str:
+    """Join names as a sentence does.
+
+    >>> together(["a", "b", "c"])
+    'a, b and c'
+    """
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def listed(names: Sequence[str]) -> str:

@@ -122,7 +122,7 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
         reason = (
             f"no baseline was scored beside {method}"
             if not hardest
-            else f"{paired.count:,} {thing} in {num_blocks} blocks of 1 s, and {FEWEST_BLOCKS} are needed"
+            else f"only {num_blocks} s of motion or stills to compare; {FEWEST_BLOCKS} are needed"
             if num_blocks
             else f"no {thing} have figures of {method} and of every baseline"
         )

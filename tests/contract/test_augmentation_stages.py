@@ -309,7 +309,7 @@ def test_a_model_is_compared_on_validation_beside_the_better_baseline(store: Sto
     ridge = verdicts["cross_scale ridge_scale"]
     assert ridge is not None
     assert (ridge.figure, ridge.unit, ridge.count) == ("joint error of validation variants", "cm", 2)
-    assert (ridge.level, ridge.reason) == ("not judged", "2 variants in 1 blocks of 1 s, and 10 are needed")
+    assert (ridge.level, ridge.reason) == ("not judged", "only 1 s of motion or stills to compare; 10 are needed")
     assert ridge.baseline_name == "plain forward kinematics", "copy is far off where bones change"
     assert ridge.value < ridge.baseline
     copied = verdicts["cross_scale copy"]

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from pasdedeux.evaluation.summary import Summary
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import Store
 from tasks.evaluation import STAGE
 from tasks.facts import ModelFacts
@@ -78,3 +80,17 @@ def test_a_model_without_arrays_counts_as_one(tmp_path: Path) -> None:
     )
     made = put(Store(tmp_path), "training", "copy", {"models": random_columns("models", 0)}, facts.to_json())
     assert summary_of([made]).built.startswith("1 model (")
+
+
+def test_a_run_ends_with_what_to_use_and_with_what_fails() -> None:
+    verdicts = {
+        "augmentation": Verdict(Level.PASS),
+        "evaluation: coverage": Verdict(Level.FAIL, "far from real pairs"),
+        "views": Verdict(Level.WARN, "few views"),
+    }
+    lines = Summary([], [], verdicts).headlines()
+    assert lines[1:3] == ["is it good: 1 fail, 1 pass, 1 warn", "Use the variants; do not use the draws."]
+    assert lines[3].startswith("draws: fail: ")
+    assert lines[5] == "evaluation: coverage: fail: far from real pairs"
+    assert lines[6].startswith("2 more verdicts")
+    assert "few views" not in "".join(lines)

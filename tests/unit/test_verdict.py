@@ -111,7 +111,7 @@ def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> Non
 @pytest.mark.parametrize(
     ("some", "words"),
     [
-        (items(takes=["a"], seconds=9, fitted=0.1, lifting=0.2), "9 images in 9 blocks of 1 s, and 10 are"),
+        (items(takes=["a"], seconds=9, fitted=0.1, lifting=0.2), "only 9 s of motion or stills to compare; 10 are"),
         (items(takes=["a"], seconds=12, fitted=0.1), "no baseline was scored beside fitted draws"),
         (items(takes=["a"], seconds=12, fitted=np.nan, lifting=0.2), "fitted draws has no figure that is finite"),
         (items(takes=["a"], seconds=12, fitted=np.inf, lifting=0.2), "fitted draws has no figure that is finite"),

@@ -103,7 +103,7 @@ class Bodies:
         if not self.skins:
             return []
         positions = self._people.frame(frame) if pose is None else pose
-        is_there = np.isfinite(positions).all(axis=(1, 2)).tolist()
+        is_there = np.atleast_1d(np.isfinite(positions).all(axis=(1, 2)))
         found = []
         for body, own, here in zip(self.skins, positions, is_there, strict=True):
             places = own if here else np.full_like(own, _NOWHERE_M)

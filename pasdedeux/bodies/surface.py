@@ -22,7 +22,7 @@ _STEPS, _STEP_M = 2, 1e-4
 """Newton's steps of each vertex onto the surface, and the step of differences."""
 _NEAR = 3.0
 """Voxels within so many sides of the surface are computed."""
-_SOFT = 0.5
+_SOFT = 0.8
 """Width of the change from one bone to the next, in radii."""
 _MAX_JOINTS, _LEAST = 4, 0.01
 """A vertex moves with so many joints, with each by no less than this."""

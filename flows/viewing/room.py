@@ -165,7 +165,7 @@ class Room:
                 self._server.scene.add_mesh_skinned(
                     f"{name}/skin{at}", body.vertices_m.astype(np.float32), body.faces.astype(np.uint32),
                     bone_wxyzs=upright, bone_positions=body.rest_m, skin_weights=body.weights.astype(np.float32),
-                    color=tuple(_pale(np.array(colour)).tolist()), cast_shadow=False, receive_shadow=False, **more,
+                    color=colour, cast_shadow=False, receive_shadow=False, **more,
                 )
             )  # fmt: skip
         rods, balls = f"{name}/{len(colours)}/rods", f"{name}/{len(colours)}/balls"

@@ -79,7 +79,7 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
                 across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
                 normals = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
                 is_seen = normals @ to_viewer > 0.0
-                light = _DARK + (1.0 - _DARK) * np.clip(normals[is_seen] @ _LIGHT, 0.0, 1.0)
+                light = _DARK + (1.0 - _DARK) * 0.5 * (1.0 + normals[is_seen] @ _LIGHT)
                 colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
                 drawn += list(zip(project(corners[is_seen], number), light[:, None] * colour, strict=True))
             for points, shaded in sorted(drawn, key=lambda one: float(one[0][:, 2].sum())):

@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= store
 
-.PHONY: demo test lint setup blender film soak faults mutants clean
+.PHONY: demo test lint docs setup blender film soak faults mutants clean
 
 $(VENV)/.installed: pyproject.toml deploy/constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; say make PYTHON=python3.11"'
@@ -31,6 +31,12 @@ lint: $(VENV)/.tested
 
 test: $(VENV)/.tested lint
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadgroup
+
+# Builds the site of the documentation into docs/_build; every warning is an error.
+docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint deploy/constraints.txt --group docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
+	@echo "open docs/_build/index.html"
 
 # Half an hour in which something of a toy build is killed every 20 s; not among the tests.
 soak: $(VENV)/.tested

@@ -31,8 +31,9 @@ _ELSEWHERE = {"../storage_schema/DATA_DICTIONARY.md": "data-dictionary.md", "../
 
 def _link(app: Any, name: str, content: list[str]) -> None:
     """Turn links to pages that lie elsewhere into links within the site."""
+    up = "../" * name.count("/")
     for path, page in _ELSEWHERE.items():
-        content[0] = content[0].replace(f"({path}", f"({page}")
+        content[0] = content[0].replace(f"({up}{path}", f"({up}{page}")
 
 
 def _link_included(app: Any, path: Any, parent: str, content: list[str]) -> None:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from matplotlib import colormaps
+
 from pasdedeux.evaluation.pictures import Picture, figure_svg, label_axis, legend_beside, new_figure
 from pasdedeux.evaluation.report import render
 from pasdedeux.evaluation.score_tables import TextTable
@@ -60,8 +62,6 @@ def _words(bars: Sequence[_Bar]) -> str:
 
 def _time_line(bars: Sequence[_Bar]) -> Picture:
     """Show when each process computed what."""
-    from matplotlib import colormaps  # here: what is not drawn need not wait for it
-
     colours = colormaps["tab20"]  # the ten of a plain axis are fewer than the stages
     processes = list(dict.fromkeys(bar.place.process for bar in bars))
     stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))

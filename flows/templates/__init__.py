@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from pasdedeux.plain_text import markdown_value
 
 
 def render(template: str, **values: Any) -> str:
     """Return a template with its gaps filled."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # here: other commands need not wait for it
-
     environment = Environment(
         loader=PackageLoader("flows"),
         undefined=StrictUndefined,

@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 from flows.viewing.panel import Panel, set_value
+from flows.viewing.session import Session
 from tasks.curation import CLIPPED, Decision
-
-if TYPE_CHECKING:
-    from flows.viewing.viewer import Viewer
 
 
 @dataclass(frozen=True)
 class ChoicesPane:
     """Its widgets, and the viewer whose moment is decided on."""
 
-    viewer: Viewer
+    viewer: Session
     reason: Any
     start: Any
     end: Any
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Viewer) -> Self:
+    def build(cls, panel: Panel, viewer: Session) -> Self:
         """Add the widgets to the panel."""
         with panel.gui.add_folder("Accept or reject", expand_by_default=False):
             reason = panel.gui.add_text("reason", "")
-            panel.button("Accept", lambda _: viewer.choices.decide("accept"), "K")
-            panel.button("Reject", lambda _: viewer.choices.decide("reject"), "X")
-            panel.button("Undo", lambda _: viewer.choices.decide("undo"), "U")
-            start = panel.button("Clip starts here", lambda _: viewer.choices.mark_clip("start"), "I")
-            end = panel.button("Clip ends here", lambda _: viewer.choices.mark_clip("end"), "O")
-        return cls(viewer, reason, start, end)
+            panel.button("Accept", lambda _: pane.decide("accept"), "K")
+            panel.button("Reject", lambda _: pane.decide("reject"), "X")
+            panel.button("Undo", lambda _: pane.decide("undo"), "U")
+            start = panel.button("Clip starts here", lambda _: pane.mark_clip("start"), "I")
+            end = panel.button("Clip ends here", lambda _: pane.mark_clip("end"), "O")
+        pane = cls(viewer, reason, start, end)
+        return pane
 
     def show(self, table: str) -> None:
         """Offer clips where those of a table can be chosen."""
@@ -45,7 +44,7 @@ class ChoicesPane:
             viewer.panel.tell(viewer.curation.decide(decision, moment, str(self.reason.value)))
             set_value(self.reason, "")
             viewer.listing.sort(viewer.index)
-            set_value(viewer.shown.item, viewer.listing.label(viewer.index))
+            viewer.listing.mark(viewer.index)
             viewer.step(1 if moment.is_thing and decision != "undo" else 0)
 
     def mark_clip(self, edge: Literal["start", "end"]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from flows.viewing.panel import Panel
@@ -70,8 +71,6 @@ def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
 
 def plot_curves(curves: Sequence[Array], frame: int) -> Any:
     """Return figures over the frames as an image: the last of them over the others, and a line at a frame."""
-    import cv2
-
     height, width, edge = 170, _WIDTH, 22
     image = np.full((height, width, 3), PAPER, dtype=np.uint8)
     low, high = (take([take(one) for one in curves if np.isfinite(one).any()]) for take in (np.nanmin, np.nanmax))

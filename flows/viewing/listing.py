@@ -9,7 +9,7 @@ import numpy as np
 
 from flows.viewing.curating import Curation
 from flows.viewing.kinds import KINDS
-from flows.viewing.panel import Panel
+from flows.viewing.panel import Panel, set_value
 from flows.viewing.shelf import GROUPS, Item, Part, Shelf
 from pasdedeux.evaluation.shown_figures import figure_label, figure_words
 from pasdedeux.verdict import Level
@@ -50,6 +50,10 @@ class Listing:
     def items(self) -> Sequence[Item]:
         """All items of the part."""
         return self._shelf.items(self._part)
+
+    def mark(self, index: int) -> None:
+        """Show an item as the chosen one among those that are offered."""
+        set_value(self._offered, self.label(index))
 
     def sort(self, kept: int | None = None) -> None:
         """Put the items into the order, and leave out those, that were asked for; `kept` stays in any case."""

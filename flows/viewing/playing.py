@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
-
-if TYPE_CHECKING:
-    from flows.viewing.viewer import Viewer
+from flows.viewing.session import Session
 
 STILLS_HZ = 10.0
 """Frames that do not follow each other in time are played at this rate."""
@@ -28,7 +26,7 @@ class PlayingPane:
     first: int = 0
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Viewer) -> Self:
+    def build(cls, panel: Panel, viewer: Session) -> Self:
         """Add the widgets to the panel."""
         with panel.gui.add_folder("Playing", expand_by_default=False):
             pane = cls(

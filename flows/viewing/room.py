@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
 from flows.viewing.panel import Panel
@@ -267,8 +268,6 @@ def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> Non
 
 def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:
     """Return turn (w, x, y, z) and place of a camera that looks along its z, y down, and its vertical field of view."""
-    from scipy.spatial.transform import Rotation
-
     world_from_camera = camera.camera_from_world_rotmat.T @ np.diag([1.0, -1.0, -1.0])
     turn = Rotation.from_matrix(world_from_camera).as_quat()
     return turn[[3, 0, 1, 2]], camera.position_m, float(2 * np.arctan(camera.image_size_px[1] / 2 / camera.focal_px))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.room import COMPARE
 from flows.viewing.scene import Scene
+from flows.viewing.session import Session
 from flows.viewing.shelf import Part
 from flows.viewing.side import SidePicture
-
-if TYPE_CHECKING:
-    from flows.viewing.viewer import Viewer
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class ShownPane:
     film: Any
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Viewer) -> Self:
+    def build(cls, panel: Panel, viewer: Session) -> Self:
         """Add the widgets to the panel, and the keys that move through frames and items."""
         gui = panel.gui
         pane = cls(

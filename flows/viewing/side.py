@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 
 from flows.viewing.scene import Flat
@@ -159,8 +160,6 @@ def _paper(size: tuple[int, int]) -> Any:
 
 def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
     """Return a panel: the image or an empty frame, the bones of each person, and the title."""
-    import cv2
-
     panel, image = Panel.of(flat, size), _paper(size)
     (left, top), (right, bottom) = np.round(panel.corner).astype(int), np.round(panel.corner + panel.size).astype(int)
     seen = None if flat.image is None else flat.image()

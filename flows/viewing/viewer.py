@@ -146,7 +146,7 @@ class Viewer:
             self.scene: Scene = scene
             self.side.flats = ()  # what it shows yet is of something else
             self.curation.begin()
-            set_value(self.shown.item, self.listing.label(self.index))
+            self.listing.mark(self.index)
             self.room.show(scene, str(self.shown.compare.value))
             self.curves.show(scene)
             self.shown.show(scene)

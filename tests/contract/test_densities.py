@@ -19,7 +19,7 @@ from tasks.chains import ChainsParameters
 from tests.builders.poses import dancers
 
 KNOWN = dancers(6, 120)
-NEAR = [*(KNOWN[:6] + np.random.default_rng(2).normal(scale=0.01, size=KNOWN[:6].shape)), *dancers(5, 4)]
+NEAR = [*(KNOWN[:3] + np.random.default_rng(2).normal(scale=0.01, size=KNOWN[:3].shape)), *dancers(5, 2)]
 
 
 def annotations() -> GatheredPairs:

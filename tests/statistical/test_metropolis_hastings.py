@@ -23,11 +23,9 @@ from pasdedeux.sampling.chain import (
 )
 from pasdedeux.sampling.densities.density import Evaluation, PairDensity, PriorOnly
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
-from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
+from pasdedeux.sampling.parameters import NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
 from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
-from pasdedeux.sampling.proposals.velocity import VelocityBlocks
-from pasdedeux.sampling.speeds import Speeds
 from pasdedeux.skeletons import PAIR17
 
 MIN_ESS = 400.0
@@ -210,35 +208,6 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
         ess = effective_sample_size(values[..., None])[0]
         assert ess > 200
         assert abs(values.mean() - expected) < NUM_ERRORS * values.std() / np.sqrt(ess)
-
-
-def test_velocity_steps_that_widen_halfway_sample_a_skewed_target() -> None:
-    """A coordinate of a root under an exponential: beyond its mean annotations are fast, and steps three times as wide.
-
-    Without both densities of the step in eq. 10 the mean is half as large again.
-    """
-    mean_m, step_m, place = 0.2, 0.2, POSITION_INDICES[0, 0]
-    speeds = Speeds(np.zeros((2, NUM_BLOCKS)), np.array([[0.0, 0.0], [8.0, 8.0]]) * step_m**2)
-    proposal = VelocityBlocks(
-        steps=Steps(root_position_m=step_m, max_blocks=34),
-        speeds=speeds,
-        nearest=lambda parameters: np.array([int(parameters[place] > mean_m)]),
-    )
-
-    def log_density(parameters: np.ndarray, at_least: float) -> Evaluation:
-        others = np.delete(parameters[POSITION_INDICES].reshape(-1), 0)
-        value = parameters[place]
-        return Evaluation(-value / mean_m - 0.5 * float((others**2).sum()) / mean_m**2 if value >= 0.0 else -np.inf)
-
-    chains = []
-    for chain in range(3):
-        rng, start = np.random.default_rng([17, chain]), PairChart(standing_pair()).seed_parameters()
-        start[POSITION_INDICES] = mean_m
-        state = ChainState(start, log_density(start, -np.inf), proposal.init(start))
-        _, segment = run_segment(rng, state, log_density, proposal.propose, num_draws=1800, thin=16)
-        chains.append(segment.parameters[50:])
-    value = np.stack(chains)[..., place, None]
-    assert worst_error(value / mean_m, (1.0, 2.0)) < NUM_ERRORS
 
 
 def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_ball(

@@ -121,12 +121,11 @@ def test_a_server_that_starts_is_waited_for_and_that_is_said(monkeypatch: pytest
     assert said == [f"Prefect's server at {address} refuses connections, waiting up to 60 s for it to start"]
 
 
-@pytest.mark.parametrize("words", [("run",), ("deploy", "--every", "60")])
 @pytest.mark.parametrize(
-    ("health", "said"),
+    ("words", "health", "said"),
     [
-        (500, "does not answer; start it, or unset PREFECT_API_URL"),
-        (200, "refuses the password (401 Unauthorized): set PREFECT_API_AUTH_STRING here"),
+        (("run",), 500, "does not answer; start it, or unset PREFECT_API_URL"),
+        (("deploy", "--every", "60"), 200, "refuses the password (401 Unauthorized): set PREFECT_API_AUTH_STRING here"),
     ],
 )
 def test_a_users_server_that_is_ill_or_wants_a_password_is_one_sentence(

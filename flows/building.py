@@ -185,8 +185,8 @@ class Build:
             if work.is_waiting:
                 needed = self._run.graph.needed(name, self._run.study.parameters[name])
                 above = {other: self._work[other] for other in needed}
-                work.is_skipped = any(one.is_lost for one in above.values())
-                made = {other: one.made for other, one in above.items() if one.made is not None}
+                work.is_skipped = any(planned.is_lost for planned in above.values())
+                made = {other: planned.made for other, planned in above.items() if planned.made is not None}
                 if len(made) == len(above):
                     self._begin(work, made)
             for early in list(work.early):
@@ -222,23 +222,23 @@ class Build:
         above = [self._work[name] for name in run.graph.upstream[stage.name]]
         above = [other for other in above if set(early.reads).intersection(other.plan.stage.tables)]
         unseen = islice(self._made.values(), work.early[early], None)
-        new = [one for one in unseen if set(early.each).intersection(one.tables)]
+        new = [manifest for manifest in unseen if set(early.each).intersection(manifest.tables)]
         if (early.each and not new) or any(other.made is None for other in above):
             return
         work.early[early] = len(self._made)
         if not early.each:
             del work.early[early]
         there = [one for other in above for one in other.made or ()]
-        held = {table: tuple(one for one in there if table in one.tables) for table in early.reads}
-        held |= {table: tuple(one for one in new if table in one.tables) for table in early.each}
+        held = {table: tuple(manifest for manifest in there if table in manifest.tables) for table in early.reads}
+        held |= {table: tuple(manifest for manifest in new if table in manifest.tables) for table in early.each}
         with suppress(InputError):  # said when the stage is planned
             shards = early.plan(StageInputs(manifests=held, seed=run.study.head.seed), run.study.parameters[stage.name])
             self._take(work, [shard for shard in shards if run.store.find(stage.name, shard.key) is None])
 
     def _take(self, work: _StageWork, shards: Iterable[Shard]) -> None:
         """Submit shards that were not submitted before, those with the longest chain of dependants first."""
-        new = {one.key: one for one in shards if one.key not in self._begun}
-        before = {key: [other for other in one.after if other in new] for key, one in new.items()}
+        new = {planned_shard.key: planned_shard for planned_shard in shards if planned_shard.key not in self._begun}
+        before = {key: [other for other in planned_shard.after if other in new] for key, planned_shard in new.items()}
         order = list(TopologicalSorter(before).static_order())
         behind = dict.fromkeys(order, 0)
         for key in reversed(order):

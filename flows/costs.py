@@ -88,7 +88,7 @@ def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None 
     last = read_last_run(measured, plan.study)
     refs = [ref for stage in plan.stages for ref in (last.refs(stage.stage.name) if last else ())]
     found = {ref: measured.find(ref.stage, ref.key) for ref in refs}
-    had = {ref: one for ref, one in found.items() if one is not None and SHARD_S in one.timings}
+    had = {ref: manifest for ref, manifest in found.items() if manifest is not None and SHARD_S in manifest.timings}
     work = Work(worker_bytes=run_record(measured, last.run_id).get("peak_memory_bytes") if last else None)
     numbers: dict[tuple[str, str, str], int] = {}
     ends: dict[str, int] = {}
@@ -96,7 +96,7 @@ def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None 
         name = stage.stage.name
         if not stage.is_selected or stage.is_fresh:
             continue
-        if not any(one.ref.stage == name for one in had.values()):
+        if not any(manifest.ref.stage == name for manifest in had.values()):
             work.unknown.append(name)
             continue
         waits = () if stage.stage.early else tuple(ends[other] for other in graph.upstream[name] if other in ends)
@@ -120,8 +120,11 @@ def _add_stage(
 ) -> None:
     """Add the shards of a stage, by where they stand: their keys are not known before what they read is there."""
     name = stage.stage.name
-    before = {(one.partition, one.name): one for one in had.values() if one.ref.stage == name}
-    took = {at: (one.timings[SHARD_S], one.timings[PROCESSOR_S], one.num_bytes) for at, one in before.items()}
+    before = {(manifest.partition, manifest.name): manifest for manifest in had.values() if manifest.ref.stage == name}
+    took = {
+        at: (manifest.timings[SHARD_S], manifest.timings[PROCESSOR_S], manifest.num_bytes)
+        for at, manifest in before.items()
+    }
     means = np.mean([*took.values()], axis=0).tolist()
     planned = {(shard.partition, shard.name): shard for shard in stage.todo}
     places = {shard.key: place for place, shard in planned.items()}
@@ -144,7 +147,9 @@ def estimate_cost(work: Work, num_workers: int) -> Cost:
             followers[before].append(number)
     behind_s = [0.0] * len(jobs)
     for number in reversed(range(len(jobs))):
-        behind_s[number] = jobs[number].seconds + max((behind_s[one] for one in followers[number]), default=0.0)
+        behind_s[number] = jobs[number].seconds + max(
+            (behind_s[follower] for follower in followers[number]), default=0.0
+        )
     ready = [(-behind_s[number], number) for number, count in enumerate(left) if not count]
     heapify(ready)
     running: list[tuple[float, int]] = []

@@ -139,13 +139,13 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
     """Show results, report and published version on the page of the flow run."""
     rows = [
         {
-            "stage": one.name,
-            "shards": one.num_shards,
-            "computed": one.num_computed,
-            "verdict": one.verdict.level.value if one.verdict else "",
-            "reason": _reason(one.verdict),
+            "stage": stage.name,
+            "shards": stage.num_shards,
+            "computed": stage.num_computed,
+            "verdict": stage.verdict.level.value if stage.verdict else "",
+            "reason": _reason(stage.verdict),
         }
-        for one in outcome.stages
+        for stage in outcome.stages
     ]
     where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
     key = _key(run.study.name)

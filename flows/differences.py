@@ -144,7 +144,9 @@ class Comparison:
             "num_same_bytes": self.num_same,
             "only_in_one": [" ".join(place) for place in self.only_one],
             "first_beyond_rounding": None if self.beyond is None else " ".join(self.beyond),
-            "differing": {" ".join(place): [str(one) for one in found] for place, found in self.differing.items()},
+            "differing": {
+                " ".join(place): [str(difference) for difference in found] for place, found in self.differing.items()
+            },
         }
 
     def lines(self) -> list[str]:
@@ -154,7 +156,9 @@ class Comparison:
         first = self.beyond or next(iter(self.differing), None)
         if first is not None:
             lines.append(f"first {'beyond rounding' if self.beyond else 'that differs'}: {' '.join(first)}")
-            lines += [f"    {one}" for one in sorted(self.differing[first], key=lambda one: -one.excess)[:5]]
+            lines += [
+                f"    {one}" for one in sorted(self.differing[first], key=lambda difference: -difference.excess)[:5]
+            ]
         return lines
 
 
@@ -174,8 +178,11 @@ def compare(
     differing = {place: found for place, found in compared.items() if found}
     beyond, is_rounded = None, False
     for place, found in differing.items():
-        is_rounded = is_rounded or any(not one.is_attachment for one in found)
-        if any(one.is_beyond and (one.is_missing or not (is_rounded and one.is_attachment)) for one in found):
+        is_rounded = is_rounded or any(not difference.is_attachment for difference in found)
+        if any(
+            difference.is_beyond and (difference.is_missing or not (is_rounded and difference.is_attachment))
+            for difference in found
+        ):
             beyond = place
             break
     return Comparison(len(compared) - len(differing), tuple(sorted(one.keys() ^ other.keys())), differing, beyond)

@@ -49,8 +49,8 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         with nullcontext() if status == "finished" else suppress(StorageError):
             run.store.clear_leftovers()
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in build.outcomes], peak)
-    reporting = [one for one in build.outcomes if one.name in run.graph.reporting]
-    report = copy_report(run.store, folder, [ref for one in reporting for ref in one.artifacts])
+    reporting = [outcome for outcome in build.outcomes if outcome.name in run.graph.reporting]
+    report = copy_report(run.store, folder, [ref for stage in reporting for ref in stage.artifacts])
     if run.is_profiled:
         from flows.profiling import write_profile  # draws: what is not profiled need not wait for it
 

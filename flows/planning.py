@@ -83,7 +83,7 @@ class StageSelection:
             names &= {self.start, *graph.below(self.start)}
         if self.until is not None:
             wanted = {self.until, *graph.above(self.until)}
-            names &= wanted | {one for one in graph.reporting if wanted.issuperset(graph.upstream[one])}
+            names &= wanted | {stage for stage in graph.reporting if wanted.issuperset(graph.upstream[stage])}
         return frozenset(names)
 
 
@@ -292,7 +292,11 @@ def what_is_missing(plan: StagePlan, found: Sequence[Manifest]) -> str:
         plan: The stage as it was planned.
         found: What came of its shards.
     """
-    if plan.is_pending or not plan.is_selected or any(part.rows for one in found for part in one.tables.values()):
+    if (
+        plan.is_pending
+        or not plan.is_selected
+        or any(part.rows for manifest in found for part in manifest.tables.values())
+    ):
         return ""
     if (plan.shards and len(found) < len(plan.shards)) or not plan.is_asked:
         return ""

@@ -36,9 +36,11 @@ def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path
 
     Shards that were there, and so were not computed, are not in it.
     """
-    computed = [(one, one.place) for one in done if one.place is not None]
+    computed = [(shard, shard.place) for shard in done if shard.place is not None]
     origin_s = min((place.began_s for _, place in computed), default=0.0)
-    bars = [_Bar(store.manifest(one.ref), place, place.began_s - origin_s, one.seconds) for one, place in computed]
+    bars = [
+        _Bar(store.manifest(shard.ref), place, place.began_s - origin_s, shard.seconds) for shard, place in computed
+    ]
     bars.sort(key=lambda bar: bar.start_s)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / PROFILE_FILE

@@ -136,7 +136,7 @@ class Tally:
             num_left[name] = max(num_left.get(name, 0), had - self._num_ended[name])
         means = {name: self._mean_s(name) for name in num_left}
         running = self._running(num_workers)
-        named = {(one.stage, one.partition): self._partitions[one.stage, one.partition] for one in running}
+        named = {(shard.stage, shard.partition): self._partitions[shard.stage, shard.partition] for shard in running}
         return Progress(
             num_done=self._num_ended.total(),
             num_shards=self._num_ended.total() + sum(num_left.values()),
@@ -149,7 +149,9 @@ class Tally:
     def _running(self, num_workers: int) -> tuple[Shard, ...]:
         """Return what workers are at: as many as there are, of the highest priority, of those that wait for nothing."""
         levels = (self._by_priority[priority].values() for priority in sorted(self._by_priority, reverse=True))
-        ready = (one for one in chain.from_iterable(levels) if not any(key in self._priority for key in one.after))
+        ready = (
+            shard for shard in chain.from_iterable(levels) if not any(key in self._priority for key in shard.after)
+        )
         return tuple(islice(ready, num_workers))
 
     def _mean_s(self, name: str) -> float | None:
@@ -163,5 +165,5 @@ def _last_mean_s(store: Store, study: str, stage: str) -> float | None:
     last = read_last_run(store, study)
     refs = last.refs(stage) if last is not None else []
     found = (store.find(ref.stage, ref.key) for ref in refs[:: max(1, len(refs) // _SOME)])
-    took = [one.timings[SHARD_S] for one in found if one is not None and SHARD_S in one.timings]
+    took = [manifest.timings[SHARD_S] for manifest in found if manifest is not None and SHARD_S in manifest.timings]
     return sum(took) / len(took) if took else None

@@ -120,10 +120,12 @@ def refuse_bad_verdicts(run: Run, outcome: Outcome, worst: Level) -> None:
         VerdictError: Says which, with the figure.
     """
     made = [run.store.manifest(ref) for stage in outcome.stages for ref in stage.artifacts]
-    bad = {name: one for name, one in summary_of(made).verdicts.items() if one.level.rank >= worst.rank}
+    bad = {name: verdict for name, verdict in summary_of(made).verdicts.items() if verdict.level.rank >= worst.rank}
     if bad:
         said = f"verdicts that {'warn or fail' if worst is Level.WARN else 'fail'}: {len(bad)}"
-        raise VerdictError("\n       ".join([said, *(f"{name}: {verdict_words(one)}" for name, one in bad.items())]))
+        raise VerdictError(
+            "\n       ".join([said, *(f"{name}: {verdict_words(verdict)}" for name, verdict in bad.items())])
+        )
 
 
 def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:

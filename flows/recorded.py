@@ -112,7 +112,9 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
         if ref not in manifests:
             manifests[ref] = store.manifest(ref)
             waiting += manifests[ref].inputs
-    places: dict[ArtifactRef, Place] = {ref: (ref.stage, one.partition, one.name) for ref, one in manifests.items()}
+    places: dict[ArtifactRef, Place] = {
+        ref: (ref.stage, manifest.partition, manifest.name) for ref, manifest in manifests.items()
+    }
     reads = {ref: manifests[ref].inputs for ref in sorted(manifests, key=places.__getitem__)}
     found: dict[Place, Manifest] = {}
     for ref in TopologicalSorter(reads).static_order():
@@ -146,10 +148,10 @@ def portable_files(folder: Path) -> dict[str, bytes]:
     names from the folder in which it is built.
     """
     texts = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir() if path.name != "dataset.json"}
-    paths = {one: PurePosixPath(one).parts[1:] for one in _PATH.findall(texts.get(STUDY_FILE, ""))}
+    paths = {text: PurePosixPath(text).parts[1:] for text in _PATH.findall(texts.get(STUDY_FILE, ""))}
     tails = dict(paths)
     for path, parts in paths.items():
-        others = [other for one, other in paths.items() if one != path]
+        others = [other for known, other in paths.items() if known != path]
         lengths = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
         tails[path] = parts[-next(lengths, len(parts)) :]
 

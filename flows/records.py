@@ -65,7 +65,7 @@ def uncollected() -> Iterator[None]:
 @uncollected()
 def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ()) -> dict[str, list[Manifest]]:
     """Return what the last run made and is still there of it, by stage; what was `seen` is not looked for again."""
-    known = {one.ref.key: one for one in seen}
+    known = {manifest.ref.key: manifest for manifest in seen}
 
     def look(stage: str, record: ShardRecord) -> Manifest | None:
         one = known.get(record.key)
@@ -158,13 +158,13 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
         return f"its last run, {last.run_id}, did not finish"
     now = {stage: {ref.content_digest for ref in last.refs(stage)} for stage in last.stages}
     records = (run_record(store, folder.run_id) for folder in list_runs(store))
-    finished = [one for one in records if (one.get("study"), one.get("status")) == (last.study, "finished")]
+    finished = [record for record in records if (record.get("study"), record.get("status")) == (last.study, "finished")]
     for stage in stages:
         # What there was of each stage in the run that last saw to this one.
         runs = ({entry["stage"]: entry for entry in record["stages"]} for record in reversed(finished))
         seen = next((entries for entries in runs if stage in entries), {})
-        then = {other: {one["content_digest"] for one in entry["artifacts"]} for other, entry in seen.items()}
-        read = {(one.stage, one.content_digest) for shard in last.stages[stage] for one in shard.inputs}
+        then = {other: {artifact["content_digest"] for artifact in entry["artifacts"]} for other, entry in seen.items()}
+        read = {(ref.stage, ref.content_digest) for shard in last.stages[stage] for ref in shard.inputs}
         changed = {
             other
             for other, digest in read

@@ -81,8 +81,8 @@ def _ensure_queue(client: SyncPrefectClient, pool: str, queue: str) -> None:
 def _ensure_automation(client: SyncPrefectClient) -> None:
     """Make the automation for builds that stopped to give heartbeats without having ended, or put it right."""
     there = client.read_automations_by_name(_ZOMBIES)
-    for one in there:
-        client.update_automation(one.id, zombies())
+    for automation in there:
+        client.update_automation(automation.id, zombies())
     if not there:
         client.create_automation(zombies())
 

@@ -118,7 +118,7 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     compile_anew = made.compile
 
     def compile_once(signature: tuple[Any, ...]) -> Any:
-        arguments = tuple(unliteral(one) for one in signature)
+        arguments = tuple(unliteral(argument) for argument in signature)
         if arguments in made.overloads:
             return made.overloads[arguments].entry_point
         # Numba's own lock first: who waits for a file here holds all files that other threads may wait for.

@@ -96,7 +96,7 @@ def figures_of(owner: type, like: Mapping[str, Figure] = MappingProxyType({})) -
 
 def limits_of(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float]]:
     """Return the limits of the figures that are judged."""
-    return {name: one.limits for name, one in figures.items() if one.limits is not None}
+    return {name: figure_.limits for name, figure_ in figures.items() if figure_.limits is not None}
 
 
 def complete_limits(figures: Mapping[str, Figure], given: Limits) -> dict[str, tuple[float, float]]:

@@ -50,7 +50,9 @@ class Paired:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Paired:
         """Return what `dataclasses.asdict` gave, read back from JSON."""
-        rows: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in values.items()}
+        rows: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
         return cls(**{**rows, "sums": {name: tuple(found) for name, found in values["sums"].items()}})
 
 

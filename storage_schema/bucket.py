@@ -159,11 +159,13 @@ class RemoteStore:
 
     def entries(self, folder: str) -> list[ObjectMeta]:
         """Return what is in a folder and below: path, size, tag, time of the last change."""
-        return self._asked(f"list {folder}", lambda: [one for part in self._store.list(f"{folder}/") for one in part])
+        return self._asked(
+            f"list {folder}", lambda: [entry for part in self._store.list(f"{folder}/") for entry in part]
+        )
 
     def names(self, folder: str) -> list[str]:
         """Return the names of the files in a folder, sorted."""
-        return sorted(one["path"].rpartition("/")[2] for one in self.entries(folder))
+        return sorted(entry["path"].rpartition("/")[2] for entry in self.entries(folder))
 
     def fetch(self, path: str, target: Path) -> str:
         """Stream a file to a new one here; gives its sha256."""

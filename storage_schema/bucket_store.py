@@ -208,7 +208,7 @@ class BucketStore(Store):
         for target in targets:
             name = self._name(target)
             if name.startswith("runs/"):
-                places += [one["path"] for one in self.remote.entries(f"records/{name}")]
+                places += [entry["path"] for entry in self.remote.entries(f"records/{name}")]
             else:
                 places.append(f"manifests/{target.parent.parent.name}/{target.name}")
         self.remote.delete(places)
@@ -222,7 +222,7 @@ class BucketStore(Store):
         for path in self.root.glob(f"*/??/*/{MANIFEST_NAME}"):
             named.update(_DIGEST.findall(path.read_text("utf-8")))  # also one of an older schema
         before = self.remote.changed_at("lease") - younger
-        old = [one["path"] for one in parts if one["last_modified"] <= before]
+        old = [part["path"] for part in parts if part["last_modified"] <= before]
         self.remote.delete(path for path in old if path.rpartition("/")[2] not in named)
 
     @contextmanager

@@ -129,7 +129,7 @@ def _read_with_needs(store: Store, path: Path) -> tuple[Dataset, frozenset[Ident
 
 def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> str:
     """Return the sha256 over the stages, keys and content digests of artifacts, and the licences and credits."""
-    return hashlib.sha256(canonical_json([[asdict(one) for one in part] for part in (refs, sources)])).hexdigest()
+    return hashlib.sha256(canonical_json([[asdict(credit) for credit in part] for part in (refs, sources)])).hexdigest()
 
 
 def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:

@@ -27,7 +27,7 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     Raises:
         MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
     """
-    runs = [{ref: ref for stage in one.stages for ref in one.refs(stage)} for one in _last_runs(store)]
+    runs = [{ref: ref for stage in last_run.stages for ref in last_run.refs(stage)} for last_run in _last_runs(store)]
     mine = [run for run in runs if any(ref in run and run[ref].place == ref.place for ref in refs)]
     named = {ref.place for ref in refs}
     waiting, seen = list(refs), set(named)
@@ -36,28 +36,28 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
         ref = waiting.pop()
         # What has the same content in these runs may have come from elsewhere than what was there before.
         found = _there(store, ref, mine)
-        found = [one for one in found if one.ref.place in named] or found
+        found = [manifest for manifest in found if manifest.ref.place in named] or found
         every: Sequence[Manifest | None] = found or [find_manifest(store, ref)]
-        for one in every:
-            if one is None:
+        for manifest in every:
+            if manifest is None:
                 raise MissingArtifact(
                     f"artifact {ref.stage}@{ref.key[:12]}, which this comes from, is no longer whole in the store "
                     f"{store}, so its licence is not known; run the study again"
                 )
-            if found or not one.sources:
-                stated.append(one.sources)
+            if found or not manifest.sources:
+                stated.append(manifest.sources)
             else:
                 others = _there(store, ref, runs)
-                stated += [other.sources for other in others] or [_as_it_came(store, one)]
-            waiting += [read for read in one.inputs if read.place not in seen]
-            seen.update(read.place for read in one.inputs)
+                stated += [other.sources for other in others] or [_as_it_came(store, manifest)]
+            waiting += [read for read in manifest.inputs if read.place not in seen]
+            seen.update(read.place for read in manifest.inputs)
     return merge_credits(*stated)
 
 
 def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
     """Return what has this content in these runs, and is in the store."""
     found = (find_manifest(store, run[ref]) for run in runs if ref in run)
-    return [one for one in found if one is not None]
+    return [manifest for manifest in found if manifest is not None]
 
 
 def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
@@ -68,9 +68,9 @@ def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
     found = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
     if not found:
         return source.sources
-    names = {one.name for one in source.sources}
-    stated = tuple(one for one in found[-1].sources if one.name in names)
-    return stated if names == {one.name for one in stated} else found[-1].sources
+    names = {credit.name for credit in source.sources}
+    stated = tuple(credit for credit in found[-1].sources if credit.name in names)
+    return stated if names == {credit.name for credit in stated} else found[-1].sources
 
 
 def _last_runs(store: Store) -> Iterator[LatestRun]:

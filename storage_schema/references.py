@@ -178,7 +178,13 @@ def _by_key(reference: Reference, store: Store) -> ArtifactRef:
     found = [store.find(folder.parent.parent.name, folder.name) for folder in store.folders(key_prefix=prefix)]
     valid = [manifest for manifest in found if manifest is not None]
     if not valid:  # artifacts with the same content hold the same rows
-        valid = list({one.ref: one for one in store.artifacts() if one.ref.content_digest.startswith(prefix)}.values())
+        valid = list(
+            {
+                manifest.ref: manifest
+                for manifest in store.artifacts()
+                if manifest.ref.content_digest.startswith(prefix)
+            }.values()
+        )
     refs = [manifest.ref for manifest in valid if table in manifest.tables]
     if len(refs) == 1:
         return refs[0]

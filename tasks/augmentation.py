@@ -88,7 +88,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
         for name, own in sections.items():
             stated = own.contacts.get(take_id, TakeFacts.of(take).contacts)
             for start in range(0, len(found[name]), _PER_SHARD):
-                batch = tuple(one.variant_id for one in found[name][start : start + _PER_SHARD])
+                batch = tuple(variation.variant_id for variation in found[name][start : start + _PER_SHARD])
                 solved = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
                 shards.append(
                     AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", solved, {"take": [take]})

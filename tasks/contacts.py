@@ -91,7 +91,7 @@ class ContactRows:
         return {
             "frame": self.frame,
             "person": [person_name(person) for person in self.person[:, 0]],
-            "bone": [BODY22.joint_names[one] for one in self.bone[:, 0]],
+            "bone": [BODY22.joint_names[joint] for joint in self.bone[:, 0]],
             "share": self.share[:, 0],
             "point_m": self.points_m[:, 0],
             "partner": [person for person, _, _ in second],
@@ -114,7 +114,7 @@ class ContactRows:
         check_whole(stop, "stop", minimum=int(first))
         found = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
         order = np.argsort(self.person, axis=1)
-        bone, person = (np.take_along_axis(one, order, axis=1) for one in (self.bone, self.person))
+        bone, person = (np.take_along_axis(ends, order, axis=1) for ends in (self.bone, self.person))
         both = (person == (0, 1)).all(axis=1) & (self.frame >= first) & (self.frame < stop)
         where = (self.frame[both] - first, *bone[both].T)
         np.maximum.at(found, where, self.weight[both].astype(np.float32))

@@ -141,7 +141,10 @@ def write_choices(path: Path, choices: Iterable[Choice]) -> None:
 
 def as_settings(choices: Mapping[str, Choice]) -> dict[str, str]:
     """Return choices as a study has them."""
-    return {about: f"{one.decision} {one.content} {one.reason}".rstrip() for about, one in sorted(choices.items())}
+    return {
+        about: f"{choice.decision} {choice.content} {choice.reason}".rstrip()
+        for about, choice in sorted(choices.items())
+    }
 
 
 def choices_in(path: Path) -> dict[str, str]:
@@ -199,7 +202,7 @@ def content_columns(table: str) -> list[str] | None:
 def names_of(data: TableData) -> np.ndarray:
     """Return the name of what each row is of (row,)."""
     columns = (np.asarray(data[name]).astype(str) for name in IDENTITY[data.table.name])
-    return np.array(["/".join(one) for one in zip(*columns, strict=True)])
+    return np.array(["/".join(names) for names in zip(*columns, strict=True)])
 
 
 def clip_name(name: str, first: int, last: int) -> str:
@@ -323,8 +326,8 @@ class Choosing:
 
     def clips(self, table: str, name: str) -> dict[tuple[int, int], Choice]:
         """Return what was chosen of clips of a thing, by first and last frame, in order; nothing where none can be."""
-        chosen = (one for one in read_choices(self.path).values() if one.table == table and table in CLIPPED)
-        found = {clip_of(one.name): one for one in chosen}
+        chosen = (choice for choice in read_choices(self.path).values() if choice.table == table and table in CLIPPED)
+        found = {clip_of(choice.name): choice for choice in chosen}
         return dict(sorted((frames, one) for (whole, frames), one in found.items() if whole == name and frames))
 
     def words(self, table: str, name: str, content: str) -> str:

@@ -98,7 +98,7 @@ def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
 
 def _model_named(inputs: StageInputs, text: str, name: str, split: str) -> Manifest:
     models = [(ModelFacts.of(manifest), manifest) for manifest in inputs.of("models")]
-    found = [(facts, one) for facts, one in models if facts.model == name and split in ("", facts.split)]
+    found = [(facts, manifest) for facts, manifest in models if facts.model == name and split in ("", facts.split)]
     if len(found) != 1:
         there = ", ".join(sorted(f"{facts.model}@{facts.split}" for facts, _ in models)) or "none"
         raise InputError(f"generation.model: '{text}' names {len(found)} trained models, not one; there are: {there}")

@@ -20,8 +20,8 @@ def picture_of(clips: dict[str, Clip]) -> bytes:
     frames, rate_hz = shown_frames(len(first.positions_m), first.rate_hz)
     frames = frames[:_MAX_FRAMES]
     groups = [
-        MovingPeople(title, one.positions_m[frames], links_of(one._contacts, one.positions_m)[frames])
-        for title, one in clips.items()
+        MovingPeople(title, clip.positions_m[frames], links_of(clip._contacts, clip.positions_m)[frames])
+        for title, clip in clips.items()
     ]
     return moving_picture(groups, rate_hz=rate_hz)
 
@@ -34,10 +34,10 @@ def main() -> None:
     parser.add_argument("--variants", nargs="+", default=["A-uniform-0.75", "A-uniform-1.25"])
     parser.add_argument("--out", type=Path, default=Path("docs/variants.webp"))
     told = parser.parse_args()
-    there = {one.name.rpartition(", ")[2]: one for one in Data(told.store).variants(told.take)}
+    there = {variant.name.rpartition(", ")[2]: variant for variant in Data(told.store).variants(told.take)}
     chosen = {name: there[name] for name in told.variants}
-    (source,) = {one.source.name: one.source for one in chosen.values() if one.source is not None}.values()
-    told.out.write_bytes(picture_of({"source": source, **{_title(name): one for name, one in chosen.items()}}))
+    (source,) = {clip.source.name: clip.source for clip in chosen.values() if clip.source is not None}.values()
+    told.out.write_bytes(picture_of({"source": source, **{_title(name): clip for name, clip in chosen.items()}}))
 
 
 def _title(variant_id: str) -> str:

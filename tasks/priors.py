@@ -102,7 +102,11 @@ def default_origin(shown: Iterable[Manifest]) -> str:
     """
     return (
         BODY_PROPORTIONS
-        if any(facts.is_built_in for one in shown if isinstance(facts := facts_of(one), TakeFacts | SequenceFacts))
+        if any(
+            facts.is_built_in
+            for manifest in shown
+            if isinstance(facts := facts_of(manifest), TakeFacts | SequenceFacts)
+        )
         else BUILT_IN_DUETS
     )
 

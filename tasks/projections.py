@@ -298,7 +298,7 @@ def _resampled(facts: TakeFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarr
     """Return people at another rate."""
     rates = {"from_hz": facts.rate_hz, "to_hz": rate_hz}
     moved = np.stack([resample_positions(own, **rates) for own in op14_m])
-    motions = [Motion(BODY22, REFERENCE_REST_M, np.zeros((len(one), 3)), one, facts.rate_hz) for one in unitquat]
+    motions = [Motion(BODY22, REFERENCE_REST_M, np.zeros((len(turns), 3)), turns, facts.rate_hz) for turns in unitquat]
     turned = np.stack([motion.resample(rate_hz).local_unitquat for motion in motions])
     return _PosesTogether([facts.take_id] * moved.shape[1], moved, turned)
 

@@ -88,12 +88,12 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
         InputError: Nobody knows how a chain went.
     """
     manifests = [store.manifest(ref) for ref in refs]
-    grown = [one for one in manifests if is_set(one)]
-    drawn = [one for one in manifests if "draws" in one.tables and knows_annotations(one)]
+    grown = [manifest for manifest in manifests if is_set(manifest)]
+    drawn = [manifest for manifest in manifests if "draws" in manifest.tables and knows_annotations(manifest)]
     limits = read_limits(store, refs)
     chains = _read_chains(store, manifests)
     selector = PairSelector(count)
-    num_single = sum(one.tables[_table(one)].rows for one in (*grown, *drawn) if not is_chain(one))
+    num_single = sum(manifest.tables[_table(manifest)].rows for manifest in (*grown, *drawn) if not is_chain(manifest))
     singles = PairSelector(1, min_room=num_single)  # of no chain: those that differ, whatever artifacts they are in
     parts: list[_PlausibleRows] = []
     first = num_plausible = 0
@@ -126,8 +126,8 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     return SelectedPairs(
         columns=columns,
         refs=tuple(dict.fromkeys(part.manifest.ref for part, _ in chosen)),
-        num_draws=sum(one.tables["draws"].rows for one in drawn),
-        num_grown=sum(one.tables["seeds"].rows for one in grown),
+        num_draws=sum(manifest.tables["draws"].rows for manifest in drawn),
+        num_grown=sum(manifest.tables["seeds"].rows for manifest in grown),
         num_plausible=num_plausible,
         num_independent=num_independent,
         radius_m=found.radius_m,

@@ -60,10 +60,12 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     found = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
     told = [(one, facts_of(one)) for one in found]
     parts = {
-        thing: [(one, facts) for one, facts in told if thing.table in one.tables and thing.is_in(one)]
+        thing: [
+            (manifest, facts) for manifest, facts in told if thing.table in manifest.tables and thing.is_in(manifest)
+        ]
         for thing in _THINGS
     }
-    chains = stage_verdict(one for one in found if "chain_info" in one.tables)
+    chains = stage_verdict(manifest for manifest in found if "chain_info" in manifest.tables)
     verdicts = dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank))
     sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in found for s in one.sources}}
     return Summary(
@@ -77,7 +79,7 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
 def product_verdicts(manifests: Sequence[Manifest]) -> list[str]:
     """Return the names of the verdicts on the things among these artifacts: of their stages, and of their topics."""
     products = [(manifest, thing) for thing in _THINGS for manifest in manifests if thing.table in manifest.tables]
-    stages = {one.ref.stage for one, _ in products}
+    stages = {manifest.ref.stage for manifest, _ in products}
     topics = tuple(part_name(_APART, f"{topic} ") for _, thing in products for topic in thing.topics)
     return [name for name in summary_of(manifests).verdicts if name in stages or f"{name} ".startswith(topics)]
 
@@ -135,12 +137,14 @@ def _verdicts(manifest: Manifest) -> dict[str, Verdict]:
 def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     """Return one verdict for each stage, those that others read first; what is evaluated is judged one by one."""
     judged = judge(manifests)
-    parts: dict[str, list[Manifest]] = {one.stage: [] for one in judged if one.stage != _APART}
+    parts: dict[str, list[Manifest]] = {product.stage: [] for product in judged if product.stage != _APART}
     for manifest in manifests:
         if manifest.ref.stage in parts:
             parts[manifest.ref.stage].append(manifest)
     found = {name: stage_verdict(own) for name, own in parts.items()}
-    apart = {part_name(one.stage, one.partition): one.verdict for one in judged if one.stage == _APART}
+    apart = {
+        part_name(product.stage, product.partition): product.verdict for product in judged if product.stage == _APART
+    }
     return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
 
 

@@ -81,33 +81,33 @@ def annotate(
             raise InputError(f"{path} is the film itself, which is not written over")
     _, write = _WRITERS[target.suffix]
     shots = find_shots(film_source(film, settings or (), keys, detections, detect))
-    if len({one.film.files for one in shots}) > 1 and (target.suffix != ".csv" or overlay is not None):
+    if len({source.film.files for source in shots}) > 1 and (target.suffix != ".csv" or overlay is not None):
         raise InputError(f"{film} is a folder of films: .json, .xml and --overlay are of one film, give each by itself")
     made: list[tuple[FoundShot, AnnotatedShot]] = []
     failed: list[InputError] = []
-    for one in shots:
+    for source in shots:
         try:
-            made.append((one, annotate_shot(one.parameters, one.files)))
+            made.append((source, annotate_shot(source.parameters, source.files)))
         except InputError as error:
-            failed.append(type(error)(f"{one.parameters.id}: {error}"))
+            failed.append(type(error)(f"{source.parameters.id}: {error}"))
     for reason in failed if made else failed[:-1]:
         echo(f"skipped: {reason}", err=True)
     if not made:
         raise failed[-1]
     write_text(target, write(join_frames([shot.frames for _, shot in made])))
     wanted = [frames_to_correct(shot, num_corrections) for _, shot in made]
-    rows = [_row(one, shot, frames) for (one, shot), frames in zip(made, wanted, strict=True)]
+    rows = [_row(source, shot, frames) for (source, shot), frames in zip(made, wanted, strict=True)]
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
-    for lost in {one.film.num_lost for one, _ in made if one.film.num_lost}:
+    for lost in {source.film.num_lost for source, _ in made if source.film.num_lost}:
         echo(f"{film.name} states {lost} frames more than can be read", err=True)
     cells: list[Image] = []
-    for (one, shot), frames in zip(made, wanted, strict=True):
-        cells += _cells(one, shot, frames, show_faces) if sheet is not None else ()
+    for (source, shot), frames in zip(made, wanted, strict=True):
+        cells += _cells(source, shot, frames, show_faces) if sheet is not None else ()
     if sheet is not None and cells:
         _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
     if overlay is not None:
         overlay.parent.mkdir(parents=True, exist_ok=True)
-        drawn = (image for one, shot in made for image in _drawn(one, shot, show_faces))
+        drawn = (image for source, shot in made for image in _drawn(source, shot, show_faces))
         write_film(overlay, drawn, made[0][1].frames.rate_hz or 30.0)
     written = (target, sheet if cells else None, overlay)
     echo(f"written: {', '.join(str(path) for path in written if path is not None)}", err=True)

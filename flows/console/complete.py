@@ -53,7 +53,7 @@ def complete(
         known = read_all_draws(opened, refs)
         found = complete_pair(pair.pair_m, known.pairs_m, num_nearest=num_nearest)
     manifests = [opened.manifest(ref) for ref in refs]
-    inherited = [PairSource(one.name, one.licence, one.credit) for one in source_credits(opened, *refs)]
+    inherited = [PairSource(credit.name, credit.licence, credit.credit) for credit in source_credits(opened, *refs)]
     whole = PairFile(
         pair_m=found.fitted_m,
         made_from=f"{pair.made_from or file.name}, completed by {draws}",

@@ -62,7 +62,9 @@ JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard o
 def key_option(model: type[BaseModel], key: str, *names: str, metavar: str | None = None) -> Any:
     """Return an option for a key that a study has too, with the meaning and the limits that its model states."""
     field = model.model_fields[key]
-    found = {name: getattr(one, name) for one in field.metadata for name in ("ge", "gt", "le") if hasattr(one, name)}
+    found = {
+        name: getattr(bound, name) for bound in field.metadata for name in ("ge", "gt", "le") if hasattr(bound, name)
+    }
     least = found.get("ge", 1e-6 if found.get("gt") == 0 else None)
     return Option(*names, metavar=metavar, min=least, max=found.get("le"), help=f"{field.description}.")
 

@@ -56,12 +56,12 @@ def create(
     refs, files = _built(opened, study, stages or [])
     today = (list(refs), source_credits(opened, *refs))
     stated = [one for ref in refs for one in opened.manifest(ref).parameters.get("sources", ())]
-    if gone := [one for one in stated if SourceCredit(**one) not in today[1]]:
+    if gone := [source for source in stated if SourceCredit(**source) not in today[1]]:
         raise PlanError(
             f"the report of study '{study}' says {gone[0]['name']}: {gone[0]['licence']}, which is no longer so; "
             "run the study to its end first"
         )
-    versions = [one for one in list_datasets(opened, name) if one.name == name]
+    versions = [version for version in list_datasets(opened, name) if version.name == name]
     same = [one for one in versions if (list(one.refs), one.sources) == today]
     if same and version is None:
         dataset, words = same[-1], "exists already with this content"

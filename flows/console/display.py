@@ -98,7 +98,7 @@ class BarListener(LineListener):
     def progressed(self, progress: Progress) -> None:
         """Move the bar."""
         now = time.monotonic()
-        self._since = {one.key: self._since.get(one.key, now) for one in progress.running}
+        self._since = {shard.key: self._since.get(shard.key, now) for shard in progress.running}
         self._progress = progress
 
     def close(self) -> None:
@@ -123,9 +123,9 @@ class BarListener(LineListener):
         is_known = progress.num_shards > 0
         line = ProgressBar(progress.num_shards if is_known else None, progress.num_done, pulse=not is_known)
         bar.add_row(line, done * is_known, duration_text(now - self._started), left_text(progress))
-        for one in progress.running[:_NAMED]:
-            took = duration_text(now - self._since.get(one.key, now))
-            words = (f"  {one.stage} {one.partition}", _part_text(progress, one), one.name, took)
+        for shard in progress.running[:_NAMED]:
+            took = duration_text(now - self._since.get(shard.key, now))
+            words = (f"  {shard.stage} {shard.partition}", _part_text(progress, shard), shard.name, took)
             rows.add_row(*(Text(visible(word, is_line=True)) for word in words))
         if (more := len(progress.running) - _NAMED) > 0:
             rows.add_row(f"  and {more} more")
@@ -186,8 +186,15 @@ def plan_lines(plan: Plan) -> list[str]:
 def outcome_lines(outcome: Outcome) -> list[str]:
     """Return what a run did as a short table."""
     rows = [
-        (one.name, one.num_shards, one.num_shards - one.num_computed, one.num_computed, one.seconds, one.empty_reason)
-        for one in outcome.stages
+        (
+            stage.name,
+            stage.num_shards,
+            stage.num_shards - stage.num_computed,
+            stage.num_computed,
+            stage.seconds,
+            stage.empty_reason,
+        )
+        for stage in outcome.stages
     ]
     return format_table(("stage", "shards", "fresh", "computed", "seconds", ""), rows, text_columns=(0, 5))
 
@@ -201,7 +208,7 @@ def headlines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[s
 
 def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:
     """Return the same of artifacts by stage; none where there are none."""
-    return summary_of([one for manifests in found.values() for one in manifests]).lines() if found else []
+    return summary_of([manifest for manifests in found.values() for manifest in manifests]).lines() if found else []
 
 
 def progress_text(progress: Progress) -> str:
@@ -213,9 +220,11 @@ def progress_text(progress: Progress) -> str:
 def _running_text(progress: Progress) -> str:
     """Return the shards being computed, in words: `computing chains ic 0`."""
     running = [
-        " ".join(filter(None, (*dict.fromkeys((one.stage, one.partition, one.name)), f"({part})" if part else "")))
-        for one in progress.running
-        for part in [_part_text(progress, one)]
+        " ".join(
+            filter(None, (*dict.fromkeys((shard.stage, shard.partition, shard.name)), f"({part})" if part else ""))
+        )
+        for shard in progress.running
+        for part in [_part_text(progress, shard)]
     ]
     more = f" and {len(running) - _NAMED} more" if len(running) > _NAMED else ""
     return f"computing {', '.join(running[:_NAMED])}{more}" if running else ""

@@ -42,9 +42,11 @@ def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
             findings.append({"name": name, "found": check(), "is_ok": True})
         except (_BadError, ServerError, ClusterError) as error:
             findings.append({"name": name, "found": str(error), "is_ok": False})
-    lines = [f"{'ok  ' if one['is_ok'] else 'BAD '} {one['name']:<16} {one['found']}" for one in findings]
+    lines = [
+        f"{'ok  ' if finding['is_ok'] else 'BAD '} {finding['name']:<16} {finding['found']}" for finding in findings
+    ]
     answer(findings, lines, as_json=as_json)
-    if not all(one["is_ok"] for one in findings):
+    if not all(finding["is_ok"] for finding in findings):
         raise typer.Exit(1)
 
 

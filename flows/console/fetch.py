@@ -200,9 +200,9 @@ def _families(study: str) -> dict[str, dict[str, Any]]:
     """Return the families of `ingest.pairs` of which a study names subjects with numbers, and takes."""
     families = read_study_tree(study, Path.cwd()).values.get("ingest", {}).get("pairs", {})
     return {
-        name: one
-        for name, one in families.items()
-        if one.get("takes") and all(str(subject).isdigit() for subject in one.get("subjects", ()))
+        name: family
+        for name, family in families.items()
+        if family.get("takes") and all(str(subject).isdigit() for subject in family.get("subjects", ()))
     }
 
 

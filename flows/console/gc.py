@@ -64,7 +64,7 @@ def _by_stage(found: Collection) -> dict[str, tuple[int, int, int, int]]:
     counts: Counter[tuple[str, int]] = Counter()
     for at, stored, runs in ((0, found.artifacts.kept, found.kept_runs), (2, found.artifacts.going, found.going_runs)):
         for name, num_bytes in [
-            *((one.place[0], one.num_bytes) for one in stored),
+            *((artifact.place[0], artifact.num_bytes) for artifact in stored),
             *(("runs", n) for n in runs.values()),
         ]:
             for row in (name, "all"):

@@ -142,7 +142,7 @@ def find_model(text: str, store_root: Path) -> Weights:
     models = [manifest for manifest in manifests if "models" in manifest.tables]
     found = [manifest for manifest in models if ModelFacts.of(manifest).model == name]
     if len(found) != 1:
-        named = [(ModelFacts.of(one), one.ref.key[:12]) for one in found or models]
+        named = [(ModelFacts.of(manifest), manifest.ref.key[:12]) for manifest in found or models]
         there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
         which = f"say which: {', '.join(there[:12])}" if there else "the store has none; the stage training makes them"
         raise InputError(f"model {text}: {len(found)} models of the store have this name; {which}")

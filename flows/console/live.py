@@ -142,12 +142,12 @@ def follow_folder(
         is_told = is_stopped() or (folder / STOP_NAME).exists()
         waiting = _new_frames(folder, old, last)
         frames = [_read(number, path) for number, path in waiting]
-        whole = [index for index, one in enumerate(frames) if not one.problem]
+        whole = [index for index, live_frame in enumerate(frames) if not live_frame.problem]
         is_over = is_told or clock() - since > idle_s
         ready = len(frames) if is_over else (whole[-1] + 1 if whole else 0)
-        for one in frames[:ready]:
-            last = one.number
-            yield one
+        for live_frame in frames[:ready]:
+            last = live_frame.number
+            yield live_frame
         if ready:
             since = clock()
         if is_over:
@@ -220,7 +220,7 @@ def follow_lines(
                 raise InputError(f"{file.path.name} has the layout '{frame.layout}', the files before it '{layout}'")
             layout = frame.layout
             if len(seen) < _CHECKED_ROWS:
-                seen += [replace(one, place=("", file.number)) for one in file.people]
+                seen += [replace(person, place=("", file.number)) for person in file.people]
                 if len(seen) >= _CHECKED_ROWS:
                     check_anatomy(in_pixels(join_detections(seen, sequence_id="video")))
             sure = np.where(frame.confidence < MIN_CONFIDENCE, 0.0, frame.confidence)

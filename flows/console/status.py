@@ -54,7 +54,7 @@ def _status_lines(store: Store, found: Described) -> Iterator[str]:
 
 def _missing_lines(store: Store, last: LatestRun, found: Mapping[str, Sequence[Manifest]]) -> list[str]:
     """Say what is not there of what a study has made, and why; nothing where all is."""
-    there = {one.ref.place for manifests in found.values() for one in manifests}
+    there = {manifest.ref.place for manifests in found.values() for manifest in manifests}
     gone = [ref for stage in last.stages for ref in last.refs(stage) if ref.place not in there]
     return [
         f"not there: {counted(len(gone), 'artifact')}, such as {ref.stage}@{ref.key[:12]}, which "

@@ -127,7 +127,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
         *(f"found {_said(person)}" for person in people),
         *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.motion.notes),
         *_drafted(people),
-        *(f"found 2D poses {one.path}: {one.note}" for one in videos),
+        *(f"found 2D poses {video.path}: {video.note}" for video in videos),
         *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
     return [visible(line, is_line=True) for line in told]
@@ -240,7 +240,9 @@ def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
 
 def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
     """Return each draft once, with the first file of it and its name."""
-    named_drafts = {id(one.draft): (one.path, one.layout, one.draft) for one in reversed(people) if one.draft}
+    named_drafts = {
+        id(person.draft): (person.path, person.layout, person.draft) for person in reversed(people) if person.draft
+    }
     return [(path, name or _identifier(path.stem), draft) for path, name, draft in reversed(named_drafts.values())]
 
 

@@ -155,7 +155,9 @@ def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
     kind = export_format(name)
     for option in options:
         if option not in kind.options:
-            known = ", ".join(one for one in EXPORT_FORMATS if option in export_format(one).options)
+            known = ", ".join(
+                format_name for format_name in EXPORT_FORMATS if option in export_format(format_name).options
+            )
             raise InputError(f"--{option.replace('_', '-')} is for {known}, not for {name}")
     return kind
 
@@ -163,7 +165,7 @@ def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
 def _written(export: Export, kind: ExportFormat, out: Path) -> list[Path]:
     is_made = export.make_rows is not None  # motion by motion: one without contacts has no rows, and is there
     is_chosen = export.choices and (is_made or export.left_out)
-    if is_chosen and not any(is_made or one.num_rows for one in export.batches()):
+    if is_chosen and not any(is_made or batch.num_rows for batch in export.batches()):
         raise InputError(_ALL_REJECTED.format(export.text))
     sources = referenced_credits(export.store, export.reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)

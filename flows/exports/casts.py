@@ -206,7 +206,7 @@ def _take(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     facts = TakeFacts.of(store.manifest(ref))
 
     def rigs(rest_pose: RestPose) -> list[Rig]:
-        return [_own_rig(one, one.own, None, rest_pose) for one in people_of_take(store, ref)]
+        return [_own_rig(person, person.own, None, rest_pose) for person in people_of_take(store, ref)]
 
     yield Cast(
         (facts.take_id,),
@@ -225,12 +225,12 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     take_id = VariantFacts.of(store.manifest(ref)).take_id
     quality = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
     motions = read_variants(store, ref)
-    for name, scale, verdict, motion in zip(*(quality[one] for one in quality), motions, strict=True):
+    for name, scale, verdict, motion in zip(*(quality[figure] for figure in quality), motions, strict=True):
         positions = motion.astype(np.float64)
 
         def rigs(rest_pose: RestPose, positions_m: Array = positions, scales: Array = scale) -> list[Rig]:
             found = zip(people, np.moveaxis(positions_m, 1, 0), scales.reshape(len(people), -1), strict=True)
-            return [_own_rig(one, one.own.retargeted(to_m, by), to_m, rest_pose) for one, to_m, by in found]
+            return [_own_rig(person, person.own.retargeted(to_m, by), to_m, rest_pose) for person, to_m, by in found]
 
         yield Cast(
             (take_id, str(name)),
@@ -260,14 +260,14 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     for (sequence_id, method), part, *clip in _kept_parts(rows, export.left_out):
         ids = np.unique(rows["person_id"][part]).tolist()
         people = []
-        for own in (part[rows["person_id"][part] == one] for one in ids):
+        for own in (part[rows["person_id"][part] == person_id] for person_id in ids):
             found = body_from_joints(rows["body22_m"][own], rows["body22_unitquat"][own])
             upright = found.turned(camera.camera_from_upright_rotmat.T)
             people.append((int(rows["frame"][own[0]]), upright, rows["is_bridged"][own]))
         rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
         together = motions_together(people, rate_hz=rate_hz)
-        motions = [humanoid_motion(one.motion) for one in together]
-        positions = np.stack([one.motion.world()[0] for one in together], axis=1)
+        motions = [humanoid_motion(person.motion) for person in together]
+        positions = np.stack([person.motion.world()[0] for person in together], axis=1)
         heights = body_height_m(BODY22, np.median(bone_lengths(BODY22, positions), axis=0))
         first = together[0].first_frame
         seen_m = np.full((len(positions), len(ids), OP14.num_joints, 3), np.nan)
@@ -275,9 +275,14 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
         def rigs(_: RestPose, motions: list[Motion] = motions, heights: Array = heights) -> list[Rig]:
             both = zip(motions, heights.tolist(), strict=True)
-            return [Rig(one, bone_radii(one, height_m, _BODY22_NAMES), roles=_BODY22_NAMES) for one, height_m in both]
+            return [
+                Rig(motion, bone_radii(motion, height_m, _BODY22_NAMES), roles=_BODY22_NAMES)
+                for motion, height_m in both
+            ]
 
-        who = ", ".join(f"{letter} is person {one}" for letter, one in zip(person_names(len(ids)), ids, strict=True))
+        who = ", ".join(
+            f"{letter} is person {person_id}" for letter, person_id in zip(person_names(len(ids)), ids, strict=True)
+        )
         yield Cast(
             (sequence_id, method, *clip),
             BODY22,
@@ -356,7 +361,7 @@ def _rows_of_pairs(export: Export) -> Iterator[tuple[ArtifactRef | None, TableDa
     """Yield pairs by artifact, each with its reference; those that were selected come from many."""
     table = export.reference.table
     if export.selected is not None:
-        yield None, export.selected, [str(one) for one in export.selected["reference"]]
+        yield None, export.selected, [str(reference) for reference in export.selected["reference"]]
         return
     frames = ["frame"] if table in ANNOTATED else []
     columns = dict.fromkeys([*_KEYS[table], *IDENTITY[table], "pair17_m", *frames])
@@ -378,7 +383,9 @@ def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:
 
 def _annotated_hz(store: Store, ref: ArtifactRef) -> float:
     """Return the rate of the annotations that something was made from."""
-    read = next(one for one in map(store.manifest, store.manifest(ref).inputs) if "annotations" in one.tables)
+    read = next(
+        manifest for manifest in map(store.manifest, store.manifest(ref).inputs) if "annotations" in manifest.tables
+    )
     return PeopleFacts.of(read).rate_hz or _NOMINAL_HZ
 
 

@@ -26,7 +26,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
         "description": f"{export.text}, exported by pasdedeux; pixels, x right, y down; images are not among the files",
         "contributor": export.credit,
     }
-    licences = [{"id": at, "name": one.licence, "url": ""} for at, one in enumerate(export.sources, start=1)]
+    licences = [{"id": at, "name": source.licence, "url": ""} for at, source in enumerate(export.sources, start=1)]
     return [
         write_text(
             names.path("annotations", layout, suffix=".json"),
@@ -63,7 +63,7 @@ def _content(rows: TableData, part: np.ndarray, layout: str) -> dict[str, list[d
                 "category_id": 1,
                 "track_id": int(rows["person_id"][row]),
                 "keypoints": [
-                    int(one) if at % 3 == 2 else round(one, 3) for at, one in enumerate(table.ravel().tolist())
+                    int(value) if at % 3 == 2 else round(value, 3) for at, value in enumerate(table.ravel().tolist())
                 ],
                 "keypoint_scores": np.where(is_seen, scores, 0.0).round(4).tolist(),
                 "num_keypoints": int(is_seen.sum()),

@@ -48,7 +48,7 @@ def add_notice(path: Path, notice: str) -> None:
 
 
 def _lines(said: set[str], end: str = "\n") -> str:
-    return "".join(one + end for one in sorted(said - {""}))
+    return "".join(paragraph + end for paragraph in sorted(said - {""}))
 
 
 def _with_notice(notice: str, text: str) -> str:

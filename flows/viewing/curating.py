@@ -69,7 +69,7 @@ class Curation:
         name, content = self.thing(moment)
         if decision == "undo" and self.clip is None:
             at = moment.scene.number_of(moment.frame)
-            here = (one.name for (first, last), one in self._clips(moment).items() if first <= at <= last)
+            here = (clip.name for (first, last), clip in self._clips(moment).items() if first <= at <= last)
             name = next(here, name)
         return self.choosing.decide(decision, moment.part.table, name, content, reason)
 

@@ -73,7 +73,7 @@ def plot_curves(curves: Sequence[Array], frame: int) -> Any:
     """Return figures over the frames as an image: the last of them over the others, and a line at a frame."""
     height, width, edge = 170, _WIDTH, 22
     image = np.full((height, width, 3), PAPER, dtype=np.uint8)
-    low, high = (take([take(one) for one in curves if np.isfinite(one).any()]) for take in (np.nanmin, np.nanmax))
+    low, high = (take([take(curve) for curve in curves if np.isfinite(curve).any()]) for take in (np.nanmin, np.nanmax))
     across = np.linspace(0, width - 1, len(curves[-1]))
     for number, curve in enumerate(curves, 1 - len(curves)):
         points = np.stack(

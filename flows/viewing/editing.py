@@ -178,11 +178,11 @@ class Editor:
             return
         wanted = self._tracked(ref).next_frames(_NUM_NEXT)
         numbers = np.unique(viewer.item.read(viewer.shelf.store, "annotations", ["frame"])["frame"])
-        at = sorted(int(one) for one in np.searchsorted(numbers, wanted) if one < len(numbers))
+        at = sorted(int(number) for number in np.searchsorted(numbers, wanted) if number < len(numbers))
         if not at:
             viewer.panel.tell("tracks from both sides agree everywhere: there is nothing to correct")
             return
-        viewer.seek(next((one for one in at if one > viewer.frame), at[0]))
+        viewer.seek(next((frame for frame in at if frame > viewer.frame), at[0]))
         viewer.panel.tell(f"frames to correct, those first that help most: {' '.join(map(str, wanted))}")
 
     def _tracked(self, ref: ArtifactRef) -> CorrectedShot:
@@ -269,7 +269,7 @@ class Editor:
         with viewer.lock:
             new = [Part("draws", name, tuple(refs)) for name, refs in found.items()]
             if set(new) - set(viewer.shelf.parts):
-                viewer.shelf.parts = [one for one in viewer.shelf.parts if one.name not in found] + new
+                viewer.shelf.parts = [part for part in viewer.shelf.parts if part.name not in found] + new
                 viewer.offer_parts()
 
     # 2D poses.

@@ -65,9 +65,9 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
         InputError: One of its files is not where the study says, or has changed since.
     """
     places: list[Path] = []
-    for one in ingest.get("videos", ()):
-        places += [Path(one[name]) for name in ("path", "keys", "detections") if one.get(name)]
-        places += [Path(find_network(network).path) for network in one.get("detect", ())]
+    for video in ingest.get("videos", ()):
+        places += [Path(video[name]) for name in ("path", "keys", "detections") if video.get(name)]
+        places += [Path(find_network(network).path) for network in video.get("detect", ())]
     return CorrectedShot(FilmParameters.model_validate(manifest.parameters), _find_files(manifest.files, places))
 
 
@@ -177,7 +177,7 @@ class FilmReader:
         if self.rate_hz is not None and self._next == len(self._shown):
             self._shown.append(int(first_shown(frame.time_s, self.rate_hz)))
         scale = min(1.0, _LARGEST_PX / max(frame.image.shape[:2]))
-        size = [max(1, round(scale * one)) for one in frame.image.shape[1::-1]]
+        size = [max(1, round(scale * side)) for side in frame.image.shape[1::-1]]
         small = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
         self._kept[self._next] = np.asarray(cv2.imencode(".jpg", small)[1])
         for old in list(self._kept)[:-_NUM_KEPT]:

@@ -100,7 +100,10 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     shown = shown @ camera_from_upright.astype(np.float32)
     curves = {"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)}
     if truth is not None:
-        both = ((one - one[:, :, [BODY22.root]])[..., LIMBS22, :] for one in (shown, truth @ camera_from_upright))
+        both = (
+            (joints_m - joints_m[:, :, [BODY22.root]])[..., LIMBS22, :]
+            for joints_m in (shown, truth @ camera_from_upright)
+        )
         off = np.subtract(*both)
         curves = {"error_m": np.nanmean(np.linalg.norm(off, axis=-1), axis=(1, 2))} | curves
     if truth is not None:  # on the floor, and the mid-hips of the first frame together
@@ -151,7 +154,7 @@ def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) ->
 def _database(store: Store, ref: ArtifactRef) -> tuple[Database, ProjectionIndex, Array, Integers] | None:
     """Return the database that a reconstruction was made with, thinned, as its camera saw it; None where it is gone."""
     refs = [one for one in store.manifest(ref).inputs if store.find(one.stage, one.key)]
-    refs = [one for one in refs if "projections" in store.manifest(one).tables]
+    refs = [other for other in refs if "projections" in store.manifest(other).tables]
     if not refs:
         return None
     level, takes, frames = read_database(store, refs)
@@ -240,9 +243,9 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
     data, people, rows = _pairs(shelf, part, item, names)
     others = [one for one in shelf.items(part) if one.names[:2] == item.names[:2] and one != item]
     chains = []
-    for one in others:
+    for other in others:
         curve = np.full(len(rows), np.nan)
-        values = one.read(shelf.store, "draws", ["log_density"])["log_density"][: len(rows)]
+        values = other.read(shelf.store, "draws", ["log_density"])["log_density"][: len(rows)]
         curve[: len(values)] = values
         chains.append(curve)
 
@@ -262,12 +265,12 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
         evidence = _evidence(shelf.store, item.pieces[0][0])
         if not evidence:
             return flats
-        seen = np.stack([one.image_m for one in evidence])
-        views = np.stack([one.directions[0] for one in evidence])
+        seen = np.stack([draw.image_m for draw in evidence])
+        views = np.stack([draw.directions[0] for draw in evidence])
         which, d_i = nearest_images(pair, seen, views, count=_NUM_NEAREST)
         at = (data["sequence_id"][frame], int(data["sequence_frame"][frame]))
-        matched = [one for one in evidence if one.place[:2] == at][:1]
-        flats += [_image_of(one.image_m, f"matched: {one.place.sequence_id}") for one in matched]
+        matched = [draw for draw in evidence if draw.place[:2] == at][:1]
+        flats += [_image_of(draw.image_m, f"matched: {draw.place.sequence_id}") for draw in matched]
         titles = [f"{evidence[k].place.sequence_id}, {100 * d:.1f} cm" for k, d in zip(which, d_i, strict=True)]
         return [*flats, *(_image_of(evidence[k].image_m, title) for k, title in zip(which, titles, strict=True))]
 
@@ -327,8 +330,10 @@ def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
     """Return the annotated pairs that a chain was sampled with."""
     inputs = [store.manifest(one) for one in store.manifest(ref).inputs]
     found: list[SeenPair] = []
-    for views in (one for one in inputs if "views" in one.tables):
-        for annotated in (one.ref for one in inputs if "annotations" in one.tables and one.ref in views.inputs):
+    for views in (manifest for manifest in inputs if "views" in manifest.tables):
+        for annotated in (
+            manifest.ref for manifest in inputs if "annotations" in manifest.tables and manifest.ref in views.inputs
+        ):
             found += read_seen_pairs(store, annotated, views.ref, num_hypotheses=1)[0].values()
     return found
 

@@ -86,7 +86,7 @@ def encode(image: Array, suffix: str) -> bytes:
 def encode_clip(images: Sequence[Array], rate_hz: float) -> bytes:
     """Return images (height, width, 3), RGB, as an animated WebP that repeats."""
     animation = cv2.Animation()
-    animation.frames = [cv2.cvtColor(one[..., :3], cv2.COLOR_RGB2BGRA) for one in images]
+    animation.frames = [cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGRA) for image in images]
     animation.durations = [round(1000.0 / rate_hz)] * len(images)
     animation.loop_count = 0
     return cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()

@@ -34,7 +34,7 @@ class Scales:
             scales: Scales of the bones of those items that have some, by their numbers.
             own: Number of the item.
         """
-        known = {at: np.reshape(one, (-1, BODY22.num_joints)) for at, one in scales.items()}
+        known = {at: np.reshape(scale, (-1, BODY22.num_joints)) for at, scale in scales.items()}
         axes = scale_axes(np.array(list(known.values()), dtype=np.float64)) if own in known else {}
         self._items, self._scales, self._own = list(known), np.array(list(axes.values())).T, own
         self._folder.visible = bool(axes)

@@ -26,7 +26,7 @@ from tasks.facts import SequenceFacts
 _NUM_LOCATED = 60
 """Frames by which the camera of a reconstruction is located."""
 _LIMBS = [name for name in PAIR17.joint_names if name.endswith(("shoulder", "elbow", "wrist", "knee", "ankle"))]
-LIMBS17, LIMBS22 = ([one.index(name) for name in _LIMBS] for one in (PAIR17, BODY22))
+LIMBS17, LIMBS22 = ([skeleton.index(name) for name in _LIMBS] for skeleton in (PAIR17, BODY22))
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Seen:
         at, people = evenly_spread(len(grid.frames), _NUM_LOCATED), _people(self.store, self.ref)
         nobody = np.full((PAIR17.num_joints, 2), np.nan)
         seen = [people.get((self.sequence_id, int(frame)), {}) for frame in grid.frames[at]]
-        px = np.array([[one.get(int(who), nobody) for who in grid.persons] for one in seen])
+        px = np.array([[indices.get(int(who), nobody) for who in grid.persons] for indices in seen])
         width, height, focal_px = _lenses(self.store, self.ref)[self.sequence_id]
         size = size_of(width, height, px)
         lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
@@ -95,9 +95,15 @@ class Seen:
         takes = [truth.frames.get((self.sequence_id, int(frame)), ("", 0)) for frame in frames]
         camera = truth.cameras.get(self.sequence_id)
         known = [truth.takes.get(take) for take, _ in takes]
-        if camera is None or any(one is None or max(persons) >= one.shape[1] for one in known):
+        if camera is None or any(positions_m is None or max(persons) >= positions_m.shape[1] for positions_m in known):
             return None
-        world = np.stack([one[at][persons] for one, (_, at) in zip(known, takes, strict=True) if one is not None])
+        world = np.stack(
+            [
+                positions_m[at][persons]
+                for positions_m, (_, at) in zip(known, takes, strict=True)
+                if positions_m is not None
+            ]
+        )
         return world if in_world else world @ camera.camera_from_world_rotmat.T
 
     def flats(self, frame: int, title: str) -> list[Flat]:

@@ -139,7 +139,7 @@ class Shelf:
             names = np.stack([np.asarray(data[name]).astype(str) for name in columns], axis=-1)
             unique, which = np.unique(names, axis=0, return_inverse=True)
             rows = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
-            sizes = [len(one) for one in rows]
+            sizes = [len(row) for row in rows]
             if part.table == "annotations" and max(sizes) < 2 * _STILLS:
                 unique, rows = np.array([[SINGLE_IMAGES]]), [np.arange(data.num_rows)]
             for name, own in zip(unique.tolist(), rows, strict=True):
@@ -149,7 +149,11 @@ class Shelf:
     def having(self, table: str, partition: str | None = None) -> list[ArtifactRef]:
         """Return the artifacts at hand with this table, of one partition where one is given."""
         manifests = map(self.store.manifest, self.beside)
-        return [one.ref for one in manifests if table in one.tables and partition in (None, one.partition)]
+        return [
+            manifest.ref
+            for manifest in manifests
+            if table in manifest.tables and partition in (None, manifest.partition)
+        ]
 
     def find(self, text: str) -> Found:
         """Return where a reference with or without a row points to.
@@ -191,7 +195,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
         shelf = Shelf(store, refs, rest, (reference.table,), last_sections(store, last))
     elif "@" in word or word in {folder.run_id for folder in list_runs(store)}:
         recorded = read_recorded(store, word)
-        shelf = Shelf(store, [one.ref for one in recorded.artifacts.values()], sections=recorded.sections)
+        shelf = Shelf(store, [artifact.ref for artifact in recorded.artifacts.values()], sections=recorded.sections)
     else:
         latest = read_latest(store, word)
         if latest is None:

@@ -136,7 +136,7 @@ class Viewer:
         """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
         row = self.moment.row
         rows = np.where(np.arange(len(self.scene.frame_of_row)) == row, 0, -1)
-        pair, before = (People(PAIR17, one[None]) for one in (pair_m, before_m))
+        pair, before = (People(PAIR17, positions_m[None]) for positions_m in (pair_m, before_m))
         flats = self.flats()
         scene = Scene(pair, rows, behind=before, behind_name="before", images=lambda _: flats, has_floor=False)
         self._show_scene(scene, row)
@@ -152,7 +152,7 @@ class Viewer:
             self.shown.show(scene)
             self.choices.show(self.part.table)
             scales = {at: self.listing.figures(item).get("bone_scale") for at, item in enumerate(self.listing.items)}
-            self.scales.offer({at: one for at, one in scales.items() if one is not None}, self.index)
+            self.scales.offer({at: scale for at, scale in scales.items() if scale is not None}, self.index)
             self.seek(0 if row is None else int(scene.frame_of_row[row]))
 
     def step_item(self, by: int) -> None:

@@ -128,7 +128,9 @@ class _Made:
             np.array(self.ends_m).reshape(-1, 2, 3),
             np.array(self.radii_m).reshape(-1, 2),
             np.array(self.joints, dtype=np.int64),
-            np.array([[bool(one & other) for other in self.meets] for one in self.meets]).reshape(len(self.meets), -1),
+            np.array([[bool(meet & other) for other in self.meets] for meet in self.meets]).reshape(
+                len(self.meets), -1
+            ),
         )
 
 

@@ -41,13 +41,16 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
     import cv2
     from PIL import Image, ImageDraw, ImageFont
 
-    middles = [one.people_m.reshape(-1, 3).mean(axis=0) * (1.0, 0.0, 1.0) for one in groups]
+    middles = [group.people_m.reshape(-1, 3).mean(axis=0) * (1.0, 0.0, 1.0) for group in groups]
     reach = (
-        max(float(np.abs(one.people_m - at)[..., 0].max()) for one, at in zip(groups, middles, strict=True)) + _GAP_M
+        max(float(np.abs(group.people_m - at)[..., 0].max()) for group, at in zip(groups, middles, strict=True))
+        + _GAP_M
     )
     scale = _FINER * width / (2.0 * reach * len(groups))
-    top_m = max(float(one.people_m[..., 1].max()) for one in groups) + 0.1
-    deep_m = max(float(np.abs(one.people_m - at)[..., 2].max()) for one, at in zip(groups, middles, strict=True)) + 0.2
+    top_m = max(float(group.people_m[..., 1].max()) for group in groups) + 0.1
+    deep_m = (
+        max(float(np.abs(group.people_m - at)[..., 2].max()) for group, at in zip(groups, middles, strict=True)) + 0.2
+    )
     cos, sin = np.cos(_PITCH_RAD), np.sin(_PITCH_RAD)
     floor_px = _FINER * _TITLE_PX + scale * (cos * top_m + sin * deep_m)
     size = (_FINER * width, int(floor_px + scale * sin * deep_m) + _FINER * _BOTTOM_PX)
@@ -62,7 +65,7 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
         start, stop = (tuple(int(value) for value in end[:2]) for end in ends)
         cv2.line(canvas, start, stop, colour, max(1, round(thick)), cv2.LINE_AA)
 
-    bodies = [_bodies(one.people_m) for one in groups]
+    bodies = [_bodies(group.people_m) for group in groups]
     to_viewer = np.array([0.0, sin, cos])
     font = ImageFont.truetype(_font_path(), 14)
     frames = []

@@ -92,7 +92,7 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
         for is_baseline, method in sorted({(score.is_baseline, score.method) for score in single})
     }
     if len(methods) == 1:
-        single.sort(key=lambda one: (one.split, _natural(one.item)))
+        single.sort(key=lambda score: (score.split, _natural(score.item)))
         figures = {name: in_words(name) for name in sorted({one.metric for one in single})}
         items = pivot_table(
             *(single, caption, ("part", "item"), lambda one: (part_in_words(one.split), one.item), figures),

@@ -168,7 +168,7 @@ class Criterion:
         """Return the verdict on these items; None where no method is among them."""
         paired = items.paired(self.methods, baselines, is_larger_better=self.is_larger_better)
         own = [one for one in items.values if one not in baselines and not is_bound(one)]
-        tried = [one for one in self.methods or own if one in items.values]
+        tried = [method for method in self.methods or own if method in items.values]
         if paired is None and items.takes and not tried:
             return None
         if paired is None or (not paired.sizes and not math.isnan(self.limit)):
@@ -272,7 +272,7 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
         return -has_reason, -sum(one.count for one in alike), figure
 
     alike = measured[min(measured, key=rank)]
-    names = sorted({one.baseline_name for one in alike})
+    names = sorted({verdict.baseline_name for verdict in alike})
     return Verdict(
         worst,
         reason,

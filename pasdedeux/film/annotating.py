@@ -101,7 +101,7 @@ def annotate_shot(
         sizes * scale,
         is_checked=not is_key,
     )
-    tracks = Tracks(*((one + 0.5) / scale - 0.5 for one in (tracks.forward, tracks.backward)))
+    tracks = Tracks(*((track + 0.5) / scale - 0.5 for track in (tracks.forward, tracks.backward)))
     filled = fill_points(
         flat,
         confidence.reshape(num_frames, points),
@@ -218,6 +218,6 @@ def frames_to_correct(shot: AnnotatedShot, count: int, *, min_gap: int = 5) -> l
     for index in np.argsort(-doubt, kind="stable").tolist():
         if len(chosen) == count or doubt[index] <= 0:
             break
-        if all(abs(int(number[index]) - one) >= min_gap for one in chosen):
+        if all(abs(int(number[index]) - frame) >= min_gap for frame in chosen):
             chosen.append(int(number[index]))
     return chosen

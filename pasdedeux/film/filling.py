@@ -82,7 +82,7 @@ def fill_points(
         if len(known) == 0:
             continue
         curve = _curve(known, known_px[known, point], len(px))
-        forward, backward = (one[:, point] for one in (tracks.forward, tracks.backward))
+        forward, backward = (track[:, point] for track in (tracks.forward, tracks.backward))
         ends = [-1, *known.tolist(), len(px)]
         for start, stop in pairwise(ends):
             inside = np.arange(start + 1, stop)

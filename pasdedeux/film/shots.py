@@ -32,7 +32,7 @@ class ShotFinder:
         import cv2  # here: a quarter of a second that others need not wait for
 
         thumb = cv2.resize(image, _THUMB, interpolation=cv2.INTER_AREA).astype(np.float64) / 255.0
-        known = [float(np.abs(thumb - one).mean()) for one in self._last]
+        known = [float(np.abs(thumb - last).mean()) for last in self._last]
         self._change.append((known[0], known[1]) if len(known) == 2 else (known[0] if known else 0.0, np.inf))
         self._last = [thumb, *self._last[:1]]
 
@@ -86,7 +86,7 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
         befores.append(rows[low_at][is_near])
         afters.append(rows[high_at][is_near])
         shares.append(np.clip((wanted / rate_hz - own[low_at]) / gap_s, 0.0, 1.0)[is_near])
-    number, person_id, before, after = (np.concatenate(one) for one in (numbers, people, befores, afters))
+    number, person_id, before, after = (np.concatenate(parts) for parts in (numbers, people, befores, afters))
     share = np.concatenate(shares)
     low, high = frames.keypoints_px[before], frames.keypoints_px[after]
     nearest = np.where(share < 0.5, before, after)

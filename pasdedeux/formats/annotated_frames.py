@@ -205,17 +205,17 @@ class AnnotatedFrames:
 
 def join_frames(parts: Sequence[AnnotatedFrames]) -> AnnotatedFrames:
     """Return the rows of several sequences of one source, with one layout and one rate."""
-    statuses = [one.status for one in parts if one.status is not None]
+    statuses = [part.status for part in parts if part.status is not None]
     return replace(
         parts[0],
-        sequence_id=tuple(name for one in parts for name in one.sequence_id),
-        frame=np.concatenate([one.frame for one in parts]),
-        person_id=np.concatenate([one.person_id for one in parts]),
-        keypoints_px=np.concatenate([one.keypoints_px for one in parts]),
-        confidence=np.concatenate([one.confidence for one in parts]),
+        sequence_id=tuple(name for part in parts for name in part.sequence_id),
+        frame=np.concatenate([part.frame for part in parts]),
+        person_id=np.concatenate([part.person_id for part in parts]),
+        keypoints_px=np.concatenate([part.keypoints_px for part in parts]),
+        confidence=np.concatenate([part.confidence for part in parts]),
         status=np.concatenate(statuses) if len(statuses) == len(parts) else None,
-        image_size_px={name: size for one in parts for name, size in one.image_size_px.items()},
-        focal_px={name: focal for one in parts for name, focal in one.focal_px.items()},
+        image_size_px={name: size for part in parts for name, size in part.image_size_px.items()},
+        focal_px={name: focal for part in parts for name, focal in part.focal_px.items()},
     )
 
 
@@ -327,7 +327,7 @@ def check_inside(frames: AnnotatedFrames) -> AnnotatedFrames:
     """
     doubts = []
     for name, (width, height) in frames.image_size_px.items():
-        is_own = np.array([one == name for one in frames.sequence_id], dtype=bool)
+        is_own = np.array([sequence_id == name for sequence_id in frames.sequence_id], dtype=bool)
         confidence = frames.confidence[is_own]
         seen = confidence[confidence > 0]
         if not len(seen):

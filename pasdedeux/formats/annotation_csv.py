@@ -88,11 +88,11 @@ def read_annotation_csv(
         detections.append(Detection((sequence, frame), person, table[:, :3], f"frame {frame}", status, names))
     arranged = arrange(detections, layout, is_strict=True)
     numbers, has_identities, remarks = number_people(detections)
-    sequences = tuple(one.place[0] for one in detections)
+    sequences = tuple(detection.place[0] for detection in detections)
     return AnnotatedFrames.of(
         arranged.layout,
         sequence_id=sequences,
-        frame=np.array([one.place[1] for one in detections], dtype=np.int64),
+        frame=np.array([detection.place[1] for detection in detections], dtype=np.int64),
         person_id=np.array(numbers, dtype=np.int64),
         keypoints_px=arranged.table[..., :2],
         confidence=arranged.table[..., 2],
@@ -140,5 +140,5 @@ def _status_of(word: str) -> int:
     try:
         return KeypointStatus[word.upper()]
     except KeyError:
-        allowed = ", ".join(one.name.lower() for one in KeypointStatus)
+        allowed = ", ".join(status.name.lower() for status in KeypointStatus)
         raise FormatError(f"status '{shorten(word)}' is none of {allowed}") from None

@@ -190,7 +190,7 @@ def _read_asf(lines: Lines) -> AsfSkeleton:
     turns = [unitquat_from_euler(bone.angles[::-1] * angle_unit, bone.order[::-1]) for _, _, bone in joints]
     starts = [bones[parent] if parent not in ("", "root") else _Bone() for _, parent, _ in joints]
     return AsfSkeleton(
-        skeleton=Skeleton("asf", tuple(names), tuple(names.index(one) if one else -1 for _, one, _ in joints)),
+        skeleton=Skeleton("asf", tuple(names), tuple(names.index(parent) if parent else -1 for _, parent, _ in joints)),
         rest_offsets=np.array([bone.direction * bone.length for bone in starts]),
         axis_unitquat=np.array(turns),
         dof=tuple(bone.dof for _, _, bone in joints),

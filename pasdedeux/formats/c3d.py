@@ -86,7 +86,9 @@ class _Group:
         if isinstance(values, np.ndarray):
             kind, shape, raw = (4 if values.dtype.kind == "f" else values.dtype.itemsize), [], values.tobytes()
         else:
-            texts = [values.encode()] if isinstance(values, str) else [one.encode("ascii", "replace") for one in values]
+            texts = (
+                [values.encode()] if isinstance(values, str) else [value.encode("ascii", "replace") for value in values]
+            )
             width = max(map(len, texts), default=0)
             kind, shape = -1, [width] if isinstance(values, str) else [width, len(texts)]
             raw = b"".join(text.ljust(width) for text in texts)

@@ -90,11 +90,13 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
 def _names_of_categories(content: dict[str, Any]) -> dict[Any, tuple[str, ...]]:
     """Return the names of keypoints by the category that has them."""
     categories = content.get("categories")
-    named = [one for one in categories if isinstance(one, dict)] if isinstance(categories, list) else []
+    named = [category for category in categories if isinstance(category, dict)] if isinstance(categories, list) else []
     return {
-        one["id"]: tuple(map(str, one["keypoints"]))
-        for one in named
-        if isinstance(one.get("keypoints"), list) and isinstance(one.get("id"), int | str) and one["keypoints"]
+        category["id"]: tuple(map(str, category["keypoints"]))
+        for category in named
+        if isinstance(category.get("keypoints"), list)
+        and isinstance(category.get("id"), int | str)
+        and category["keypoints"]
     }
 
 
@@ -170,9 +172,9 @@ def _own_status(content: dict[str, Any], where: str) -> tuple[int, ...] | None:
     if not isinstance(status, list) or not isinstance(scores, list):
         return None
     is_whole = len(status) == len(scores) == len(content["keypoints"]) // 3
-    if not is_whole or not all(one in list(KeypointStatus) for one in status):
+    if not is_whole or not all(code in list(KeypointStatus) for code in status):
         raise FormatError(f"{where}: 'keypoint_status' needs a whole number from 0 to 4 for each keypoint")
-    if not all(isinstance(one, int | float) and 0 <= one <= MAX_CONFIDENCE for one in scores):
+    if not all(isinstance(score, int | float) and 0 <= score <= MAX_CONFIDENCE for score in scores):
         raise FormatError(f"{where}: 'keypoint_scores' lie outside 0..{MAX_CONFIDENCE:g}")
     return tuple(status)
 

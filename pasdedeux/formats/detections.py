@@ -161,12 +161,12 @@ def join_detections(
         row = int(np.flatnonzero(((confidence < 0) | (confidence > MAX_CONFIDENCE)).any(axis=1))[0])
         raise FormatError(f"{detections[row].where}: a confidence lies outside 0..{MAX_CONFIDENCE:g}")
     people, has_identities, remarks = number_people(detections)
-    names_of = _sequence_names(sequence_id, {one.place[0] for one in detections})
+    names_of = _sequence_names(sequence_id, {detection.place[0] for detection in detections})
     is_seen = _is_seen(table)
     return AnnotatedFrames.of(
         arranged.layout,
-        sequence_id=tuple(names_of[one.place[0]] for one in detections),
-        frame=np.array([one.place[1] for one in detections], dtype=np.int64),
+        sequence_id=tuple(names_of[detection.place[0]] for detection in detections),
+        frame=np.array([detection.place[1] for detection in detections], dtype=np.int64),
         person_id=np.array(people, dtype=np.int64),
         keypoints_px=np.where(is_seen[..., None], table[..., :2], np.nan),
         confidence=np.where(is_seen, confidence, 0.0),
@@ -202,10 +202,14 @@ def arrange(
         FormatError: No layout, or none that is known, has these names or this count; or several have it.
         OtherLayoutError: The layout asked for has another count.
     """
-    named = {one.names: one for one in detections if one.names is not None and not _are_numbers(one.names)}
+    named = {
+        detection.names: detection
+        for detection in detections
+        if detection.names is not None and not _are_numbers(detection.names)
+    }
     if not named:
         return _of_numbers(detections, layout, may_be_cut=may_be_cut)
-    unnamed = next((one for one in detections if one.names not in named), None)
+    unnamed = next((detection for detection in detections if detection.names not in named), None)
     if unnamed:
         raise FormatError(f"{unnamed.where}: its keypoints have no names, and those of others have")
     all_names = max(named, key=lambda names: len(names or ())) or ()
@@ -243,19 +247,19 @@ def arrange(
         table[row, columns] = one.table[order]
         if one.status is not None:
             status[row, columns] = np.array(one.status)[order]
-    has_status = all(one.status is not None for one in detections)
+    has_status = all(detection.status is not None for detection in detections)
     remarks = (f"joints left out that '{known.name}' lacks: {_listed(left_out)}",) if left_out else ()
     return Arranged(known, table, status if has_status else None, remarks)
 
 
 def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *, may_be_cut: bool) -> Arranged:
     """Return keypoints whose order is that of a layout."""
-    counts = {len(one.table): one.where for one in reversed(detections)}
+    counts = {len(detection.table): detection.where for detection in reversed(detections)}
     if len(counts) > 1:
         (first, there), (second, here) = sorted(counts.items())[:2]
         raise FormatError(f"{there} has {first} keypoints and {here} has {second}: a source has one layout")
     (count,) = counts
-    table = np.stack([one.table for one in detections])
+    table = np.stack([detection.table for detection in detections])
     known = LAYOUTS_OF_COUNT.get(count, ())
     landmarks = KEYPOINT_LAYOUTS["mediapipe33"]
     is_cut = may_be_cut and _NUM_FACE + 2 <= count < landmarks.num_keypoints and _begins_with_face(table)
@@ -274,7 +278,11 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
         )
     missing = np.tile([np.nan, np.nan, 0.0], (len(table), max(0, asked.num_keypoints - count), 1))
     table = np.concatenate([table[:, : asked.num_keypoints], missing], axis=1)
-    statuses = [(*one.status, *[0] * missing.shape[1])[: asked.num_keypoints] for one in detections if one.status]
+    statuses = [
+        (*detection.status, *[0] * missing.shape[1])[: asked.num_keypoints]
+        for detection in detections
+        if detection.status
+    ]
     alike = [one for one in KEYPOINT_LAYOUTS.values() if one.num_keypoints == asked.num_keypoints and one not in known]
     remarks: tuple[str, ...] = ()
     if layout == "auto" and alike:  # of the same places, so that nothing tells
@@ -309,9 +317,9 @@ def _most_like_people(layouts: Sequence[KeypointLayout], table: npt.NDArray[np.f
     if len(layouts) == 1:
         return layouts[0]
     confidence = np.where(_is_seen(table), table[..., 2], 0.0)
-    lengths = {one.name: stretch(one.name, table[..., :2], confidence) for one in layouts}
-    told = sorted((lengths[one.name], one.name) for one in layouts if np.isfinite(lengths[one.name]))
-    usual = next((one for one in layouts if one.name in USUAL_LAYOUTS), None)
+    lengths = {layout.name: stretch(layout.name, table[..., :2], confidence) for layout in layouts}
+    told = sorted((lengths[layout.name], layout.name) for layout in layouts if np.isfinite(lengths[layout.name]))
+    usual = next((layout for layout in layouts if layout.name in USUAL_LAYOUTS), None)
     clearly = CLEARLY_SHORTER if usual else _SHORTER
     if told and told[0][0] <= MAX_STRETCH and all(told[0][0] < clearly * length for length, _ in told[1:]):
         return KEYPOINT_LAYOUTS[told[0][1]]
@@ -323,7 +331,7 @@ def _most_like_people(layouts: Sequence[KeypointLayout], table: npt.NDArray[np.f
 
 
 def _either(layouts: Sequence[KeypointLayout], *, mark: bool = False) -> str:
-    return " or ".join(f"'{one.name}'" if mark else one.name for one in layouts)
+    return " or ".join(f"'{layout.name}'" if mark else layout.name for layout in layouts)
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -363,18 +371,22 @@ def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tup
 
     People who have names are numbered in the order of these.
     """
-    names = sorted({one.person_id for one in detections if isinstance(one.person_id, str)})
-    if any(isinstance(one.person_id, int) for one in detections) and names:
-        names = sorted({str(one.person_id) for one in detections if one.person_id is not None})
-    named = Counter((one.place, one.person_id) for one in detections)
-    anew = {one.place[0] for one in detections if one.person_id is None or named[one.place, one.person_id] > 1}
+    names = sorted({detection.person_id for detection in detections if isinstance(detection.person_id, str)})
+    if any(isinstance(detection.person_id, int) for detection in detections) and names:
+        names = sorted({str(detection.person_id) for detection in detections if detection.person_id is not None})
+    named = Counter((detection.place, detection.person_id) for detection in detections)
+    anew = {
+        detection.place[0]
+        for detection in detections
+        if detection.person_id is None or named[detection.place, detection.person_id] > 1
+    }
     seen: Counter[Place] = Counter()
     ids = []
-    for one in detections:
-        is_anew = one.place[0] in anew or one.person_id is None
-        told = names.index(str(one.person_id)) if names and not is_anew else one.person_id
-        ids.append(seen[one.place] if is_anew else int(told or 0))
-        seen[one.place] += 1
+    for detection in detections:
+        is_anew = detection.place[0] in anew or detection.person_id is None
+        told = names.index(str(detection.person_id)) if names and not is_anew else detection.person_id
+        ids.append(seen[detection.place] if is_anew else int(told or 0))
+        seen[detection.place] += 1
     said = ", ".join(f"{number} is '{shorten(name)}'" for number, name in enumerate(names[:_MAX_LISTED]))
     return ids, not anew, (f"people: {said}",) if names and not anew else ()
 

@@ -227,7 +227,7 @@ class AnnotationFormat(FileFormat):
         for number, (name, data) in zip(numbers, files.items(), strict=True):
             try:
                 people = self.read_people(data)
-                found += [replace(one, place=("", number), where=f"{name}: {one.where}") for one in people]
+                found += [replace(person, place=("", number), where=f"{name}: {person.where}") for person in people]
             except FormatError as error:
                 if not skip_unreadable and (number < max(numbers) or len(files) == 1):
                     raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None

@@ -90,26 +90,26 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     shared = len(list(takewhile(lambda level: len(set(level)) == 1, zip(*parts.values(), strict=False))))
     folders = {name: "/".join(folder[shared:]) for name, folder in parts.items()}
     parsed = _parse(folders, _NUMBER)
-    if len({one.template for one in parsed}) > 1:
+    if len({name.template for name in parsed}) > 1:
         grouped = _parse(folders, _GROUPED)
-        parsed = grouped if len({one.template for one in grouped}) == 1 else parsed
+        parsed = grouped if len({name.template for name in grouped}) == 1 else parsed
     templates: dict[tuple[str, ...], list[_Name]] = {}
-    for one in parsed:
-        templates.setdefault(one.template, []).append(one)
-    bare = next((one for one in parsed if not one.numbers), None)
+    for name in parsed:
+        templates.setdefault(name.template, []).append(name)
+    bare = next((name for name in parsed if not name.numbers), None)
     largest = max(map(len, templates.values()), default=0)
     if bare and largest >= max(_MIN_FRAMES, len(parsed) / 2) and len(templates[bare.template]) < largest:
         raise FormatError(f"'{bare.name[:60]}' has no number, and most other names are numbered: take it away")
     if bare or any(_are_photographs(alike) for alike in templates.values()):
         return _stills(parsed)
-    videos = {one.name: ("", "", "") for one in parsed}
+    videos = {name.name: ("", "", "") for name in parsed}
     frames = dict.fromkeys(videos, 0)
     for alike in templates.values():
         counter, cameras = _counter(alike)
         first = alike[0].numbers
-        for one in alike:
-            told = tuple((one.numbers if slot in cameras else first)[slot] for slot in range(len(first)))
-            videos[one.name], frames[one.name] = replace(one, numbers=told).video(counter), one.value(counter)
+        for name in alike:
+            told = tuple((name.numbers if slot in cameras else first)[slot] for slot in range(len(first)))
+            videos[name.name], frames[name.name] = replace(name, numbers=told).video(counter), name.value(counter)
     if max(frames.values(), default=0) > MAX_COUNT or 2 * len(set(videos.values())) > max(2, len(frames)):
         return _stills(parsed)
     if len(set(videos.values())) == 1 and _is_sparse(parsed, sorted(frames.values())):
@@ -181,8 +181,8 @@ def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
         FormatError: Several may be it.
     """
     texts, slots = alike[0].texts, range(len(alike[0].numbers))
-    values = [[one.value(slot) for one in alike] for slot in slots]
-    spelled = [{one.numbers[slot] for one in alike} for slot in slots]
+    values = [[name.value(slot) for name in alike] for slot in slots]
+    spelled = [{name.numbers[slot] for name in alike} for slot in slots]
     varying = [slot for slot in slots if len(spelled[slot]) > 1]
     if not varying:
         return _only_slot(alike[0]), []
@@ -220,7 +220,7 @@ def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
 
 def _are_decimals(alike: Sequence[_Name], slot: int) -> bool:
     """Tell whether numbers are digits after a point: of one length, nearly exhausted, in steps larger than 1."""
-    values, digits = sorted({one.value(slot) for one in alike}), {len(one.numbers[slot]) for one in alike}
+    values, digits = sorted({name.value(slot) for name in alike}), {len(name.numbers[slot]) for name in alike}
     steps = [later - earlier for earlier, later in pairwise(values)]
     return len(digits) == 1 and min(steps, default=0) > 1 and values[-1] + 2 * max(steps) >= 10 ** max(digits)
 
@@ -230,14 +230,14 @@ def _has_steps_of_1(values: Sequence[int]) -> bool:
 
 
 def _shown(alike: Sequence[_Name]) -> str:
-    return " and ".join(f"'{one.name[:60]}'" for one in alike[:2])
+    return " and ".join(f"'{name.name[:60]}'" for name in alike[:2])
 
 
 def _are_photographs(alike: Sequence[_Name]) -> bool:
     """Tell whether names of one template have several days as numbers."""
     slots = range(len(alike[0].numbers))
     return any(
-        all(_DATE.fullmatch(one.numbers[slot]) for one in alike) and len({one.numbers[slot] for one in alike}) > 1
+        all(_DATE.fullmatch(name.numbers[slot]) for name in alike) and len({name.numbers[slot] for name in alike}) > 1
         for slot in slots
     )
 
@@ -245,8 +245,8 @@ def _are_photographs(alike: Sequence[_Name]) -> bool:
 def _is_sparse(parsed: Sequence[_Name], frames: Sequence[int]) -> bool:
     """Tell whether names are of photographs, as cameras or COCO give them, numbered far apart and unevenly."""
     are_given = all(
-        _PHOTOGRAPH.match(one.texts[0]) or (not any(one.texts) and len(one.numbers[0]) == _COLLECTED_DIGITS)
-        for one in parsed
+        _PHOTOGRAPH.match(name.texts[0]) or (not any(name.texts) and len(name.numbers[0]) == _COLLECTED_DIGITS)
+        for name in parsed
     )
     gaps = [later - earlier for earlier, later in pairwise(frames)]
     is_even = not gaps or (min(gaps) > 1 and not any(gap % min(gaps) for gap in gaps))
@@ -257,5 +257,5 @@ def _stills(parsed: Sequence[_Name]) -> dict[str, Place]:
     def natural(one: _Name) -> tuple[str, tuple[str, ...], tuple[int, ...], str]:
         return one.folder, one.template, tuple(map(one.value, range(len(one.numbers)))), one.name
 
-    ranks = {one.name: rank for rank, one in enumerate(sorted(parsed, key=natural))}
-    return {one.name: ("", STILLS_STEP * ranks[one.name]) for one in parsed}
+    ranks = {name.name: rank for rank, name in enumerate(sorted(parsed, key=natural))}
+    return {name.name: ("", STILLS_STEP * ranks[name.name]) for name in parsed}

@@ -191,7 +191,10 @@ class OwnSkeleton:
             if joint == root:
                 points = [pelvis, *aims]
                 weight = np.where(np.isin(points, _HIPS), _HIP_WEIGHT, 1.0)[:, None]
-                middle, to = (np.average(one[:, points], axis=1, weights=weight[:, 0]) for one in (old_body, body22_m))
+                middle, to = (
+                    np.average(positions_m[:, points], axis=1, weights=weight[:, 0])
+                    for positions_m in (old_body, body22_m)
+                )
                 start, end = old_body[:, points] - middle[:, None], body22_m[:, points] - to[:, None]
                 turn[:, joint] = _turn_onto(np.sqrt(weight) * start, np.sqrt(weight) * end)
                 place[:, joint] = to - rotate(turn[:, joint], middle - old[:, joint])
@@ -216,7 +219,8 @@ class OwnSkeleton:
                     elif meets_tips and len(aims) == 1 and aim in _HINGES:
                         tip = _HINGES[aim]
                         bones = [
-                            np.linalg.norm(one, axis=-1) for one in (start[:, 0], old_body[:, tip] - old_body[:, aim])
+                            np.linalg.norm(bone_m, axis=-1)
+                            for bone_m in (start[:, 0], old_body[:, tip] - old_body[:, aim])
                         ]
                         end[:, 0] = _bent(end[:, 0], body22_m[:, tip] - place[:, joint], *bones)
                     turn[:, joint] = _turn_onto(start, end)
@@ -255,7 +259,7 @@ class OwnSkeleton:
         below: list[set[int]] = [set() for _ in skeleton.joint_names]
         for joint in reversed(skeleton.order[1:]):
             below[skeleton.parents[joint]] |= {joint} | below[joint]
-        return [frozenset(one) for one in below]
+        return [frozenset(joints) for joints in below]
 
     @cached_property
     def _ends(self) -> dict[int, tuple[int, bool]]:
@@ -340,7 +344,7 @@ def ended(motion: Motion) -> Motion:
         if not below and parent >= 0 and name.startswith(f"{skeleton.joint_names[parent]}_end"):
             continue
         while below and np.linalg.norm(offsets[below].mean(axis=0)) < _SHORTEST_M:
-            below = [child for one in below for child in skeleton.children(one)]
+            below = [child for joints in below for child in skeleton.children(joints)]
         if below and set(below) <= set(skeleton.children(joint)):
             continue
         before = joint

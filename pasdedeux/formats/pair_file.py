@@ -93,7 +93,7 @@ def write_pair_json(pair: PairFile) -> str:
         "unit": "m",
         "made_from": pair.made_from,
         "takes": list(pair.takes),
-        "sources": [asdict(one) for one in pair.sources],
+        "sources": [asdict(source) for source in pair.sources],
         "persons": {
             name: dict(zip(PAIR17.joint_names, points, strict=True))
             for name, points in zip(_PERSONS, positions, strict=True)

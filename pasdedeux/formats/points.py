@@ -86,14 +86,16 @@ def read_points(data: bytes | str, sequence_id: str, layout: str | KeypointLayou
         is_deeplabcut = decode(data, what).lstrip()[:6].lower() == "scorer"
         with Lines(data, what) as lines:
             detections = _of_table(lines, is_deeplabcut=is_deeplabcut)
-    videos = {one.place[0] for one in detections}
+    videos = {detection.place[0] for detection in detections}
     if len(videos) == 1:
-        detections = [replace(one, place=("", one.place[1])) for one in detections]
+        detections = [replace(detection, place=("", detection.place[1])) for detection in detections]
     return join_detections(
         detections,
         sequence_id=sequence_id,
         layout=layout,
-        sizes_px=dict.fromkeys({one.place[0] for one in detections}, size) if (size := footage.image_size_px) else {},
+        sizes_px=dict.fromkeys({detection.place[0] for detection in detections}, size)
+        if (size := footage.image_size_px)
+        else {},
         rate_hz=footage.rate_hz,
         may_be_cut=True,
     )
@@ -184,7 +186,9 @@ def _by_frame(content: Any) -> Any:
 def _is_point(value: Any) -> bool:
     if isinstance(value, dict):
         return "x" in value and "y" in value
-    is_numbers = isinstance(value, list) and all(one is None or isinstance(one, int | float) for one in value)
+    is_numbers = isinstance(value, list) and all(
+        element is None or isinstance(element, int | float) for element in value
+    )
     return is_numbers and 2 <= len(value) <= 5
 
 
@@ -209,13 +213,13 @@ def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | 
         names = (
             list(value)
             if isinstance(value, dict)
-            else [_first(one, ("name", "part")) for one in points if isinstance(one, dict)]
+            else [_first(point, ("name", "part")) for point in points if isinstance(point, dict)]
         )
         has_names = len(names) == len(points) and all(isinstance(name, str) and name for name in names)
         yield person, _table(points), tuple(names) if has_names else None
     elif isinstance(value, list):
-        for one in value:
-            yield from _poses(one, person)
+        for element in value:
+            yield from _poses(element, person)
     elif isinstance(value, dict) and any(key in value for key in _POSE_KEYS):
         yield from _poses(next(value[key] for key in _POSE_KEYS if key in value), person)
     elif isinstance(value, dict) and all(map(_is_nested, value.values())):
@@ -231,7 +235,7 @@ def _table(points: Sequence[Any]) -> Array:
     The third number of three is a confidence where none of them is negative, as depths are, and else a depth.
     """
     thirds = [point[2] for point in points if isinstance(point, list) and len(point) == 3]
-    has_depth = any(one is not None and not 0 <= one <= 1 for one in thirds)
+    has_depth = any(third is not None and not 0 <= third <= 1 for third in thirds)
     values: list[Any] = []
     for point in points:
         if isinstance(point, dict):

@@ -29,7 +29,7 @@ def one_rate(rates_hz: Sequence[float]) -> list[float]:
     """
     kept: list[float] = []
     for rate_hz in rates_hz:
-        kept.append(next((one for one in kept if is_one_rate(one, rate_hz)), rate_hz))
+        kept.append(next((kept_hz for kept_hz in kept if is_one_rate(kept_hz, rate_hz)), rate_hz))
     return kept
 
 

@@ -52,12 +52,12 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     refuse_foreign(data)
     start = FileStart(data)
     known: list[MotionFormat | AnnotationFormat] = [*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()]
-    for one in known:
-        if one.recognises(start):
-            return one
-    for one in MOTION_FORMATS.values():
-        if one.is_companion(start):
-            raise FormatError(f"this is the {one.companion} of files of the format '{one.name}', not a motion itself")
+    for kind in known:
+        if kind.recognises(start):
+            return kind
+    for kind in MOTION_FORMATS.values():
+        if kind.is_companion(start):
+            raise FormatError(f"this is the {kind.companion} of files of the format '{kind.name}', not a motion itself")
     if start.has_key("asset") and start.has_key("meshes", "nodes"):
         refuse_foreign(b"glTF")
     shown = shorten(start.first_row) if start.first_row.isprintable() and "\ufffd" not in start.first_row else ""

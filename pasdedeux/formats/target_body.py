@@ -184,7 +184,7 @@ def _of_arrays(name: str, arrays: dict[str, npt.NDArray[Any]]) -> TargetBody:
         arrays["positions_m"] = arrays["positions_m"][None]
     positions = get_array(arrays, "positions_m", "fiu", (None, None, 3)).astype(np.float64)
     names = get_array(arrays, "joint_names", "U", positions.shape[1:2])
-    joint_names = [OTHER_NAMES.get(str(one), str(one)) for one in names]
+    joint_names = [OTHER_NAMES.get(str(spelling), str(spelling)) for spelling in names]
     known = [at for at, joint in enumerate(joint_names) if joint in BODY22.joint_names]
     if not np.isfinite(positions[:, known]).all():
         raise FormatError(f"the position of '{joint_names[known[0]]}' or another joint is not finite")
@@ -208,7 +208,7 @@ def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layou
     top = "head" if "head" in joint_names else "{side}_shoulder"
     across = [("left_hip", "right_hip"), ("left_shoulder", "right_shoulder")]
     across += [(f"{side}_hip", top.format(side=side)) for side in ("left", "right")]
-    trunk = [(BODY22.index(one), BODY22.index(other)) for one, other in across]
+    trunk = [(BODY22.index(joint), BODY22.index(other)) for joint, other in across]
     limbs = [bone for bone in BODY22.bones if bone[1] in at and bone[0] in _LIMBS]
     is_whole = len(at) == BODY22.num_joints
     shoulders = [(BODY22.index(f"{side}_hip"), BODY22.index(f"{side}_shoulder")) for side in ("left", "right")]

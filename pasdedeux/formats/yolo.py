@@ -38,7 +38,14 @@ def read_people(data: bytes) -> list[Detection]:
 def _form(values: np.ndarray) -> tuple[int, int]:
     """Return the number of keypoints of a line and the values of each: COCO's if it may be, else a usual layout's."""
     forms = [
-        (layouts[0].name != "coco17", not any(one.name in USUAL_LAYOUTS for one in layouts), -width, rest, count, width)
+        (
+            layouts[0].name != "coco17",
+            not any(layout.name in USUAL_LAYOUTS for layout in layouts),
+            -width,
+            rest,
+            count,
+            width,
+        )
         for count, layouts in LAYOUTS_OF_COUNT.items()
         for width in (3, 2)
         for rest in range(3)

@@ -93,7 +93,9 @@ def curve_of_parts(real_m: Array, parts: Iterable[DrawPart]) -> CoverageCurve:
         coverage.add(part.table)
         if part.point:
             points.append(part.point)
-            curves.append([float(one.mean()) for one in (coverage.interaction_m, coverage.cartesian_m, by_shape.shape)])
+            curves.append(
+                [float(curve.mean()) for curve in (coverage.interaction_m, coverage.cartesian_m, by_shape.shape)]
+            )
     interaction_m, cartesian_m, shape = np.transpose(curves)
     return CoverageCurve(np.array(points, dtype=np.int64), interaction_m, cartesian_m, shape, coverage.cartesian_m)
 

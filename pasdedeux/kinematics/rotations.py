@@ -54,7 +54,7 @@ def rotate(unitquat: Array, vector: Array) -> Array:
 
 def cross(left: Array, right: Array) -> Array:
     """Return the vector products of vectors (*batch, 3), to the last bit those of `np.cross` in a third of its time."""
-    (x1, y1, z1), (x2, y2, z2) = ([one[..., at] for at in range(3)] for one in (left, right))
+    (x1, y1, z1), (x2, y2, z2) = ([unitquat[..., at] for at in range(3)] for unitquat in (left, right))
     return np.stack([y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2], axis=-1)
 
 

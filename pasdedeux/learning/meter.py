@@ -45,7 +45,7 @@ OF_QUALITY = tuple(FIGURES[name] for name in ("stance_excursion_m", "penetration
 UNITS: Mapping[str, str] = {
     **{"E_r": "cm", "E_b": "mm", "JPD": "cm", "PWD": "cm"},
     **{"contact_error": "mm", "contact_error_p95": "mm", "energy_gap": "%"},
-    **{one.metric: one.unit.replace("m", "mm") for one in OF_QUALITY},
+    **{quantity.metric: quantity.unit.replace("m", "mm") for quantity in OF_QUALITY},
     SHARE: "%",
 }
 """Every figure of a model with its unit.  Beside the paper's distances: mean and 95th percentile of how far contacts
@@ -190,7 +190,7 @@ class ModelMeter:
     def contacts(self) -> Contacts:
         """Contacts of the take: those known of it where some are, otherwise those found."""
         source, request = self._request.source, self._request
-        known = [one for one in request.contacts if one.weight > 0.0 and not one.is_of_floor]
+        known = [contact for contact in request.contacts if contact.weight > 0.0 and not contact.is_of_floor]
         if known:
             return stated_contacts(known, source.num_frames, BODY22, source.objects)
         return source.contacts()
@@ -238,7 +238,7 @@ class ModelMeter:
 
         def energy(motion_m: Array) -> float:
             points = points_of(asked.with_exact_bones(motion_m))
-            return sum(total_energy(one, points[window]) for window, one in zip(windows, terms, strict=True))
+            return sum(total_energy(term, points[window]) for window, term in zip(windows, terms, strict=True))
 
         least = energy(true_m)
         found: dict[str, dict[str, float]] = {}
@@ -255,7 +255,10 @@ class ModelMeter:
             found[name] = errors | {
                 **self._contact_errors(motion),
                 "energy_gap": 100.0 * (energy(motion) / max(least, 1e-12) - 1.0),
-                **{one.metric: (_MM if one.unit else 1.0) * getattr(quality, one.name) for one in OF_QUALITY},
+                **{
+                    quantity.metric: (_MM if quantity.unit else 1.0) * getattr(quality, quantity.name)
+                    for quantity in OF_QUALITY
+                },
             }
         return found
 

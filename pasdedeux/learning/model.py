@@ -325,5 +325,5 @@ def skeleton_of(name: str, num_joints: int) -> Skeleton:
     for skeleton in MODEL_SKELETONS.values():
         if skeleton.num_joints == num_joints:
             return skeleton
-    known = ", ".join(f"{one.name} {one.num_joints}" for one in MODEL_SKELETONS.values())
+    known = ", ".join(f"{skeleton.name} {skeleton.num_joints}" for skeleton in MODEL_SKELETONS.values())
     raise InputError(f"{name}: weights of another topology, {num_joints} joints; known skeletons: {known}")

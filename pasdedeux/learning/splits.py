@@ -155,7 +155,7 @@ def _tested_takes(name: str, keys: Sequence[VariantKey], stated: set[str], held_
     """Return the takes that a split across interactions tests on; nothing is ever learned from those held out."""
     interactions = {key.take_id: key.interaction or key.take_id for key in keys}
     stated, held_out = (
-        {take for take, what in interactions.items() if what in {interactions[one] for one in named}}
+        {take for take, what in interactions.items() if what in {interactions[take_id] for take_id in named}}
         for named in (stated, held_out)
     )
     free = {take: what for take, what in interactions.items() if take not in held_out}

@@ -136,7 +136,9 @@ class WindowVae(VariantModel):
             return batch, "takes " + ", ".join(sorted({window.take_id for window in found}))
 
         fixed = np.random.default_rng(0)
-        seen = [one for one in gather_windows(training.validation, options.length) if len(one.frames) == longest]
+        seen = [
+            window for window in gather_windows(training.validation, options.length) if len(window.frames) == longest
+        ]
         judged = [seen[index] for index in fixed.integers(max(len(seen), 1), size=_VALIDATED if seen else 0)]
         chosen = [int(fixed.integers(len(window.variants_m))) for window in judged]
 
@@ -157,7 +159,7 @@ class WindowVae(VariantModel):
         """Return errors of z = 0, drawn from the prior and of the answer, beside the copy's."""
         wanted = batch["motion_m"] - batch["template_m"]
         count, num_frames = wanted.shape[:2]
-        mean, drawn = (self._noise(count, num_frames, one) for one in (None, np.random.default_rng(1)))
+        mean, drawn = (self._noise(count, num_frames, source) for source in (None, np.random.default_rng(1)))
         found = {}
         for kind, noise in {"": mean, "prior_": drawn, "posterior_": mean}.items():
             moved = self.network.displacement({**batch, **noise}, is_posterior=kind == "posterior_")
@@ -249,7 +251,7 @@ class WindowVae(VariantModel):
             "condition": np.repeat(self.condition(scale[None]), count, axis=0),
             "scale": np.repeat(scale[None].astype(np.float32), count, axis=0),
         }
-        batch |= {key: np.repeat(one, count, axis=0) for key, one in self._noise(1, num_frames, generator).items()}
+        batch |= {key: np.repeat(noise, count, axis=0) for key, noise in self._noise(1, num_frames, generator).items()}
         moved = blend(source, windows, iter(self.network.displacement(batch)))
         if key_frames is None:
             return moved

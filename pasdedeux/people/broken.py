@@ -129,7 +129,7 @@ def join_breaks(sequence_id: str, breaks: Sequence[Break]) -> list[Decision]:
     """Return the rows of the table of people that join the clear ones; who is lost several times is one person."""
     first: dict[int, int] = {}
     rows = []
-    for one in sorted((one for one in breaks if one.is_clear), key=lambda one: one.first_frame):
+    for one in sorted((broken for broken in breaks if broken.is_clear), key=lambda broken: broken.first_frame):
         first[one.after] = first.get(one.before, one.before)
         rows.append(Decision(sequence_id, one.first_frame, one.last_frame, one.after, first[one.after]))
     return rows

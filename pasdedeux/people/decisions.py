@@ -133,7 +133,7 @@ def decide(
         InputError: A person or frames that the sequence does not have, or two who would be one in the same frame.
     """
     decided = person_id.copy()
-    people = [int(one) for one in np.unique(person_id)]
+    people = [int(number) for number in np.unique(person_id)]
     for decision in decisions:
         is_meant = (frame >= decision.first_frame) & (frame <= decision.last_frame) & (person_id == decision.person)
         decided[is_meant] = decision.is_person

@@ -89,7 +89,7 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
     source_person = np.zeros(is_seen.shape, dtype=np.int64) + np.arange(people)[:, None, None]
     source_joint = np.zeros(is_seen.shape, dtype=np.int64) + np.arange(14)
     is_masked = np.zeros(is_seen.shape, dtype=bool)
-    spans = [_span(one.any(axis=-1)) for one in is_seen]
+    spans = [_span(seen.any(axis=-1)) for seen in is_seen]
     for person, own in enumerate(spans):
         if own.stop - own.start < 3:
             continue
@@ -98,11 +98,11 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
         weight[person, own] = np.take_along_axis(weight[person, own], source, axis=1)
         source_joint[person, own] = source
     for both in combinations(range(people), 2):
-        common = range(max(spans[one].start for one in both), min(spans[one].stop for one in both))
+        common = range(max(spans[person].start for person in both), min(spans[person].stop for person in both))
         if len(common) < 3:
             continue
         at = np.ix_(both, common)
-        pair = np.stack([_trusted(points[one, common], weight[one, common]) for one in both])
+        pair = np.stack([_trusted(points[person, common], weight[person, common]) for person in both])
         exchanged = repair_exchanges(pair, rate_hz=rate_hz)
         for given in (points, weight, source_person, source_joint):
             two = given[at]

@@ -182,7 +182,7 @@ class Follower:
         for index, person in matched.items():
             for other in [one for one in self._people if one.track_id not in tracked]:
                 is_recent = time_s - other.last_time_s <= _FRAGMENT_MEMORY_S
-                parts = [(one.place_px, one.is_known) for one in (person, other)]
+                parts = [(track.place_px, track.is_known) for track in (person, other)]
                 is_part = _are_parts(*parts[0], *parts[1], person.size_px)
                 if is_recent and is_part and _fits(other, time_s, points[index], is_seen[index]):
                     self.part_of[other.track_id] = person.track_id
@@ -230,9 +230,9 @@ def follow_people(
         track_id, twin, points, seen = _joined_rows(frame, track_id, twin, points, seen, part, whole)
     if given_id is None:
         track_id[_ghosts(frame, track_id, rate_hz)] = -1
-    kept = [int(one) for one in dict.fromkeys(track_id[np.argsort(frame, kind="stable")].tolist()) if one >= 0]
+    kept = [int(number) for number in dict.fromkeys(track_id[np.argsort(frame, kind="stable")].tolist()) if number >= 0]
     renamed = {old: new for new, old in enumerate(kept)} | {-1: -1}
-    final = np.array([renamed[int(one)] for one in track_id], dtype=np.int64)
+    final = np.array([renamed[int(number)] for number in track_id], dtype=np.int64)
     return FollowedRows(final, points, seen, twin)
 
 

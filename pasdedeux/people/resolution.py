@@ -94,7 +94,7 @@ class SequencePeople:
             (self.num_repaired_joints, "joints repaired or masked"),
         )
         words += [f"{count} {what}" for count, what in counts if count]
-        words += [one.as_joined() for one in self.joined]
+        words += [pair.as_joined() for pair in self.joined]
         return f"{self.sequence_id}: {', '.join(words)}"
 
 
@@ -188,18 +188,19 @@ def resolve_people(
                 is_start=is_start,
             )
         )
-    if not sum(len(one.rows.frame) for one in found):
+    if not sum(len(sequence.rows.frame) for sequence in found):
         raise NobodyError("no frame shows enough joints of a person")
-    paired = {(pair.first, pair.second) for one in found for pair in one.decided.pairs}
+    paired = {(pair.first, pair.second) for sequence in found for pair in sequence.decided.pairs}
     for couple in settings.couples if settings and not is_start else ():
         if tuple(sorted(couple)) not in paired:
-            people = sorted({person for one in found for person in one.rows.person_id.tolist()})
+            people = sorted({person for sequence in found for person in sequence.rows.person_id.tolist()})
             raise InputError(f"couple {list(couple)} is never seen together; persons: {', '.join(map(str, people))}")
     columns: dict[str, Any] = {
-        field.name: np.concatenate([getattr(one.rows, field.name) for one in found]) for field in fields(SequenceRows)
+        field.name: np.concatenate([getattr(sequence.rows, field.name) for sequence in found])
+        for field in fields(SequenceRows)
     }
     source_row = columns.pop("source_row")
-    names = tuple(one.decided.sequence_id for one in found for _ in one.rows.frame)
+    names = tuple(sequence.decided.sequence_id for sequence in found for _ in sequence.rows.frame)
     return ResolvedPeople(
         frames=replace(
             frames,
@@ -208,12 +209,12 @@ def resolve_people(
             **columns,
         ),
         source_person_id=frames.person_id[source_row],
-        partner_id=np.concatenate([one.partner_id for one in found]),
+        partner_id=np.concatenate([sequence.partner_id for sequence in found]),
         op14=Keypoints(
-            np.concatenate([one.op14.positions for one in found]),
-            np.concatenate([one.op14.confidence for one in found]),
+            np.concatenate([sequence.op14.positions for sequence in found]),
+            np.concatenate([sequence.op14.confidence for sequence in found]),
         ),
-        sequences=tuple(one.decided for one in found),
+        sequences=tuple(sequence.decided for sequence in found),
     )
 
 

@@ -183,7 +183,7 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
 def _verdict(complaints: Sequence[Complaint]) -> Verdict:
     """Return the worst level, and all complaints, failures first, none twice."""
     found = dict.fromkeys(sorted(complaints, key=lambda complaint: complaint.level is not Level.FAIL))
-    return Verdict(next(iter(found)).level if found else Level.PASS, "; ".join(one.text for one in found))
+    return Verdict(next(iter(found)).level if found else Level.PASS, "; ".join(complaint.text for complaint in found))
 
 
 def _names_apart(one: str, other: str) -> str:

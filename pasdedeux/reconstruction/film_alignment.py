@@ -84,7 +84,7 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
         InputError: The film has too few people, or shows another motion than the take.
     """
     num_people, duration_s = truth_m.shape[1], (len(truth_m) - 1) / truth_hz
-    longest = sorted(tracks, key=lambda one: -int((one.confidence > 0).sum()))[:_MAX_TRACKS]
+    longest = sorted(tracks, key=lambda track: -int((track.confidence > 0).sum()))[:_MAX_TRACKS]
     if len(longest) < num_people:
         raise InputError(f"the film shows {len(longest)} people, the take has {num_people}")
     times = np.unique(np.concatenate([one.times_s for one in longest]))
@@ -104,7 +104,7 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
     whole = _FilmPoints.of(
         longest, times[np.linspace(0, len(times) - 1, min(_NUM_FITTED_FRAMES, len(times))).astype(int)]
     )
-    refined = [whole.refined(truth_m, truth_hz, *one[1:]) for one in tried[:_NUM_REFINED] if np.isfinite(one[0])]
+    refined = [whole.refined(truth_m, truth_hz, *start[1:]) for start in tried[:_NUM_REFINED] if np.isfinite(start[0])]
     if not refined:
         raise InputError("no clock brings enough joints that the film shows together with the take")
     best = min(refined, key=lambda one: one.residual)
@@ -216,12 +216,12 @@ class _FilmPoints:
         )
         own_rate = rate * float(np.exp(x[8]))
         median = float(np.median(np.linalg.norm(distances(x), axis=1)))
-        names = tuple(self.person_ids[one] for one in people)
+        names = tuple(self.person_ids[person] for person in people)
         return FilmAlignment(made, names, start_s + float(x[7]) - own_rate * middle_s, own_rate, median)
 
 
 def _ids(tracks: Sequence[Track]) -> tuple[int, ...]:
-    return tuple(one.person_id for one in tracks)
+    return tuple(track.person_id for track in tracks)
 
 
 def _at(motion: Array, frames: Array) -> Array:

@@ -40,5 +40,5 @@ its top, and heels lie behind the ankles: `body22` does not know where faces loo
 MAPPED_SKELETONS: dict[str, JointMap] = {joints.target.name: joints for joints in (EXPI18_OF_BODY22,)}
 """What follows from `body22`, by the name of its skeleton."""
 
-MODEL_SKELETONS: dict[str, Skeleton] = {one.name: one for one in (BODY22, EXPI18)}
+MODEL_SKELETONS: dict[str, Skeleton] = {skeleton.name: skeleton for skeleton in (BODY22, EXPI18)}
 """Skeletons that models can be of; no two have as many joints, so arrays tell which they are of."""

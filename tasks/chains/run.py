@@ -309,7 +309,7 @@ def _evidence(
     pairs = placed.gathered.pairs
     return AnnotationEvidence(
         likelihood=DENSITIES[density].init(settings, rng, placed.gathered),
-        places=tuple(placed.places[one] for one in pairs.annotation_index),
+        places=tuple(placed.places[index] for index in pairs.annotation_index),
         speeds=annotation_speeds(gather_tracks(placed)) if needs_speeds else None,
         num_annotations=len(np.unique(pairs.annotation_index)),
         view_spread_rad=placed.gathered.view_spread_rad,

@@ -76,8 +76,8 @@ def load_seed(file: SeedFile, *, seed_index: int = 0) -> LoadedSeed:
         raise InputError(f"seeds.files: {name} is no BVH, so there can be no `other` file beside it")
     parameters = file.part(FileSeed, seed_index=seed_index, file_format="bvh" if is_bvh else "json")
     with named(f"seeds.files: {' and '.join(path.name for path in paths)}"):
-        pair = _parsed(parameters, [one.data for one in loaded])
-    return LoadedSeed(pair, tuple(one.file for one in loaded), parameters)
+        pair = _parsed(parameters, [source.data for source in loaded])
+    return LoadedSeed(pair, tuple(source.file for source in loaded), parameters)
 
 
 def read_seed(shard: Shard) -> PairFile:
@@ -147,7 +147,9 @@ def _pair_file(store: Store, manifest: Manifest, pair_m: np.ndarray, made_from: 
         pair_m=pair_m,
         made_from=made_from,
         takes=Facts.of(manifest).takes,
-        sources=tuple(PairSource(one.name, one.licence, one.credit) for one in source_credits(store, manifest.ref)),
+        sources=tuple(
+            PairSource(credit.name, credit.licence, credit.credit) for credit in source_credits(store, manifest.ref)
+        ),
     )
 
 

@@ -36,7 +36,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
             none, or more starts than pairs that grow, or pairs are to be filled in between none.
     """
     found = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
-    takes = {take.take_id: one for take, one in found if not take.is_held_out and take.num_persons == 2}
+    takes = {take.take_id: manifest for take, manifest in found if not take.is_held_out and take.num_persons == 2}
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
     _check_sources(parameters, takes, has_annotations=bool(annotated and views))

@@ -165,7 +165,9 @@ def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
 def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     """Grow pairs over the annotations from the seeds of the shards before this one."""
     before = followed(shard, store)
-    roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
+    roots = np.concatenate(
+        [np.asarray(store.read(manifest.ref, "seeds")["pair17_m"], dtype=np.float64) for manifest in before]
+    )
     placed = _annotated(shard, store)
     limits = read_limits(store, shard.refs("joint_limits"))
     growth = grow(

@@ -32,18 +32,18 @@ class ShardError(Exception):
     @property
     def is_fatal(self) -> bool:
         """Whether no other shard can do better: the disk is full."""
-        return any(one.kind == "FullDisk" for one in (self, *self.others))
+        return any(error.kind == "FullDisk" for error in (self, *self.others))
 
     def __str__(self) -> str:
         """Return a sentence for each failed shard, of the first few."""
-        sentences = [f"{one.where}: {one.reason or one.kind}" for one in (self, *self.others[: _NAMED - 1])]
+        sentences = [f"{error.where}: {error.reason or error.kind}" for error in (self, *self.others[: _NAMED - 1])]
         left = 1 + len(self.others) - len(sentences)
         return "; ".join(sentences + ([f"{left} more failed"] if left > 0 else []))
 
 
 def joined(failures: Sequence[ShardError]) -> ShardError:
     """Return one error that names all failed shards; there is at least one."""
-    every = [one for failure in failures for one in (failure, *failure.others)]
+    every = [error for failure in failures for error in (failure, *failure.others)]
     first = every[0]
     return ShardError(first.where, first.kind, first.reason, first.trace, tuple(every[1:]))
 

@@ -93,9 +93,9 @@ def check_study(sections: Mapping[str, Any]) -> None:
     takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]
     known = [one for part in variations(sections["augmentation"], 2).values() for one in part]
     keys = [
-        VariantKey(take_id, one.variant_id, one.bone_scale, duets.get(take_id, ""))
+        VariantKey(take_id, variation.variant_id, variation.bone_scale, duets.get(take_id, ""))
         for take_id in takes
-        for one in known
+        for variation in known
     ]
     if keys:
         _check_test_takes(parameters.test_takes, takes)
@@ -117,8 +117,8 @@ def split_variants(
     for manifest in variants:
         facts = VariantFacts.of(manifest)
         keys += [
-            VariantKey(facts.take_id, one.variant_id, one.bone_scale, interactions.get(facts.take_id, ""))
-            for one in planned_variations(manifest)
+            VariantKey(facts.take_id, variation.variant_id, variation.bone_scale, interactions.get(facts.take_id, ""))
+            for variation in planned_variations(manifest)
         ]
         if facts.is_held_out:
             held_out.add(facts.take_id)

@@ -144,9 +144,11 @@ def _judge(name: str, trained: Trained, items: Callable[[], Iterator[TrainingIte
     """
     if name in BASELINES:
         return Verdict(Level.PASS)
-    if dead := [f"{one.quantity} {one.value:.2g} %" for one in trained.log if one.is_dead_layer]:
+    if dead := [f"{entry.quantity} {entry.value:.2g} %" for entry in trained.log if entry.is_dead_layer]:
         return Verdict(Level.FAIL, f"{name} has dead layers, so part of it learned nothing: {', '.join(dead)}")
-    models = {name: trained.model} | {one: load_model(ModelDescription(model=one), {}) for one in BASELINES}
+    models = {name: trained.model} | {
+        baseline: load_model(ModelDescription(model=baseline), {}) for baseline in BASELINES
+    }
     parts: list[Items] = []
     for item in items():
         request = item.request

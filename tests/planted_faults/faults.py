@@ -406,13 +406,13 @@ FAULTS = (
           "unit/test_flows_licences.py::"
           "test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after"),
     Fault("credits are those of the time when data were made", "storage_schema/licences.py",
-          "for one in _last_runs(store)]", "for one in ()]",
+          "for last_run in _last_runs(store)]", "for last_run in ()]",
           "unit/test_storage_store.py::test_a_licence_that_a_study_says_anew_reaches_what_was_made_before"),
     Fault("nothing that was computed has credits", "storage_schema/licences.py",
           "return merge_credits(*stated)", "return ()",
           "unit/test_storage_store.py::test_credits_are_those_of_all_that_something_came_from_once"),
     Fault("a source of one run has the credits of another", "storage_schema/licences.py",
-          "found = [one for one in found if one.ref.place in named] or found", "pass",
+          "found = [manifest for manifest in found if manifest.ref.place in named] or found", "pass",
           "unit/test_storage_store.py::"
           "test_where_two_studies_say_different_licences_of_the_same_bytes_each_has_its_own"),
     Fault("an export of a version has the credits of today", "storage_schema/references.py",

@@ -25,9 +25,9 @@ def load_detector(files: Sequence[bytes]) -> Detector:
     chosen: list[tuple[DetectorKind, Network]] = []
     for data in files:
         network = load_network(data)
-        kind = next((one for one in DETECTORS if one.outputs <= set(network.outputs)), None)
+        kind = next((detector for detector in DETECTORS if detector.outputs <= set(network.outputs)), None)
         if kind is None:
-            known = "; ".join(f"{one.name} ({', '.join(sorted(one.outputs))})" for one in DETECTORS)
+            known = "; ".join(f"{detector.name} ({', '.join(sorted(detector.outputs))})" for detector in DETECTORS)
             raise InputError(f"the network's outputs {', '.join(network.outputs)} are of no known kind: {known}")
         if kind.is_boxes:
             boxes = kind.make(network, None)

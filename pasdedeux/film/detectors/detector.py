@@ -66,9 +66,9 @@ def _unpacked(data: bytes) -> bytes:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [one for one in archive.infolist() if one.filename.lower().endswith(".onnx")]
+            members = [member for member in archive.infolist() if member.filename.lower().endswith(".onnx")]
             if len(members) != 1 or members[0].file_size > _MAX_NETWORK_BYTES:
-                names = ", ".join(one.filename[:60] for one in members[:3]) or "none"
+                names = ", ".join(member.filename[:60] for member in members[:3]) or "none"
                 raise InputError(f"a ZIP archive with one ONNX file of at most 2 GB is needed, found {names}")
             return archive.read(members[0])
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, OSError, EOFError) as error:
@@ -102,7 +102,7 @@ def load_network(data: bytes) -> Network:
         )
     if first.type != "tensor(float)":
         raise InputError(f"its input is {first.type}; 32-bit floats are needed, tensor(float)")
-    names = tuple(one.name for one in session.get_outputs())
+    names = tuple(output.name for output in session.get_outputs())
 
     def run(tensor: np.ndarray) -> Mapping[str, np.ndarray]:
         return dict(zip(names, session.run(names, {first.name: tensor.astype(np.float32)}), strict=True))

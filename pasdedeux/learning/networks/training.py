@@ -72,7 +72,7 @@ def fit(
             value.backward()
             optimiser.step()
         if is_finite and step == steps[-1]:  # before that, the next loss shows it
-            is_finite = all(bool(torch.isfinite(one).all()) for one in group["params"])
+            is_finite = all(bool(torch.isfinite(tensor).all()) for tensor in group["params"])
         if not is_finite:
             raise InputError(f"{name}: step {step} came to a number that is not finite on {what}")
     return total / max(len(steps), 1)

@@ -267,7 +267,9 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
         import cv2  # here: a quarter of a second that planning does not need
 
         capture = _opened(Path(files[0].path))
-        stated_hz, stated = (float(capture.get(one)) for one in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT))
+        stated_hz, stated = (
+            float(capture.get(property_id)) for property_id in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT)
+        )
         capture.release()
         num_lost = _num_lost(Path(files[0].path), stated, stated_hz, times)
         rate_hz = stated_hz if 0 < stated_hz <= 1000 else None

@@ -62,7 +62,7 @@ def find_shots(
     """
     with named(f"video {options.id}"):
         films = _films_of(options)
-        networks = tuple(find_network(one) for one in options.detect)
+        networks = tuple(find_network(file) for file in options.detect)
         if networks:
             load_detector([read_again(file) for file in networks])
         found = []
@@ -109,7 +109,8 @@ class CorrectedShot:
         """Return joints of pair17 (17, 2) that corrections have moved by frame of `placed` and person, NaN: others."""
         layout, now = get_keypoint_layout(self._begun.layout), self.placed()
         before, after = (
-            layout.derive(PAIR17.name, one.keypoints_px, one.confidence).positions for one in (self._begun, now)
+            layout.derive(PAIR17.name, frames.keypoints_px, frames.confidence).positions
+            for frames in (self._begun, now)
         )
         moved = np.where((before == after).all(axis=-1, keepdims=True), np.nan, after)
         places = zip(now.frame.tolist(), now.person_id.tolist(), strict=True)
@@ -317,13 +318,15 @@ def _shots_of(
             is_constant_rate=film.is_constant or options.rate_hz is not None,
         )
         shots.append(FoundShot(parameters, (*files, *networks, *film.files), film))
-    shots = [one for one in shots if one.parameters.num_frames > 1]
+    shots = [shot for shot in shots if shot.parameters.num_frames > 1]
     if camera is None or not shots:
         return shots
     checked = _check_given(shots[0], given or path, film, rate_hz, options)
     frames, notes = checked.given().frame, (*checked.remarks, *checked.doubts)
-    spans = [(replace(one, notes=notes), film.first_number + one.parameters.first_frame) for one in shots]
-    return [one for one, first in spans if ((frames >= first) & (frames < first + one.parameters.num_frames)).any()]
+    spans = [(replace(shot, notes=notes), film.first_number + shot.parameters.first_frame) for shot in shots]
+    return [
+        source for source, first in spans if ((frames >= first) & (frames < first + source.parameters.num_frames)).any()
+    ]
 
 
 def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> AnnotatedFrames:

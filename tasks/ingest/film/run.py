@@ -61,11 +61,11 @@ def find_videos(
     found = []
     with named(f"video {options.id}"):
         decisions = decisions_of(options.people_file)
-        check_sequences(decisions, {one.parameters.id for one in shots})
-        for one in shots:
-            rows = tuple(row.in_words() for row in decisions if row.sequence_id == one.parameters.id)
-            parameters = one.parameters.model_copy(update={"people": rows})
-            found.append(FoundFilm(parameters, one.files, Path(one.files[-1].path), one.notes))
+        check_sequences(decisions, {shot.parameters.id for shot in shots})
+        for shot in shots:
+            rows = tuple(row.in_words() for row in decisions if row.sequence_id == shot.parameters.id)
+            parameters = shot.parameters.model_copy(update={"people": rows})
+            found.append(FoundFilm(parameters, shot.files, Path(shot.files[-1].path), shot.notes))
     return found
 
 

@@ -85,13 +85,13 @@ def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) 
     name = _frames_format(tried or candidates[:1], format_name)
     if name is None:
         found = []
-        for one in paths:
+        for path in paths:
             try:
-                found.append(CameraFiles(one.stem, _format_of(one, format_name), (one,)))
+                found.append(CameraFiles(path.stem, _format_of(path, format_name), (path,)))
             except InputError as error:
                 if skipped is None:
                     raise
-                skipped[one.stem] = str(error)
+                skipped[path.stem] = str(error)
         return found
     frames = numbered or of_frames
     cameras: dict[str, list[Path]] = {}
@@ -166,13 +166,15 @@ def video_beside(path: Path, camera: CameraFiles) -> Path | None:
 
 
 def _videos(folder: Path) -> list[Path]:
-    return sorted(one for one in folder.iterdir() if one.suffix.lower() in VIDEO_SUFFIXES) if folder.is_dir() else []
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES) if folder.is_dir() else []
 
 
 def is_named_after(name: str, stem: str) -> bool:
     """Tell whether a name is that of a video, perhaps with something before or after it."""
     name, stem = name.lower(), stem.lower()
-    return name == stem or any(name.startswith(stem + one) or name.endswith(one + stem) for one in _SEPARATORS)
+    return name == stem or any(
+        name.startswith(stem + separator) or name.endswith(separator + stem) for separator in _SEPARATORS
+    )
 
 
 def open_capture(video: Path) -> Any:
@@ -197,7 +199,9 @@ def read_header(video: Path) -> Footage:
 
     capture = open_capture(video)
     try:
-        width, height = (int(capture.get(one)) for one in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        width, height = (
+            int(capture.get(property_id)) for property_id in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
         rate_hz = float(capture.get(cv2.CAP_PROP_FPS))
     finally:
         capture.release()

@@ -88,7 +88,7 @@ class FoundAnnotations:
 
     def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
         """Return what lies beside the tables: who is who."""
-        decisions = write_decisions(row for one in resolved.sequences for row in one.decisions)
+        decisions = write_decisions(row for sequence in resolved.sequences for row in sequence.decisions)
         return {PEOPLE_NAME: decisions.encode()}
 
     def _read(self) -> AnnotatedFrames:

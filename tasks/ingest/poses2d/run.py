@@ -46,7 +46,10 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
     frames = resolved.frames
     rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
-    count, stills = frames.num_rows, {one.sequence_id for one in resolved.sequences if one.why_not_followed}
+    count, stills = (
+        frames.num_rows,
+        {sequence.sequence_id for sequence in resolved.sequences if sequence.why_not_followed},
+    )
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
         shard,
@@ -85,16 +88,22 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
             statures_m=dict(parameters.statures_m),
             couples=tuple(
                 CoupleFact(
-                    sequence_id=one.sequence_id, person_ids=(pair.first, pair.second), num_near_frames=pair.num_near
+                    sequence_id=sequence.sequence_id,
+                    person_ids=(pair.first, pair.second),
+                    num_near_frames=pair.num_near,
                 )
-                for one in resolved.sequences
-                for pair in one.pairs
+                for sequence in resolved.sequences
+                for pair in sequence.pairs
             )[:MAX_NAMED_FILES],
-            why_no_video={one.sequence_id: one.why_not_followed for one in resolved.sequences if one.why_not_followed},
-            num_merged_rows=sum(one.num_merged_rows for one in resolved.sequences),
-            num_ghost_rows=sum(one.num_ghost_rows for one in resolved.sequences),
-            num_repaired_joints=sum(one.num_repaired_joints for one in resolved.sequences),
-            num_renamed_rows=sum(one.num_renamed_rows for one in resolved.sequences),
+            why_no_video={
+                sequence.sequence_id: sequence.why_not_followed
+                for sequence in resolved.sequences
+                if sequence.why_not_followed
+            },
+            num_merged_rows=sum(sequence.num_merged_rows for sequence in resolved.sequences),
+            num_ghost_rows=sum(sequence.num_ghost_rows for sequence in resolved.sequences),
+            num_repaired_joints=sum(sequence.num_repaired_joints for sequence in resolved.sequences),
+            num_renamed_rows=sum(sequence.num_renamed_rows for sequence in resolved.sequences),
         ),
         attachments=source.attachments(resolved),
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
@@ -148,6 +157,6 @@ def _verdict(
     reasons += doubts
     is_poor = share_seen < POOR_SHARE_SEEN or 2 * num_skipped > num_files
     level = Level.PASS if not reasons else Level.FAIL if is_poor else Level.WARN
-    reasons += [row.as_joined() for one in sequences for row in one.joined]
+    reasons += [row.as_joined() for sequence in sequences for row in sequence.joined]
     figure = ("joints seen", 100 * share_seen, "%")
     return Verdict(level, "; ".join(reasons), *figure, count=len(is_seen), thing="people in frames")

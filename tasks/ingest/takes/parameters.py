@@ -165,7 +165,7 @@ class PairOptions(CommonOptions):
             name = re.compile(f"{re.escape(first)}(?P<take>[^/]+){'(?P=take)'.join(map(re.escape, others))}")
             paths = self.folder.glob("*".join(map(escape, (first, *others))))
             found |= {
-                match["take"] for one in paths if (match := name.fullmatch(one.relative_to(self.folder).as_posix()))
+                match["take"] for path in paths if (match := name.fullmatch(path.relative_to(self.folder).as_posix()))
             }
         return tuple(sorted(found))
 

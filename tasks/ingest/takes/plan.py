@@ -77,7 +77,10 @@ def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
             performance = known_performance(person.source_name)
             # Two files of one name and format need not be the same motion, AMC and BVH of one name are.
             keys = [person.motion_sha256, *([f"{performance} {suffix}"] if performance else [])]
-            twins = [person.motion_sha256, *(f"{performance} {one}" for one in (".amc", ".bvh") if one != suffix)]
+            twins = [
+                person.motion_sha256,
+                *(f"{performance} {ending}" for ending in (".amc", ".bvh") if ending != suffix),
+            ]
             for other, twin in (use for key in twins for use in uses.get(key, ())):
                 (start, stop), (its_start, its_stop) = _seconds(person), _seconds(twin)
                 if other.is_held_out != take.is_held_out and max(start, its_start) < min(stop, its_stop):
@@ -132,7 +135,7 @@ def _refuse_missing(parameters: IngestParameters) -> None:
         for take in family.takes or ()
         for subject in family.subjects
     ]
-    missing = [one for one in wanted if not any(path.is_file() for path in _family_paths(*one))]
+    missing = [family for family in wanted if not any(path.is_file() for path in _family_paths(*family))]
     if missing:
         first = _family_paths(*missing[0])
         others = f", nor do {len(missing) - 1} others of the {len(wanted)} that ingest.pairs names"
@@ -262,7 +265,7 @@ def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: floa
     slack = 0.0 if len(set(rates)) == 1 else 1.0 / min(rates)
     if max(whole) - min(whole) > slack + _ALMOST / max(rates) and take.on_unequal == "refuse":
         is_in_frames = len(set(rates)) == 1 and not any(offsets)
-        shown = [f"{one:.0f}" for one in lengths] if is_in_frames else [f"{one:.2f}" for one in whole]
+        shown = [f"{length:.0f}" for length in lengths] if is_in_frames else [f"{height_m:.2f}" for height_m in whole]
         names = " and ".join(f"{p.parameters.source_name} {n}" for p, n in zip(people, shown, strict=True))
         raise InputError(
             f"its files have unequal lengths ({names} {'frames' if is_in_frames else 'seconds'}); set "

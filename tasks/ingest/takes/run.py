@@ -91,7 +91,10 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
         motions,
         layouts,
         [person.up_axis for person in parameters.persons],
-        [digests.count(one.motion_sha256) == 1 and one.format not in _HAS_POSITIONS_ONLY for one in parameters.persons],
+        [
+            digests.count(person.motion_sha256) == 1 and person.format not in _HAS_POSITIONS_ONLY
+            for person in parameters.persons
+        ],
     )
     people, is_mirrored = [], []
     for person, motion, layout, axis in zip(parameters.persons, motions, layouts, axes, strict=True):
@@ -122,7 +125,7 @@ def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[
     first = take.persons[0]
     known = (contact.within(first.first_frame, first.first_frame + first.num_frames) for contact in read_contacts(data))
     stated = []
-    for contact in (one for one in known if one is not None):
+    for contact in filter(None, known):
         # The last frame at the study's rate may come before the end of the last frame that is taken.
         start, stop = (
             int(np.clip(np.ceil((frame / first.rate_hz - first.start_s) * take.rate_hz - 1e-6), 0, num_frames))
@@ -306,7 +309,7 @@ def _takes(
     parameters: DuetParameters | TakeParameters, people: list[_Person], poses: list[WorkingPoses]
 ) -> dict[str, Any]:
     count = len(people)
-    maps = [body_map(one.layout, one.motion.skeleton, one.motion.rest_offsets_m) for one in people]
+    maps = [body_map(person.layout, person.motion.skeleton, person.motion.rest_offsets_m) for person in people]
     return {
         "take_id": [parameters.take_id] * count,
         "person": list(range(count)),
@@ -325,8 +328,8 @@ def _takes(
         "joint_names": [list(person.motion.skeleton.joint_names) for person in people],
         "joint_parents": [np.array(person.motion.skeleton.parents, dtype=np.int32) for person in people],
         "rest_offset_m": [person.motion.rest_offsets_m.reshape(-1) for person in people],
-        "body22_weight": [one.weight.reshape(-1) for one in maps],
-        "body22_offset_m": [one.offset_m.reshape(-1) for one in maps],
+        "body22_weight": [joint_map.weight.reshape(-1) for joint_map in maps],
+        "body22_offset_m": [joint_map.offset_m.reshape(-1) for joint_map in maps],
         "body22_rest_m": np.stack([pose.body22_rest_m for pose in poses]),
     }
 

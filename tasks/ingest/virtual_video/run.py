@@ -225,8 +225,8 @@ def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray)
     columns = {
         "number": number,
         "take_frame": number,
-        "person_id": np.array([renamed[one] for one in resolved.rows.person_id.tolist()]),
-        "partner_id": [renamed.get(one) for one in resolved.partner_id.tolist()],
+        "person_id": np.array([renamed[person_id] for person_id in resolved.rows.person_id.tolist()]),
+        "partner_id": [renamed.get(partner) for partner in resolved.partner_id.tolist()],
         "source_person_id": [None] * len(number),
         "is_key": np.ones(len(number), dtype=bool),
         "seen": Annotated(resolved.rows.keypoints_px, resolved.rows.confidence),

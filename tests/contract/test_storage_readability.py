@@ -68,12 +68,6 @@ def test_pyarrow_reads_every_table_with_its_metadata(files: dict[str, Path], nam
             assert len(json.loads(metadata[b"joint_names"])) == column.shape[column.axes.index("joint")]
 
 
-@pytest.mark.parametrize("name", TABLES)
-def test_pandas_reads_every_table(files: dict[str, Path], name: str) -> None:
-    found = pd.read_parquet(files[name])
-    assert_rows(TABLES[name], {str(column): [_none_where_missing(row) for row in found[column]] for column in found})
-
-
 def _none_where_missing(value: object) -> object:
     return None if pd.api.types.is_scalar(value) and pd.isna(value) else value
 

@@ -13,12 +13,8 @@ import pytest
 
 from flows.planning import make_plan, stage_inputs
 from flows.study import load_study
-from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.kinematics import Motion
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.skeletons import BODY22, Skeleton
-from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
-from storage_schema import TABLES, Store, open_table, read_latest, source_credits
+from pasdedeux.skeletons import BODY22
+from storage_schema import TABLES, Store, open_table, read_latest
 from tests.builders.pages import Page
 from tests.builders.real_study import BuiltStudy, RealRun, build_here, call_in_process, graph
 
@@ -190,44 +186,6 @@ def test_status_and_verify_find_everything_in_place(small: BuiltStudy, capsys: p
     assert verified.json["num_artifacts"] == len(list(Store(small.store).artifacts()))
 
 
-def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
-    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    export(small, capsys, "variants:small/waltz", "bvh", tmp_path / "variants")
-    variants = open_table("variants:small/waltz", small.store)
-    names = sorted(set(variants["variant_id"]))
-    assert len(names) == 4
-    for name in names:
-        for person, letter in enumerate("AB"):
-            source = read_bvh((tmp_path / "variants" / f"waltz_{name}_{letter}.bvh").read_bytes())
-            assert source.rate_hz == RATE_HZ
-            found = joints_of(source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ), BODY22)
-            expected = variants["body22_m"][(variants["variant_id"] == name) & (variants["person"] == person)]
-            away_m = np.linalg.norm(found - expected, axis=-1)
-            # A variant's trunk is more supple than a skeleton, whose hips and spine turn together.
-            assert away_m[:, EXTREMITIES].max() < 0.01
-            assert np.percentile(away_m, 95) < 0.015
-
-    export(small, capsys, "motions:small", "bvh", tmp_path / "motions")
-    motions = open_table("motions:small", small.store)
-    methods = list(dict.fromkeys(motions["method"]))
-    (artifact,) = Store(small.store).artifacts("reconstruction")
-    camera = DatabaseCamera(np.deg2rad(artifact.facts["pitch_deg"]))
-    for person in (0, 1):
-        for method in methods:
-            source = read_bvh((tmp_path / "motions" / f"hug.video00_{method}_{'AB'[person]}.bvh").read_bytes())
-            assert source.rate_hz == RATE_HZ
-            rows = (motions["person_id"] == person) & (motions["method"] == method)
-            assert source.num_frames == int(rows.sum()) == 18
-            motion = source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ)
-            positions, _ = motion.world()
-            names = [HUMANOID_NAMES[joint] for joint in BODY22.joint_names]
-            found = positions[:, [motion.skeleton.index(name) for name in names]]
-            upright = motions["body22_m"][rows] @ camera.camera_from_upright_rotmat
-            # Everybody is put on one floor, so the place of the two is compared about the pelvis.
-            np.testing.assert_allclose(found - found[:, :1], upright - upright[:, :1], atol=2e-4)
-
-
 @pytest.mark.parametrize(
     ("reference", "names"),
     [
@@ -258,45 +216,11 @@ def test_what_goes_out_as_bvh_can_come_in_again(
     assert np.percentile(off_m, 95) < 0.015
 
 
-def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:
-    """Return the world positions (frame, joint, 3) of a motion in the order of a working skeleton."""
-    positions, _ = motion.world()
-    return np.asarray(positions[:, [motion.skeleton.index(name) for name in skeleton.joint_names]])
-
-
 def export(small: BuiltStudy, capsys: pytest.CaptureFixture[str], reference: str, file_format: str, out: Path) -> None:
     found = call_in_process(capsys, "export", reference, "--format", file_format, "--out", out, "--store", small.store)
     assert found.code == 0, found.err
     assert all(Path(line.removeprefix("look at it: ")).is_file() for line in found.out.splitlines())
     assert "Apache-2.0" in (out / "CREDITS.txt").read_text(encoding="utf-8")
-
-
-def test_a_dataset_is_made_named_and_read(
-    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store = small.copy_store(tmp_path)
-    arguments = ("dataset", "create", "duets", "--study", "small", "--store", store)
-    made = call_in_process(capsys, *arguments, "--json")
-    assert made.code == 0, made.err
-    assert (made.json["name"], made.json["version"]) == ("duets", "1")
-    assert made.json["num_artifacts"] == len(list(Store(store).artifacts()))
-    assert (Path(made.json["folder"]) / "card.md").is_file()
-    assert "exists already" in call_in_process(capsys, *arguments).out
-    again, first = (open_table(name, store) for name in ("draws:duets@1", "draws:small"))
-    np.testing.assert_array_equal(again["pair17_m"], first["pair17_m"])
-    assert call_in_process(capsys, "verify", "--store", store).code == 0
-
-
-def test_a_plan_says_that_everything_is_fresh_and_all_credits_are_found(
-    small: BuiltStudy, capsys: pytest.CaptureFixture[str]
-) -> None:
-    planned = call_in_process(capsys, "plan", small.study, "--store", small.store, "--json").json
-    assert {stage["stage"]: stage["state"] for stage in planned["stages"]} == dict.fromkeys(
-        STAGES | {"generation"}, "fresh"
-    )
-    store = Store(small.store)
-    found = source_credits(store, *(manifest.ref for manifest in store.artifacts()))
-    assert {credit.name for credit in found} == {"pasdedeux built-in duets"}
 
 
 MODULES = """

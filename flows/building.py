@@ -1,4 +1,4 @@
-"""The driver of a run: plans a stage when what it reads is committed, submits its shards, and records it when complete.
+"""The driver of a run: plans a stage once its inputs are committed, submits its shards, and records it when complete.
 
 A stage is a task, from its first shard to its record. The task only shows progress; the driver does the work.
 """
@@ -82,7 +82,7 @@ class _StageWork:
 
     @property
     def is_waiting(self) -> bool:
-        """Return whether it waits for what it reads."""
+        """Return whether it waits for its inputs."""
         return self.made is None and self.refusal is None and not (self.is_planned or self.is_skipped)
 
 
@@ -114,7 +114,7 @@ class Build:
 
     @property
     def outcomes(self) -> tuple[StageOutcome, ...]:
-        """Return what was done for the stages that are whole, in the order of the graph."""
+        """Return the outcomes of complete stages, in the order of the graph."""
         return tuple(work.outcome for work in self._work.values() if work.outcome is not None)
 
     def bring_up_to_date(self, is_interrupted: Callable[[], bool]) -> None:

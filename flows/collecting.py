@@ -42,7 +42,7 @@ class Collection:
 
 
 def find_garbage(store: Store, since: datetime) -> Collection:
-    """Return what is needed in a store, and what is not.
+    """Return the needed and the removable artifacts of a store.
 
     Needed is what datasets name, what is on record of each study, what the last finished run of each of its stages
     made, what runs begun at or after a time made or found there, whatever was made since, and all these came from.

@@ -79,7 +79,7 @@ def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
 
 
 def begin(run: Run, plan: Plan) -> RunFolder:
-    """Make the folder of a new run and write down what is about to be done."""
+    """Make the folder of a new run and record the plan."""
     folder = new_run(run.store, run.study.name)
     begin_record(folder, run.study.name, run.study.resolved(), plan.to_json())
     return folder

@@ -1,4 +1,4 @@
-"""What a run is to build, and what it did."""
+"""The request of a run, and its outcome."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class StageOutcome:
 
     @classmethod
     def of(cls, plan: StagePlan, found: Sequence[Manifest], seconds: float) -> StageOutcome:
-        """Return what was done for a stage by this plan, which led to these artifacts."""
+        """Return the outcome of a stage, for its plan and the artifacts that it led to."""
         return cls(
             name=plan.stage.name,
             num_shards=len(plan.shards),
@@ -78,7 +78,7 @@ class Outcome:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Return what is missing for the stages that were asked for and made nothing, a sentence each."""
+        """Return the missing inputs of requested stages that made nothing, a sentence each."""
         return tuple(stage.missing for stage in self.stages if stage.missing)
 
     @property

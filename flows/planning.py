@@ -66,7 +66,7 @@ class StageSelection:
 
     @property
     def targets(self) -> frozenset[str]:
-        """Return the stages that are named as what is wanted."""
+        """Return the requested stages."""
         return frozenset([*self.only, *self.force, *filter(None, (self.start, self.until))])
 
     def stages(self, graph: Graph) -> frozenset[str]:
@@ -114,7 +114,7 @@ class StagePlan:
 
     @property
     def is_pending(self) -> bool:
-        """Return whether the stage cannot be planned before what it reads is there."""
+        """Return whether the stage must wait for its inputs to be planned."""
         return bool(self.pending_on)
 
     @property
@@ -124,7 +124,7 @@ class StagePlan:
 
     @property
     def pending_reason(self) -> str:
-        """Return what the stage waits for, in words."""
+        """Return the reason for waiting, in words."""
         when = "rebuilt only if its bytes change" if self.last_partitions else "never built"
         return f"depends on {', '.join(self.pending_on)}; {when}"
 
@@ -137,7 +137,7 @@ class StagePlan:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Return what the stage's finished shards think of their results, as one verdict."""
+        """Merge the verdicts of the stage's finished shards."""
         return stage_verdict(self.manifests)
 
     @property
@@ -206,7 +206,7 @@ class Plan:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Return what is missing for the stages that are asked for and made nothing, a sentence each."""
+        """Return the missing inputs of requested stages that made nothing, a sentence each."""
         return tuple(text for stage in self.stages if (text := what_is_missing(stage, stage.manifests)))
 
     @property
@@ -226,7 +226,7 @@ class Plan:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return what a user should know of the shards before they run, a sentence each."""
+        """Return the notes of the shards for the user, a sentence each."""
         shards = (item.shard for stage in self.stages for item in stage.shards)
         return tuple(dict.fromkeys(f"{shard.partition}: {note}" for shard in shards for note in shard.notes))
 

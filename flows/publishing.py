@@ -54,7 +54,7 @@ class Published:
 
 
 def publish(run: Run, outcome: Outcome) -> Published | None:
-    """Publish what a run made or found fresh, as its study says; None where the study does not ask for it.
+    """Publish the products of a run, fresh ones included, as its study says; None where the study does not ask for it.
 
     The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
     study, the environment and the card.  A run of a part of a study, one
@@ -114,7 +114,7 @@ def refuse_unpublished(published: Published | None) -> None:
 
 
 def refuse_bad_verdicts(run: Run, outcome: Outcome, worst: Level) -> None:
-    """Fail where a verdict on what a run made or found fresh is at least so bad.
+    """Fail if a verdict on a product of a run, fresh ones included, is at least so bad.
 
     Raises:
         VerdictError: Says which, with the figure.

@@ -64,7 +64,7 @@ class Recorded:
 
 
 def read_recorded(store: Store, name: str) -> Recorded:
-    """Return what is on record of a run by its id, or of a dataset by `name@version`.
+    """Return the record of a run by its id, or of a dataset by `name@version`.
 
     Raises:
         PlanError: There is no such run, it did not finish, or the study of the dataset is not on record.

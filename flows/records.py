@@ -1,4 +1,4 @@
-"""What is recorded of a run beside its artifacts: the settings, the plan, the machine, how it ended, the report."""
+"""Records of a run beside its artifacts: the settings, the plan, the machine, how it ended, the report."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
 
 
 def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: Sequence[Manifest]) -> None:
-    """Record what a stage consists of now, if that is not on record already."""
+    """Record the current artifacts of a stage, unless they are on record already."""
     last = read_last_run(store, study)
     if last is None or stage not in last.stages or not is_on_record(last, stage, manifests):
         record_latest(store, study, run_id, {stage: [ShardRecord.of(manifest, store) for manifest in manifests]})

@@ -12,11 +12,11 @@ class PasdedeuxError(Exception):
 
 
 class InputError(PasdedeuxError):
-    """Values given by a user are not allowed: says what was found and what is allowed."""
+    """A user's value is not allowed: the message names the value and the allowed ones."""
 
 
 class FormatError(InputError):
-    """A file's content is not what it claims to be: says which line or frame, what is wrong, what is allowed."""
+    """A file breaks its format: the message names the line or frame, the fault, and the allowed form."""
 
 
 class NobodyError(InputError):
@@ -30,7 +30,7 @@ def check_positive(value: float, what: str) -> None:
 
 
 def check_whole(value: object, what: str, *, minimum: int) -> None:
-    """Refuse what is no whole number, or a smaller one than the minimum."""
+    """Refuse a value that is no whole number or below the minimum."""
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or value < minimum:  # type: ignore[operator]
         raise InputError(f"{what} is {value!r}; it must be a whole number, {minimum} or more")

@@ -32,7 +32,7 @@ _SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
 
 @dataclass(frozen=True)
 class Figure:
-    """What a figure is.
+    """Declaration of a figure.
 
     Args:
         name: Name of its field, its column and its limits.

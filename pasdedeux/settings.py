@@ -22,7 +22,7 @@ class Settings(BaseModel):
 
 
 def first_problem(error: ValidationError) -> str:
-    """Return the first thing that a validation error says: where in the values, and what is wrong."""
+    """Return the first fault of a validation error: its place in the values, and the message."""
     first = error.errors()[0]
     place, message = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
     return f"{place}: {message}" if place else message

@@ -25,7 +25,7 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class Paired:
-    """What a method and its baselines came to on the same items, as sums over blocks of 1 s of a take.
+    """Errors of a method and its baselines on the same items, as sums over blocks of 1 s of a take.
 
     Args:
         method: The method.
@@ -58,7 +58,7 @@ class Paired:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is thought of a result.
+    """A verdict on a result.
 
     Args:
         level: pass, not judged, warn or fail.

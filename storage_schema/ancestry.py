@@ -88,7 +88,7 @@ def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str,
 
 
 def held_out(store: Store, refs: Iterable[ArtifactRef]) -> set[Identity]:
-    """Return the artifacts that are held out, or that were computed from one that is: what nothing may learn from.
+    """Return held-out artifacts and everything computed from them: nothing may learn from these.
 
     A missing ancestor is taken for one that is not held out.
     """

@@ -47,7 +47,7 @@ def value_type(column: Column) -> pa.DataType:
 
 @cache
 def arrow_schema(table: Table) -> pa.Schema:
-    """Return the Arrow schema of a table: what every file of it is written with and read with.
+    """Return the Arrow schema of a table, for writing and reading its files.
 
     Field metadata: `meaning`, `unit`, and for arrays `shape` and `axes` (JSON lists), `joints` (name of the skeleton)
     and `joint_names` (JSON list).  Schema metadata: `table`, `meaning`, `sorted_by` (JSON list) and `schema_version`.

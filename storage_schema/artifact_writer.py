@@ -49,7 +49,7 @@ class ArtifactFields(TypedDict):
 
 
 class ArtifactWriter:
-    """What `Store.writer` gives: append rows, attach files, note facts; `ref` is there once the block has ended.
+    """Writer of an artifact (`Store.writer`): append rows, attach files, note facts; `ref` is set when the block ends.
 
     Args:
         folder: Empty folder that the files grow in.

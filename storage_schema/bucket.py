@@ -158,7 +158,7 @@ class RemoteStore:
             self._asked("remove files", partial(self._store.delete, waiting[first : first + _DELETED_AT_ONCE]))
 
     def entries(self, folder: str) -> list[ObjectMeta]:
-        """Return what is in a folder and below: path, size, tag, time of the last change."""
+        """List a folder and its subfolders: path, size, tag, time of the last change."""
         return self._asked(
             f"list {folder}", lambda: [entry for part in self._store.list(f"{folder}/") for entry in part]
         )

@@ -377,7 +377,7 @@ class BucketStore(Store):
         return None
 
     def _forget(self, path: Path) -> None:
-        """Drop what is here of something that the bucket has not."""
+        """Drop local files that the bucket lacks."""
         if path.name == MANIFEST_NAME:
             with closing(StagingFolder(self.staging_root)) as staging:
                 path.parent.rename(staging.path / path.parent.name)
@@ -431,7 +431,7 @@ def _mark(entry: ObjectMeta) -> int:
 
 
 def _is_same(path: Path, entry: ObjectMeta) -> bool:
-    """Tell whether a file here is what the bucket lists."""
+    """Return whether a local file matches the bucket's listing."""
     mtime_ns, size = _state(path)
     if size != entry["size"]:
         return False

@@ -1,4 +1,4 @@
-"""What two artifacts of the same work differ by, column by column, and how much of it is rounding.
+"""Differences of two artifacts of the same work, column by column, and how much of them is rounding.
 
 On one platform the same work gives the same bytes.  Another processor or version of a library rounds otherwise; what it
 gives is called the same where no value differs by more than its column's tolerance.
@@ -70,7 +70,7 @@ class Difference:
 
     @property
     def excess(self) -> float:
-        """Return the difference over what is allowed; infinite where nothing is."""
+        """Return the difference over the tolerance; infinite where the tolerance is zero."""
         return self.largest / max(self.allowed, _TINY)
 
     def __str__(self) -> str:

@@ -50,7 +50,7 @@ class OlderSchema(MissingArtifact):
 
 
 class NotAStore(_InputError):
-    """What should be the folder of a store is something else."""
+    """The path is not the folder of a store."""
 
 
 class FullDisk(StorageError):

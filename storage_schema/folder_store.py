@@ -30,11 +30,11 @@ class FolderStore(Store):
         self._set_up(root, str(root))
 
     def refresh(self) -> None:
-        """Do nothing: what is read is what there is."""
+        """Do nothing: reads always see the current files."""
 
     @contextmanager
     def in_use(self, *, alone: bool = False) -> Iterator[None]:
-        """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
+        """Protect the store from garbage collection in this block; `alone`: nobody else may plan or build meanwhile.
 
         Who uses a store waits until the one who has it alone is done; who wants it alone does not wait.  A store that
         is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.

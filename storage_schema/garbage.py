@@ -1,4 +1,4 @@
-"""What of a store is needed no more, and how it goes: nothing that is kept was ever computed from what is removed."""
+"""Garbage collection: no artifact that is kept was computed from one that is removed."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class Stored:
 
 @dataclass(frozen=True)
 class Sweep:
-    """The artifacts of a store that stay, and those that go, each of these before what it was computed from."""
+    """The kept and the removable artifacts of a store, each of the latter before its inputs."""
 
     kept: tuple[Stored, ...]
     going: tuple[Stored, ...]
 
 
 def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> Sweep:
-    """Tell what is needed: these artifacts, those made at or after a time, and everything either was computed from.
+    """Select needed artifacts: these, those made at or after a time, and all ancestors of either.
 
     Raises:
         NewerSchema: The store was written by a newer program.
@@ -76,7 +76,7 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
 
 
 def remove_unneeded(store: Store, sweep: Sweep) -> None:
-    """Remove what goes; killed at any moment this leaves a whole store, and the same call again finishes it."""
+    """Remove the garbage; after a kill at any moment the store is intact, and the same call finishes the work."""
     store.remove_folders(store.folder(*stored.place) for stored in sweep.going)
     store.clear_leftovers()
     store.sweep()

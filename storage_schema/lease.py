@@ -127,7 +127,7 @@ def each_beat(do: Callable[[], object], ended: threading.Event) -> None:
 
 
 def _parsed(lease: bytes) -> dict[str, Any]:
-    """Return what a lease says; one that cannot be read is somebody's, and old when it does not change."""
+    """Return the content of a lease; an unreadable one counts as held, and expires if it does not change."""
     found = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
     with suppress(ValueError, TypeError):
         found |= json.loads(lease)

@@ -55,7 +55,7 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
 
 
 def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
-    """Return what has this content in these runs, and is in the store."""
+    """Return the artifacts of these runs that have this content and are in the store."""
     found = (find_manifest(store, run[ref]) for run in runs if ref in run)
     return [manifest for manifest in found if manifest is not None]
 

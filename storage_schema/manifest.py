@@ -250,7 +250,7 @@ def _shared_ref(values: dict[str, Any]) -> ArtifactRef:
 
 
 def _parsed(values: dict[str, Any]) -> dict[str, Any]:
-    """Return what was read of a manifest with its parts as what they are."""
+    """Convert the JSON values of a manifest to their types."""
     versions = values["package_versions"]
     if "digest" not in values:  # written before manifests had it
         values |= {"reads": None, "after": (), "digest": ""}

@@ -52,7 +52,7 @@ class TableWriter:
             self._write(ROW_GROUP_ROWS)
 
     def finish(self) -> TableFile:
-        """Write what is waiting, bring the file to the disk and say what it holds."""
+        """Write pending rows, sync the file to the disk, and return its description."""
         if self._num_waiting:
             self._write(self._num_waiting)
         self._parquet.close()
@@ -60,7 +60,7 @@ class TableWriter:
         return TableFile(self._num_rows, self._file.num_bytes, self._file.sha256, schema_digest(self._table))
 
     def abandon(self) -> None:
-        """Close the file; what was written is of no use."""
+        """Close the file and discard it."""
         for part in (self._parquet, self._file):
             try:
                 part.close()

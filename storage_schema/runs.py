@@ -1,4 +1,4 @@
-"""What runs leave beside the artifacts: a folder per run, and for each study what its last run made.
+"""Records of runs: a folder per run, and for each study the artifacts of its last run.
 
 `runs/<run_id>/` holds what a person looks up later: resolved study, plan, environment, report.
 `runs/latest/<study>.json` says for each stage which shards it consisted of, from which parameters and inputs: enough to
@@ -75,7 +75,7 @@ class ShardRecord:
 
 @dataclass(frozen=True)
 class LatestRun:
-    """What the last run of a study made: for each stage its shards, in the order of the plan."""
+    """The last run of a study: for each stage its shards, in the order of the plan."""
 
     study: str
     run_id: str
@@ -147,7 +147,7 @@ def latest_studies(store: Store) -> list[str]:
 
 
 def read_latest(store: Store, study: str) -> LatestRun | None:
-    """Return what the last run of a study made, None when it has not run in this store.
+    """Return the last run of a study, None if it has not run in this store.
 
     Raises:
         CorruptArtifact: The record cannot be read.
@@ -172,7 +172,7 @@ def read_latest(store: Store, study: str) -> LatestRun | None:
 
 
 def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Sequence[ShardRecord]]) -> LatestRun:
-    """Record what a run made of these stages; what is recorded of other stages stays.
+    """Record the artifacts of these stages in a run; records of other stages stay.
 
     A reader sees the old record or the new one, nothing between, and runs that record at the same time wait in line.
     """
@@ -190,7 +190,7 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
 
 
 def in_use(store: Store, *, alone: bool = False) -> AbstractContextManager[None]:
-    """Keep what is in the store from being removed in a block (`Store.in_use`)."""
+    """Protect the store from garbage collection in a block (`Store.in_use`)."""
     return store.in_use(alone=alone)
 
 

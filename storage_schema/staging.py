@@ -54,7 +54,7 @@ class StagingFolder:
         self.path.rename(target)
 
     def close(self) -> None:
-        """Remove what is left of the folder and give up its lock."""
+        """Remove the rest of the folder and release its lock."""
         _clear(self.path)
         self._lock_path.unlink(missing_ok=True)
         os.close(self.lock)

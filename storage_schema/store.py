@@ -91,11 +91,11 @@ class Store:
     # What each kind of store does in its own way
 
     def refresh(self) -> None:
-        """Look at what the store holds now; RemoteError where it does not answer."""
+        """Refresh the view of the store; RemoteError if it does not answer."""
         raise NotImplementedError
 
     def in_use(self, *, alone: bool = False) -> AbstractContextManager[None]:
-        """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
+        """Protect the store from garbage collection in this block; `alone`: nobody else may plan or build meanwhile.
 
         Raises:
             StorageError: Somebody uses the store that is wanted alone.
@@ -151,7 +151,7 @@ class Store:
         raise NotImplementedError
 
     def sweep(self) -> None:
-        """Remove what belongs to nothing that can be found."""
+        """Remove files that belong to no artifact."""
         raise NotImplementedError
 
     # Finding and reading
@@ -391,7 +391,7 @@ class Store:
             self.remove_folders([self.folder(ref.stage, ref.key)])
 
     def drop_damaged(self, manifest: Manifest) -> bool:
-        """Remove an artifact where files of it are not what it says, so that the next run computes it again.
+        """Remove an artifact whose files do not match its manifest, so that the next run computes it again.
 
         For who builds; tells whether anything was removed.  A damaged copy of a whole file goes alone.
         """
@@ -403,7 +403,7 @@ class Store:
         return is_damaged
 
     def clear_leftovers(self) -> None:
-        """Remove what dead processes left half written; a process that is slow to die is left for the next time."""
+        """Remove half-written files of dead processes; those of a dying process are left for the next time."""
         clean_leftovers(self.staging_root)
 
     def stays(self, found: Manifest, new: Manifest, *, replaces: bool, are_files_new: bool = False) -> bool:

@@ -18,7 +18,7 @@ from storage_schema.store import Store
 
 
 class ProblemKind(Enum):
-    """What can be wrong with a file of an artifact."""
+    """Faults of a file of an artifact."""
 
     MISSING = "missing"
     CHANGED = "changed"
@@ -43,7 +43,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Verification:
-    """What was checked, and what is wrong."""
+    """Result of a verification."""
 
     num_artifacts: int
     num_files: int
@@ -58,7 +58,7 @@ class Verification:
 
 
 def verify(store: Store) -> Verification:
-    """Digest the files of a whole store again, look for what its datasets name, and read the records of its runs.
+    """Verify a store: digest its files again, find the artifacts of its datasets, and read the records of its runs.
 
     Raises:
         NewerSchema: The store was written by a newer program.

@@ -285,7 +285,7 @@ def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) ->
 
 
 def names_left_out(store: Store, reference: Reference, choices: Mapping[str, str]) -> Collection[str]:
-    """Return the names of what is rejected of what a reference names; a thing is looked at with all of its rows."""
+    """Return the names of rejected items of a reference; an item is judged with all of its rows."""
     whole = replace(reference, row=None)
     rows = iter_rows(whole, store, columns=content_columns(whole.table))
     return rejected_names(rejections(choices, whole.table), rows)

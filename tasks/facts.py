@@ -1,6 +1,6 @@
 """The facts of artifacts: what each kind says of itself beside its tables, for planning and for people.
 
-A field that is not given is not written: a manifest holds what its stage gave, and nothing else.
+A field that is not given is not written: a manifest holds the facts that its stage gave, and no others.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Facts(Settings):
         return [cls.of(store.manifest(ref)) for ref in refs]
 
     def to_json(self) -> dict[str, Any]:
-        """Return what is given as JSON values."""
+        """Return the stated facts as JSON values."""
         kind = {"kind": self.kind} if self.kind else {}
         return kind | self.model_dump(mode="json", exclude_unset=True)
 

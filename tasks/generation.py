@@ -36,7 +36,7 @@ _PER_SHARD = 8
 
 
 class GenerationParameters(Parameters):
-    """What is sampled from which model."""
+    """Models to sample from, and how much."""
 
     model: str = Field(
         "", description="Trained model by the name it is kept under, or NAME@SPLIT; nothing is generated without one"

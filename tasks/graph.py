@@ -22,7 +22,7 @@ class GraphError(Exception):
 
 @dataclass(frozen=True)
 class Graph:
-    """Stages in an order in which each comes after every stage that writes what it reads.
+    """Stages in topological order: each comes after those that write its inputs.
 
     Raises:
         GraphError: Two stages have one name or write one table, a stage reads a table that a stage of the graph

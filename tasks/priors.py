@@ -95,7 +95,7 @@ def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, ori
 
 
 def default_origin(shown: Iterable[Manifest]) -> str:
-    """Return what the default basis is learned from: the built-in duets, where these artifacts show none of them.
+    """Return the origin of the default basis: the built-in duets, where these artifacts show none of them.
 
     On the duets themselves it comes from body proportions alone, so that nothing is evaluated on what it was learned
     from.

@@ -51,7 +51,7 @@ class SelectedPairs:
     radius_m: float
 
     def in_words(self) -> str:
-        """Say what was selected from what, and how many independent pairs there are."""
+        """Describe the selection, its sources, and the number of independent pairs."""
         return (
             f"{len(self.columns.get('rank', ())):,} pairs, at least {100 * self.radius_m:.0f} cm from each other, of "
             f"{self.num_draws:,} draws and {self.num_grown:,} grown and filled pairs, {self.num_plausible:,} of them "
@@ -169,7 +169,7 @@ def _origin_of(manifest: Manifest) -> str:
 def _origins(
     store: Store, chosen: Sequence[tuple[_PlausibleRows, np.int64]], chains: Mapping[tuple[Any, ...], _ChainWorth]
 ) -> dict[str, list[Any]]:
-    """Return what is known of the chosen rows of artifacts, as columns, reading each artifact once."""
+    """Return the origin of the chosen rows of artifacts, as columns, reading each artifact once."""
     found: dict[int, dict[str, Any]] = {}
     for part in {part.first: part for part, _ in chosen}.values():
         name, verdict = _table(part.manifest), verdict_of(part.manifest)

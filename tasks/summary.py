@@ -1,4 +1,4 @@
-"""What manifests say of a run: what was built, from what, and is it good."""
+"""What manifests say of a run: products, sources and verdicts."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def judge(manifests: Sequence[Manifest]) -> list[NamedVerdict]:
 
 
 def _verdicts(manifest: Manifest) -> dict[str, Verdict]:
-    """Return what a shard thinks of the parts of its result, by name; of the whole, without a name, where of none."""
+    """Return a shard's verdicts on the parts of its result, by name; of the whole, without a name, where of none."""
     whole = verdict_of(manifest)
     return verdicts_of_parts(manifest) or ({} if whole is None else {"": whole})
 

@@ -37,7 +37,7 @@ def takes_of(inputs: StageInputs, num_persons: int, *, or_more: bool = False) ->
 
 
 def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.ndarray]:
-    """Return columns of a take's poses as (frame, person, ...), float64, by what the rows say of frame and person.
+    """Return columns of a take's poses as (frame, person, ...), float64, arranged by frame and person.
 
     Raises:
         InputError: Somebody is missing in a frame, or is there twice.

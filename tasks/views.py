@@ -27,7 +27,7 @@ _MAX_NAMED = 20
 
 
 class ViewsParameters(ViewOptions, Parameters):
-    """What is assumed of cameras and people when views are estimated."""
+    """Assumptions about cameras and people for the estimation of views."""
 
 
 def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:

@@ -30,7 +30,7 @@ _UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(E
 
 GROUPS: dict[str, dict[str, str]] = {
     "Build": {
-        "run": "Build a study: compute what is missing or stale in the store.",
+        "run": "Build a study: compute missing and stale artifacts.",
         "plan": "List what a run would compute and why, by stage and partition; nothing is started.",
         "study": "List, show and write studies; explain their keys.",
         "rerun": "Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.",
@@ -38,9 +38,9 @@ GROUPS: dict[str, dict[str, str]] = {
         "deploy": "Deploy a study to a Prefect server, as a build that runs on a schedule or on request.",
     },
     "Look": {
-        "status": "Show what is in a store: the studies built in it, their verdicts, its runs and its size.",
+        "status": "Show the contents of a store: its studies, their verdicts, its runs and its size.",
         "view": "Look at takes, draws, pairs, reconstructions and variants in a browser.",
-        "show": "Print the columns, first rows and lineage of what a reference names.",
+        "show": "Print the columns, first rows and lineage of a reference.",
         "diff": "Compare two finished runs or two versions of datasets; only differences are shown, scores last.",
     },
     "Your own files": {
@@ -53,12 +53,12 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Datasets": {
         "curate": "Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion.",
-        "export": "Export what a reference names to files, with units, licence and credits.",
-        "dataset": "Named, immutable versions of what was built.",
+        "export": "Export the rows of a reference to files, with units, licence and credits.",
+        "dataset": "Name built artifacts as immutable versions, and move them.",
     },
     "Operate": {
         "verify": "Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong.",
-        "gc": "Delete what nothing needs from a store; without --yes only list it.",
+        "gc": "Delete unneeded artifacts of a store; without --yes only list them.",
         "doctor": "Check the installation; exit code 1 if something is missing.",
         "bench": "Measure kernels or whole commands, each relative to a plain form; needs a checkout.",
     },

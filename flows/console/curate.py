@@ -1,4 +1,4 @@
-"""`curate`: accept or reject what a reference names, in the file of choices that a study and `view` share."""
+"""`curate`: accept or reject the items of a reference, in the file of choices that a study and `view` share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`dataset`: names for what was built that never change their meaning, and moving what they name."""
+"""`dataset`: immutable names for built artifacts, and their transfer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ from storage_schema.datasets import dataset_labels, open_dataset
 from storage_schema.remote import pull_dataset, push_dataset
 from storage_schema.runs import STUDY_FILE
 
-_group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
+_group = typer.Typer(
+    help="Name built artifacts as immutable versions, and move them.", no_args_is_help=True, rich_markup_mode=None
+)
 app.add_typer(_group, name="dataset")
 
 

@@ -184,7 +184,7 @@ def plan_lines(plan: Plan) -> list[str]:
 
 
 def outcome_lines(outcome: Outcome) -> list[str]:
-    """Return what a run did as a short table."""
+    """Return the outcome of a run as a short table."""
     rows = [
         (
             stage.name,
@@ -244,7 +244,7 @@ def left_text(progress: Progress) -> str:
 
 
 def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
-    """Return what a build would take as a short table, and what it rests on."""
+    """Return the cost of a build as a short table, with the measurements behind it."""
     gigabytes = "" if work.worker_bytes is None else f"{work.worker_bytes / GIB:.1f}"
     rows = [
         (

@@ -1,4 +1,4 @@
-"""`export`: what a reference names, as files of other formats."""
+"""`export`: the rows of a reference as files of other formats."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def export(
     curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:
-    """Export what a reference names to files, with units, licence and credits.
+    """Export the rows of a reference to files, with units, licence and credits.
 
     \b
       npz   numpy arrays, one file: every table

@@ -250,7 +250,7 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
 
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
-    """Say what is wrong with a file, nothing if it can be read."""
+    """Describe the fault of a file; empty if it can be read."""
     try:
         if skeleton is None:
             read_asf(data)

@@ -22,7 +22,7 @@ def gc(
     is_dry: Annotated[bool, Option("--dry-run/--yes", help="List what would be removed, or remove it.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete what nothing needs from a store; without --yes only list it.
+    """Delete unneeded artifacts of a store; without --yes only list them.
 
     \b
       pasdedeux gc --store /data/store               dry run, by stage

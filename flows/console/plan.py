@@ -1,4 +1,4 @@
-"""`plan`: what a build of a study would do, why, and how long it would take."""
+"""`plan`: the steps of a build, their reasons, and its duration."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def _retarget_take(
     units: Units,
     weights: Weights | None,
 ) -> None:
-    """Solve a take for bodies, or ask a trained model, write its files, and say what came of it.
+    """Solve a take for bodies, or ask a trained model; write its files and report the result.
 
     Raises:
         InputError: There are more bodies than people, a body cannot be anybody's, or the model is of pairs and the take

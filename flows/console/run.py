@@ -103,7 +103,7 @@ def run(
     fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Build a study: compute what is missing or stale in the store.
+    """Build a study: compute missing and stale artifacts.
 
     \b
     Examples:
@@ -152,7 +152,7 @@ def with_page(study: Study, graph: Graph, store: Store, selection: StageSelectio
 
 
 def build_and_report(run: Run, cluster: ClusterSettings, *, as_json: bool, fail_on: Level | None = None) -> None:
-    """Bring a study up to date, say what was done, and fail where nothing was made or a verdict is too bad."""
+    """Bring a study up to date, report the outcome, and fail if nothing was made or a verdict is too bad."""
     started = time.perf_counter()
     outcome, made = build(run, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
@@ -168,7 +168,7 @@ def build_and_report(run: Run, cluster: ClusterSettings, *, as_json: bool, fail_
 
 
 def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, published: Published | None) -> Iterator[str]:
-    """Return what a run did, what is there now, and where the report is."""
+    """Return the outcome of a run, the current products, and the place of the report."""
     yield from (*outcome_lines(outcome), *(f"warning: {words}" for words in made.warnings))
     if made.is_fresh:
         yield f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)"

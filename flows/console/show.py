@@ -1,4 +1,4 @@
-"""`show`: columns, rows and lineage of what a reference names."""
+"""`show`: columns, rows and lineage of a reference."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def show(
     has_files: Annotated[bool, Option("--files", help="Only the paths of the Parquet files, one a line.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the columns, first rows and lineage of what a reference names.
+    """Print the columns, first rows and lineage of a reference.
 
     \b
       pasdedeux show poses:duets                 every part of a table, as the last run of a study made it

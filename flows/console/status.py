@@ -1,4 +1,4 @@
-"""`status`: what lies in a store."""
+"""`status`: the contents of a store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tasks.summary import stage_verdict
 @app.command()
 @uncollected()
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Show what is in a store: the studies built in it, their verdicts, its runs and its size."""
+    """Show the contents of a store: its studies, their verdicts, its runs and its size."""
     opened = open_store(store)
     found = describe_store(opened)
     answer(found.described, _status_lines(opened, found), as_json=as_json)

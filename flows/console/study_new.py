@@ -87,7 +87,7 @@ class _Video:
 
 
 def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
-    """Write a commented study over files to a new file; gives what was found and what is doubted, a line each.
+    """Write a commented study over files to a new file; return findings and doubts, a line each.
 
     Motion files are the people of one take, person A first.  Without files, the study is of the built-in duets.
 
@@ -153,7 +153,7 @@ def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
 
 
 def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
-    """Return what somebody's motion is taken to be: as a study will, and by a draft where no known layout fits."""
+    """Return the assumptions about a person's motion: as a study will, and by a draft where no known layout fits."""
     taken, draft, layout = resolve_file(file, motion), None, ""
     if taken.layout is not None:
         layout = taken.layout.name
@@ -219,7 +219,7 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
 
 
 def _key(line: str) -> str:
-    """Return what a line says without its remark."""
+    """Return a line without its remark."""
     return line.removeprefix("# ").partition("#")[0].strip()
 
 
@@ -247,7 +247,7 @@ def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
 
 
 def _drafted(people: Sequence[_Person]) -> list[str]:
-    """Return the drafts as a table for the terminal, and what is missing."""
+    """Return the drafts as a table for the terminal, and the joints not found."""
     lines = []
     for path, _, draft in _drafts(people):
         rows = [
@@ -306,7 +306,7 @@ def _jump(people: Sequence[_Person]) -> list[str]:
 
 
 def _said(person: _Person) -> str:
-    """Say what a motion file holds."""
+    """Describe a motion file."""
     rate_hz = person.taken.rate_hz or usual_rate_hz(person.path.name)
     lasts = "" if rate_hz is None else f" ({person.num_frames / rate_hz:.1f} s at {rate_hz:g} Hz)"
     return f"{person.path.name}: {person.num_frames} frames{lasts}, about {person.taken.unit.height_m:.2f} m tall"

@@ -1,4 +1,4 @@
-"""`view`: look at what a store or motion files hold, in a browser."""
+"""`view`: show a store or motion files in a browser."""
 
 from __future__ import annotations
 

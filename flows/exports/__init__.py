@@ -73,7 +73,7 @@ def export_reference(
     curation: Path | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Write what a reference names into a folder, and return the files, the credits last.
+    """Write the rows of a reference into a folder, and return the files, the credits last.
 
     What somebody rejected is left out: as this file of choices says, else as the study or dataset does.  `options` are
     those that some formats heed, by their names in `Export`: verdict, footage, body_model.

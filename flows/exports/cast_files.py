@@ -26,7 +26,7 @@ class CastFiles:
         self._paths: list[Path] = []
 
     def is_apart(self, cast: Cast) -> bool:
-        """Return whether a cast is worse than what is asked for."""
+        """Return whether a cast is worse than the requested verdict."""
         return cast.level.rank > self._export.verdict.rank
 
     def path(self, cast: Cast, *more: str, suffix: str, said: str = "") -> Path:

@@ -1,4 +1,4 @@
-"""What a format is in which the store gives out what it holds."""
+"""The protocol of export formats."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Export:
 
     @cached_property
     def left_out(self) -> Collection[str]:
-        """The names of what is left out."""
+        """The names of excluded rows."""
         return names_left_out(self.store, self.reference, self.choices)
 
 
@@ -85,7 +85,7 @@ class ExportFormat:
     Args:
         write: Writes the files into a folder that is there, at paths of `FileNames`, and returns them.  Lengths, axes,
             rate and joint names are in the files or their format fixes them: nothing leaves without units.
-        can_write: Tells whether it can hold what a reference names.
+        can_write: Tells whether it can hold the rows of a reference.
         writes: What it can write, in words, after "allowed are".
         has_rest_pose: Whether it writes skeletons, so that their rest pose and units can be chosen.
         options: Further options of an export that it heeds: verdict, footage, body_model.

@@ -47,7 +47,7 @@ def stored_weights(store: Store, manifest: Manifest) -> Weights:
 
 
 def _read(store: Store, manifest: Manifest) -> list[Manifest]:
-    """Return what a model was trained on, as far as it is still in the store."""
+    """Return the training data of a model, as far as it is still in the store."""
     found = (store.find(ref.stage, ref.key) for ref in manifest.inputs)
     return [one for one in found if one is not None]
 

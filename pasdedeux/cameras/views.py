@@ -55,7 +55,7 @@ USUAL_DISTANCE_M = 4.0
 
 
 class ViewOptions(Settings):
-    """What is assumed of cameras and people when views are estimated.
+    """Assumptions about cameras and people for the estimation of views.
 
     The ratio of the two bodies' sizes is learned from that of their apparent sizes over all annotations, as far as
     neither person stays the nearer: many cameras determine it well, one camera badly unless the two pass round each

@@ -1,4 +1,4 @@
-"""What lifting by sampling is compared with: lifting + IK, and naive sampling round it (Yin et al. 2018, Fig. 10).
+"""Baselines of lifting by sampling: lifting + IK, and naive sampling round it (Yin et al. 2018, Fig. 10).
 
 Both know one image, joint limits and bodies that do not pass through each other; neither knows how people interact.
 """

@@ -49,7 +49,7 @@ def lifted_errors(lifted_m: Array, truth_m: Array) -> dict[str, Array]:
 def completion_errors(
     generator: np.random.Generator, truth_m: Array, draws_m: npt.NDArray[np.floating]
 ) -> dict[str, dict[str, Array]]:
-    """Hide limbs of one person of real pairs (n, 2, 17, 3), metres; return errors (n,) by what is hidden and method.
+    """Hide limbs of one person of real pairs (n, 2, 17, 3), metres; return errors (n,) by hidden limb and method.
 
     Hidden is an arm, a leg, or everything beyond shoulders and hips.
 

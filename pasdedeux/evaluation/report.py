@@ -51,7 +51,7 @@ class Report:
 
 
 def _coded(text: str) -> Markup:
-    """Return text with what stands between backticks as code."""
+    """Return text with parts in backticks as code."""
     parts = text.split("`")
     if len(parts) % 2 == 0:
         return Markup.escape(text)

@@ -35,7 +35,7 @@ def format_value(value: float, unit: str) -> str:
 
 
 def shown_as(unit: str) -> tuple[str, float]:
-    """Return the unit that figures of a unit are shown in, and what they are multiplied by."""
+    """Return the display unit of figures and its factor."""
     return _HUNDREDTHS.get(unit, (unit, 1.0))
 
 

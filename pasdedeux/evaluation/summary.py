@@ -1,4 +1,4 @@
-"""What was built, from what, and is it good: the top of the report, the dataset card and the console's last lines."""
+"""Summary of a run: products, sources and verdicts, for the report, the dataset card and the console."""
 
 from __future__ import annotations
 
@@ -121,12 +121,12 @@ class Summary:
 
     @property
     def built(self) -> str:
-        """What was built, in one line."""
+        """The products, in one line."""
         return ", ".join(map(str, self.made)) or "nothing"
 
     @property
     def origin(self) -> str:
-        """What it was built from, in one line."""
+        """The sources, in one line."""
         return (
             "; ".join(dict.fromkeys(f"{source.name} (licence: {source.licence})" for source in self.sources))
             or "no source"

@@ -24,7 +24,7 @@ _NOTHING = "nothing of it was held out"
 
 @dataclass(frozen=True)
 class Items:
-    """What methods came to on the same held-out items, one by one.
+    """Errors of methods on the same held-out items, one by one.
 
     Args:
         values: By method, the figure of each item (item,); NaN where it has none.
@@ -327,7 +327,7 @@ def _mean(values: Iterable[tuple[float, int]]) -> float:
 
 @dataclass(frozen=True)
 class NamedVerdict:
-    """What is thought of a stage's partition, or of a topic of the evaluation."""
+    """The verdict on a stage's partition, or on a topic of the evaluation."""
 
     stage: str
     partition: str

@@ -34,7 +34,7 @@ class AnnotatedShot:
 
 
 def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
-    """Return what key frames or a detector give, with people who have a number over time.
+    """Return the keypoints of key frames or of a detector, with people numbered over time.
 
     Detections are resolved and cleaned as ingest does it.  Key frames stay as they are: a person placed them.
 
@@ -63,7 +63,7 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
 def annotate_shot(
     given: AnnotatedFrames, images: Iterable[Image], first_frame: int, num_frames: int, *, is_key: bool
 ) -> AnnotatedShot:
-    """Fill in every frame of a shot from what is given of some.
+    """Fill in every frame of a shot from the given ones.
 
     Args:
         given: Rows of the shot, with identities and rate; what was filled in beside what is given is filled in anew.

@@ -187,7 +187,7 @@ class AnnotatedFrames:
         return np.asarray(self.confidence > 0 if self.status is None else self.status >= KeypointStatus.DETECTED)
 
     def given(self) -> AnnotatedFrames:
-        """Return the rows of which a person or a detector gave a keypoint, with what was filled in beside it."""
+        """Return the rows with a keypoint of a person or a detector, including their filled-in keypoints."""
         return self.rows(np.asarray(self.is_given.any(axis=1)))
 
     def start_of_each(self, num_frames: int) -> AnnotatedFrames:

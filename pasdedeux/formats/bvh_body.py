@@ -134,7 +134,7 @@ class BvhHierarchy:
         return turn_joints(np.deg2rad(values[:, columns]), [self.channels[joint] for joint in joints])
 
     def _fixed_offsets(self, values: Array, kept: list[int], skeleton: Skeleton) -> tuple[Array, list[str]]:
-        """Return the median offsets of the joints below the root (J, 3), and what is to be said of those that move."""
+        """Return the median offsets of the joints below the root (J, 3), and notes on those that move."""
         offsets, away = self.rest_offsets[kept].copy(), np.zeros((len(kept), len(values)))
         for at, source in enumerate(kept):
             if at != skeleton.root and any(letter in "xyz" for letter in self.channels[source]):
@@ -155,7 +155,7 @@ class BvhHierarchy:
         return offsets, [f"{most}{others}: fixed at the median"] * bool(num_moving)
 
     def _left_out(self, root: int, below: frozenset[int]) -> list[str]:
-        """Say what hangs beside the root on the nodes above it."""
+        """Name the branches beside the root on the nodes above it."""
         notes = []
         if self.num_people > 1:
             notes.append(f"the file holds {self.num_people} people, this is the one of '{self._name(root)}'")

@@ -99,7 +99,7 @@ class Arranged:
 
 @dataclass(frozen=True)
 class Footage:
-    """What is known of the images of a video; None where it is not."""
+    """Rate and size of the images of a video; None where unknown."""
 
     image_size_px: tuple[int, int] | None = None
     rate_hz: float | None = None

@@ -1,4 +1,4 @@
-"""What a format of files that come in is: how it is recognised, what it needs beside it, how it is read.
+"""The protocol of input formats: recognition, companion files, reading.
 
 A new format is one file with a `MotionFormat` or an `AnnotationFormat`, and one line in `registry.py`; the contract
 test in `tests/contract/test_input_formats.py` asks for a good file of it and does the rest.
@@ -25,7 +25,7 @@ LOOKED_AT_BYTES = 200_000
 
 
 class FileStart:
-    """What formats are recognised by: the beginning of a file, inspected once for all of them."""
+    """The beginning of a file, inspected once for all formats."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -83,7 +83,7 @@ class FileStart:
 
 @dataclass(frozen=True)
 class MotionHead:
-    """What is known of a motion file without converting its rotations.
+    """Head of a motion file, read without converting its rotations.
 
     Args:
         rest: Its skeleton with one frame of rest, and what it says of rate, unit and axis.

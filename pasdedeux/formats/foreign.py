@@ -1,4 +1,4 @@
-"""Files that are none of ours: recognised by how they begin, and refused with what to do instead."""
+"""Unsupported file kinds: recognised by their first bytes, and refused with advice."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
 
 
 def draft_motion(source: SourceMotion) -> Draft:
-    """Return what the joints of a motion seem to be, by names, tree and how they move; see `draft_mapping`."""
+    """Guess the joints of a motion from names, tree and movement; see `draft_mapping`."""
     return draft_mapping(source.skeleton, source.rest_offsets, _positions(source)[0])
 
 

@@ -54,7 +54,7 @@ def write_npz(one: HumanoidMotion) -> bytes:
 
 
 def units_text(one: HumanoidMotion, units: str) -> str:
-    """Return what someone who finds the files of a video has to know, as text to lie beside them."""
+    """Return a text to lie beside the files of a video: units, axes, joints."""
     return (
         f"BVH files are in {_SPELT[units]} and degrees, npz files in metres and unit quaternions (x, y, z, w).\n"
         f"Axes: {AXES}; the floor is at y = 0, z points to the camera of the video.\n"

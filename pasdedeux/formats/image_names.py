@@ -56,13 +56,13 @@ class _Name:
         return int(re.sub(r"\D", "", self.numbers[slot]))
 
     def video(self, counter: int) -> tuple[str, str, str]:
-        """Return folder and what stands in front of the counter and after it."""
+        """Return the folder, and the parts of the name before and after the counter."""
         words = [word for pair in zip(self.texts, (*self.numbers, ""), strict=True) for word in pair]
         return self.folder, "".join(words[: 2 * counter + 1]), "".join(words[2 * counter + 2 :])
 
 
 def number_in_name(name: str) -> tuple[str, int | None]:
-    """Return what stands in front of the frame's number in the name of a single file, and that number.
+    """Split the name of a single file into the part before the frame number, and that number.
 
     >>> number_in_name("cam1_000000000012_keypoints.json")
     ('cam1', 12)

@@ -98,7 +98,7 @@ def _opened(data: bytes, what: str) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_array(content: bytes, name: str) -> npt.NDArray[Any]:
-    """Return the array of one npy file after comparing what its header states with what is there."""
+    """Return the array of one npy file, after a check of its header against its size."""
     stream = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(stream)

@@ -176,7 +176,7 @@ def diagnose(
 def _judge(
     num_draws: int, acceptance: float, at_ceiling: float, travelled_m: float, ess: float, worst_rhat: float
 ) -> Verdict:
-    """Say what is thought of a chain; figures that could not be had count as not mixed."""
+    """Judge a chain; figures that are unknown count as not mixed."""
     level, reasons = Level.PASS, []
     if acceptance < MIN_ACCEPTANCE:
         level = Level.FAIL

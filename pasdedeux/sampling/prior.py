@@ -54,7 +54,7 @@ DEFAULT_PRIOR = PriorSettings()
 
 @dataclass(frozen=True)
 class PriorTerms:
-    """What the prior is made of.
+    """Settings of the prior.
 
     Args:
         log_prior: Log of eq. 2 up to a constant; -inf when the pair is impossible.

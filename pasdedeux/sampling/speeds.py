@@ -1,4 +1,4 @@
-"""How fast annotated pairs move: what widens the steps of the velocity-biased proposal (Yin et al. 2018, eq. 12).
+"""Speeds of annotated pairs, which widen the steps of the velocity-biased proposal (Yin et al. 2018, eq. 12).
 
 Every annotation has neighbours in its own sequence, seen by the same camera.  Their slope in time gives, per frame, how
 fast each bone turns in the image plane against the bone above it (the parameter is a rotation about the parent joint,

@@ -86,7 +86,7 @@ class Topic(Generic[D]):
     def shard(
         self, inputs: StageInputs, name: str, parameters: Parameters | None = None, /, **named: Sequence[Manifest]
     ) -> Shard:
-        """Return a shard of the topic that reads these artifacts, by what they are to it."""
+        """Return a shard of the topic that reads these artifacts, by their roles."""
         return EVALUATION.shard(inputs, self.name, name, parameters or Parameters(), named)
 
 

@@ -1,4 +1,4 @@
-"""Stage `ingest`: what comes in, as takes with poses, and as annotations with the cameras of virtual video."""
+"""Stage `ingest`: takes with poses, and annotations with the cameras of virtual video."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 
 
 def one_of(names: Iterable[str]) -> AfterValidator:
-    """Refuse what is none of the names of a registry, nor "auto"; the allowed ones are listed."""
+    """Refuse a name that is neither in a registry nor "auto"; the allowed ones are listed."""
     allowed = ("auto", *names)
 
     def check(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The `[ingest]` section of a study: what comes in, and what is known about it better than by its files."""
+"""The `[ingest]` section of a study: sources, and facts about them that their files lack."""
 
 from __future__ import annotations
 

@@ -289,7 +289,7 @@ def installed() -> dict[str, str]:
 
 
 def pinned_instructions() -> dict[str, str]:
-    """Return what the environment says of the instructions that compiled code may use."""
+    """Return the instructions that the environment allows compiled code to use."""
     return {name: os.environ[name] for name in _INSTRUCTIONS if name in os.environ}
 
 

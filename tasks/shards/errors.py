@@ -1,4 +1,4 @@
-"""What can go wrong with shards and workers."""
+"""Errors of shards and workers."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ _GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the schedu
 
 @dataclass(frozen=True)
 class WhereComputed:
-    """Where and when a shard was computed, and what it took there.
+    """Place, time and cost of a shard's computation.
 
     Args:
         process: Machine and number of the process.
@@ -61,7 +61,7 @@ class WhereComputed:
 
 
 class Result(NamedTuple):
-    """What a worker gives back of a shard: its artifact, the seconds it took, and where, unless it was there."""
+    """A worker's answer for a shard: its artifact, the seconds it took, and where, unless it was there."""
 
     ref: ArtifactRef
     seconds: float
@@ -195,7 +195,7 @@ class Pool:
         return False
 
     def give_up(self) -> None:
-        """Cancel what was submitted and has not ended."""
+        """Cancel submitted shards that have not ended."""
         if self._futures:
             self.client.cancel(list(self._futures.values()), force=True)
             self._futures.clear()

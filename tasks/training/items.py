@@ -19,7 +19,7 @@ from tasks.takes import TakeMotion, read_take, read_variants
 
 
 def interaction_of(take: Manifest) -> str:
-    """Return what a take is a performance of: the built-in duet that it was made from, or itself."""
+    """Return the interaction that a take performs: the built-in duet that it was made from, or itself."""
     return str(take.parameters.get("duet", {}).get("name", "") or TakeFacts.of(take).take_id)
 
 

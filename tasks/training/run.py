@@ -102,7 +102,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def read_arrays(store: Store, ref: ArtifactRef, table: str = "models") -> dict[str, np.ndarray]:
-    """Return the arrays of a stored model, or of what its training goes on from."""
+    """Return the arrays of a stored model, or of the segment that its training continues."""
     found = store.read(ref, table)
     return {
         str(name): np.asarray(found["values"][row], dtype=str(found["array_dtype"][row])).reshape(
@@ -125,7 +125,7 @@ def load_stored(store: Store, manifest: Manifest) -> VariantModel:
 
 
 def refuse_without_torch(who: str, instead: str) -> None:
-    """Refuse to compute without torch what was planned to need it; InputError with the setting that goes without."""
+    """Refuse to run a shard that needs torch without it; InputError with the setting that goes without."""
     if not has_torch():
         raise InputError(
             f"{who} needs torch, which is not installed where this ran: pip install 'pasdedeux[learning]', "

@@ -1,4 +1,4 @@
-"""What a detector of people is: networks in ONNX files that are told by their outputs, and an adapter for each kind."""
+"""The protocol of people detectors: networks in ONNX files, recognised by outputs, with an adapter for each kind."""
 
 from __future__ import annotations
 

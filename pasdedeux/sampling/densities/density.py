@@ -58,7 +58,7 @@ class Likelihood(ABC):
 
     @abstractmethod
     def plain(self, pair_m: Array) -> float:
-        """Return the same by its definition, slowly: what tests and benchmarks compare with."""
+        """Compute the same by definition, slowly, as a reference for tests and benchmarks."""
 
     def nearest(self, pair_m: Array) -> Nearest:
         """Return what is nearest to a pair (2, 17, 3), metres, under every view, also where it cannot matter."""

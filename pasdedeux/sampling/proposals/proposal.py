@@ -33,7 +33,7 @@ class Proposal(ABC):
 
 @dataclass(frozen=True)
 class ProposalInputs:
-    """What a proposal may be made from.
+    """Inputs of a proposal.
 
     Args:
         chart: Parameters round the seed.

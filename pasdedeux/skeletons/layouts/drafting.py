@@ -108,7 +108,7 @@ class Draft:
         return fit_parts(name, "a draft", parts, self.skeleton, self.rest_offsets)
 
     def toml(self, name: str) -> str:
-        """Return the draft as a mapping of a study, what is not sure with a remark."""
+        """Return the draft as a mapping of a study, with remarks on uncertain parts."""
         lines = [f"[ingest.mappings.{name}.parts]"]
         for part in self.parts:
             line = f"{part.part} = {json.dumps(part.joint, ensure_ascii=False)}"
@@ -119,7 +119,7 @@ class Draft:
 
 
 def draft_mapping(skeleton: Skeleton, rest_offsets: Array, positions: Array | None = None) -> Draft:
-    """Return what the joints of a file seem to be.
+    """Guess the joints of a file.
 
     Legs and arms are the two pairs of branches of like length; the legs are the longer.  Where names tell a part, they
     decide.  Sides are told by names, else by where toes point and knees bend.
@@ -170,7 +170,7 @@ _Pair = tuple[_Branch, _Branch]
 
 @dataclass(frozen=True)
 class _Drafting:
-    """A file's joints and poses, and what is found in them."""
+    """A file's joints and poses, and the parts found in them."""
 
     skeleton: Skeleton
     rest_offsets: Array
@@ -237,7 +237,7 @@ class _Drafting:
         return _WORDS.get(name) or next((_WORDS[end] for end in ends if end in _WORDS), set())
 
     def _part(self, part: str, joint: int, side_reason: str = "", is_side_sure: bool = True) -> DraftedPart:
-        """Return a part with what tells it."""
+        """Return a part with the reason for it."""
         is_named = part.removeprefix("left_").removeprefix("right_") in self._means(joint)
         reasons = [_BY_NAME if is_named else _BY_TREE, side_reason if side_reason != _BY_NAME or not is_named else ""]
         reason = ", its side ".join(filter(None, reasons))

@@ -16,7 +16,7 @@ _ALL = {*_TRUNK_JOINTS, "spine", "chest", "head", "nose", *(f"{side}_collar" for
 
 
 def _layout(name: str, told: Mapping[str, Any]) -> Layout:
-    """Return a layout of what its table tells."""
+    """Build a layout from its table."""
     limbs, trunk = zip(_LIMB_JOINTS, told["limbs"], strict=True), told["trunk"]
     per_side = dict(limbs) | ({"collar": told["collar"]} if "collar" in told else {})
     parts = {

@@ -32,7 +32,7 @@ _SAME_FRAME = 1e-3
 
 @dataclass(frozen=True)
 class Film:
-    """What a film is, after it was read once from beginning to end.
+    """Properties of a film, after one complete reading.
 
     Args:
         files: The film, or its images in order.

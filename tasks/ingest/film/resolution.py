@@ -330,7 +330,7 @@ def _shots_of(
 
 
 def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> AnnotatedFrames:
-    """Return what is given, after a check against the film."""
+    """Return the given keypoints, after a check against the film."""
     with named(given.name):
         parameters = shot.parameters
         files = shot.files[: parameters.num_given]

@@ -33,7 +33,7 @@ _BVH_LAYOUT = "cmu_daz"
 
 
 def known_source(file_name: str, layout: str, *, stated_hz: float | None, is_fetched: bool = False) -> KnownSource:
-    """Return what is known of a file of this name whose joints fit this layout and that states this rate.
+    """Return the known facts of a file of this name, layout and stated rate.
 
     An AMC file states no rate: it is known of one that `pasdedeux fetch` brought from CMU.  A name alone tells nothing.
     The BVH release of subjects 60 and 61 states a wrong rate, 120 Hz, and its unit differs between them.

@@ -230,7 +230,7 @@ def num_people_of(duet: str) -> int:
 
 
 class CaptureOptions(Parameters):
-    """What is asked of the capture of takes."""
+    """Requirements on the capture of takes."""
 
     limits: Annotated[dict[str, tuple[float, float]], AfterValidator(partial(complete_limits, JUDGED))] = Field(
         limits_of(JUDGED),

@@ -214,7 +214,7 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
 
 
 def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, contacts: LoadedFile | None) -> None:
-    """Refuse objects of other frames than person A's file, and contacts of what is not there."""
+    """Refuse objects of other frames than person A's file, and contacts of unknown people or objects."""
     name, num_frames, things = people[0].parameters.source_name, people[0].num_frames, None
     if objects is not None:
         file_name = Path(objects.file.path).name
@@ -284,5 +284,5 @@ def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: floa
 
 
 def _options(take: TakeOptions) -> list[PersonOptions]:
-    """Return what is said of each person's file alone."""
+    """Return the options of each person's file."""
     return [*take.persons, *(PersonOptions() for _ in take.files[len(take.persons) :])]

@@ -14,7 +14,7 @@ UNIFORM_PITCH_DEG = 1e9
 
 
 class VirtualCameras(Parameters):
-    """Where virtual cameras stand, and what they see."""
+    """Places and views of virtual cameras."""
 
     distance_m: float = Field(
         4.0,

@@ -145,7 +145,7 @@ def test_the_ratio_of_a_step_is_that_of_its_density_back_and_forth(learned: floa
     rng = np.random.default_rng(3)
     start, ratios = CHART.seed_parameters(), []
     here, log_scales = built.init(start), np.full(34, np.log(learned))
-    while len(ratios) < 5:
+    while len(ratios) < 30:
         proposed = built.propose(rng, ChainState(start, log_target(start, -np.inf), here, log_scales))
         if proposed.blocks is None or proposed.blocks.tolist() != [0] or proposed.correct is None:
             continue

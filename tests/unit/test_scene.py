@@ -17,14 +17,8 @@ from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.robust import Solution
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
-from pasdedeux.reconstruction.terms.contact import GapTerm, TouchTerm
 from pasdedeux.reconstruction.terms.floor import FloorTerm
-from pasdedeux.reconstruction.terms.image import ImageTerm
-from pasdedeux.reconstruction.terms.pairs import PairTerm
-from pasdedeux.reconstruction.terms.path import PathTerm, StanceTerm
-from pasdedeux.reconstruction.terms.pitch import PitchTerm
 from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople, SeenPerson
-from pasdedeux.reconstruction.terms.prior import PriorTerm
 from pasdedeux.reconstruction.terms.term import SceneTerm
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple
@@ -83,19 +77,6 @@ def place_error(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(between[0] - between[1], axis=-1)))
 
 
-TERMS = (
-    PitchTerm,
-    PriorTerm,
-    ImageTerm,
-    FloorTerm,
-    PathTerm,
-    StanceTerm,
-    GapTerm,
-    TouchTerm,
-    PairTerm,
-)
-
-
 @cache
 def terms_at(carried: tuple[int, int] | None) -> tuple[list[SceneTerm], SeenPeople, np.ndarray, float]:
     """Return the terms of a lift, its people, unknowns near the first guess, and the side of the floor."""
@@ -112,25 +93,17 @@ def terms_at(carried: tuple[int, int] | None) -> tuple[list[SceneTerm], SeenPeop
 
 
 @pytest.mark.parametrize("carried", [None, (0, 1)])
-@pytest.mark.parametrize("kind", TERMS)
-def test_the_jacobian_of_each_term_is_that_of_finite_differences(
-    kind: type[SceneTerm], carried: tuple[int, int] | None
-) -> None:
+def test_the_jacobian_of_each_term_is_that_of_finite_differences(carried: tuple[int, int] | None) -> None:
     terms, seen, x, side = terms_at(carried)
-    rng, own = np.random.default_rng(2), [term for term in terms if isinstance(term, kind)]
-    assert own
+    rng = np.random.default_rng(2)
     moved = 1e-6 * rng.normal(0.0, 1.0, (8, len(x)))
     moved[:, seen.starts[0] :] *= rng.random(len(x) - seen.starts[0]) < 0.1
-    for term in own:
+    for term in terms:
         jacobian = term.jacobian(PlacedPeople(seen, x, side))
         for step in moved:
             before, after = (term.residual(PlacedPeople(seen, x + sign * step, side)) for sign in (-1, 1))
             change = (jacobian.slopes * step[jacobian.columns]).sum(axis=1)
-            np.testing.assert_allclose(0.5e6 * (after - before), 1e6 * change, rtol=1e-4, atol=1e-3)
-
-
-def test_every_term_of_a_scene_has_its_jacobian_tested() -> None:
-    assert {type(term) for term in terms_at(None)[0]} == set(TERMS)
+            np.testing.assert_allclose(0.5e6 * (after - before), 1e6 * change, rtol=1e-4, atol=1e-3, err_msg=str(term))
 
 
 @pytest.mark.parametrize("name", ["lift", "hug", "waltz"])

@@ -27,7 +27,7 @@ from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, moment_in
 from flows.viewing.shown import ShownPane, part_label
-from flows.viewing.side import Pointer
+from flows.viewing.side import Pointer, SidePicture
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.shown_figures import figure_words
 from pasdedeux.skeletons import PAIR17
@@ -45,6 +45,16 @@ class Viewer:
         at: Reference of the first moment; the first item where none is given.
         choosing: The file of choices; `curation.txt` here where none is given.
     """
+
+    scene: Scene
+    shown: ShownPane
+    side: SidePicture
+    playing: PlayingPane
+    listing: Listing
+    curves: Curves
+    scales: Scales
+    choices: ChoicesPane
+    link: LinkPane
 
     def __init__(self, shelf: Shelf, *, port: int = 0, at: str | None = None, choosing: Choosing | None = None) -> None:
         self.shelf = shelf
@@ -143,7 +153,7 @@ class Viewer:
 
     def _show_scene(self, scene: Scene, row: int | None) -> None:
         with self.lock:
-            self.scene: Scene = scene
+            self.scene = scene
             self.side.flats = ()  # what it shows yet is of something else
             self.curation.begin()
             self.listing.mark(self.index)

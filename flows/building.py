@@ -263,10 +263,10 @@ class Build:
             return
         if not work.failed:
             run, stage = self._run, work.plan.stage
-            found = tuple(self._made[item.shard.key] for item in work.plan.shards)
-            record_stage(run.store, run.study.name, self._run_id, stage.name, found)
+            manifests = tuple(self._made[item.shard.key] for item in work.plan.shards)
+            record_stage(run.store, run.study.name, self._run_id, stage.name, manifests)
             seconds = time.perf_counter() - work.started
-            work.made, work.outcome = found, StageOutcome.of(work.plan, found, seconds)
+            work.made, work.outcome = manifests, StageOutcome.of(work.plan, manifests, seconds)
             run.listener.stage_finished(work.plan, seconds, work.outcome.verdict)
         work.ended.set()
 

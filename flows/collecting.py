@@ -90,10 +90,10 @@ def collect(store: Store, since: datetime) -> Collection:
                     f"run {run['run_id']} is in progress on {run['host']}, and nothing is removed beside it; let it "
                     "end, or stop it: it goes on later (if it died there, remove its folder in runs/)"
                 )
-        found = find_garbage(store, since)
-        remove_unneeded(store, found.artifacts)
-        store.remove_folders(store.root / "runs" / run_id for run_id in found.going_runs)
-    return found
+        sweep = find_garbage(store, since)
+        remove_unneeded(store, sweep.artifacts)
+        store.remove_folders(store.root / "runs" / run_id for run_id in sweep.going_runs)
+    return sweep
 
 
 def _made_or_found(store: Store, run_id: str) -> Iterator[StageKey]:

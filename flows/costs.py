@@ -87,8 +87,8 @@ def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None 
     measured = measured or store
     last = read_last_run(measured, plan.study)
     refs = [ref for stage in plan.stages for ref in (last.refs(stage.stage.name) if last else ())]
-    found = {ref: measured.find(ref.stage, ref.key) for ref in refs}
-    had = {ref: manifest for ref, manifest in found.items() if manifest is not None and SHARD_S in manifest.timings}
+    manifests = {ref: measured.find(ref.stage, ref.key) for ref in refs}
+    had = {ref: manifest for ref, manifest in manifests.items() if manifest is not None and SHARD_S in manifest.timings}
     work = Work(worker_bytes=run_record(measured, last.run_id).get("peak_memory_bytes") if last else None)
     numbers: dict[tuple[str, str, str], int] = {}
     ends: dict[str, int] = {}

@@ -69,9 +69,9 @@ def _time_line(bars: Sequence[_Bar]) -> Picture:
     stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))
     figure, ((axis,),) = new_figure(9.5, 1.3 + 0.35 * len(processes))
     for number, stage in enumerate(stages):
-        own = [bar for bar in bars if bar.manifest.ref.stage == stage]
-        rows, starts = [processes.index(bar.place.process) for bar in own], [bar.start_s for bar in own]
-        lengths = [bar.seconds for bar in own]
+        stage_bars = [bar for bar in bars if bar.manifest.ref.stage == stage]
+        rows, starts = [processes.index(bar.place.process) for bar in stage_bars], [bar.start_s for bar in stage_bars]
+        lengths = [bar.seconds for bar in stage_bars]
         axis.barh(rows, lengths, left=starts, color=colours(number), edgecolor="white", linewidth=0.3, label=stage)
     axis.set_yticks(range(len(processes)), [f"process {number}" for number in range(1, len(processes) + 1)])
     axis.invert_yaxis()

@@ -164,6 +164,6 @@ def _last_mean_s(store: Store, study: str, stage: str) -> float | None:
     """Return what some shards of a stage took in the last run."""
     last = read_last_run(store, study)
     refs = last.refs(stage) if last is not None else []
-    found = (store.find(ref.stage, ref.key) for ref in refs[:: max(1, len(refs) // _SOME)])
-    took = [manifest.timings[SHARD_S] for manifest in found if manifest is not None and SHARD_S in manifest.timings]
+    manifests = (store.find(ref.stage, ref.key) for ref in refs[:: max(1, len(refs) // _SOME)])
+    took = [manifest.timings[SHARD_S] for manifest in manifests if manifest is not None and SHARD_S in manifest.timings]
     return sum(took) / len(took) if took else None

@@ -62,9 +62,9 @@ class Reasons:
             words.append(f"stage version {old.version} -> {shard.version}")
         if old.seed != shard.seed:
             words.append(f"study.seed {old.seed} -> {shard.seed}")
-        own = _changes(old.parameters, shard.values, self._stage.name)
-        if own:
-            words.extend(self._settings or own)
+        changes = _changes(old.parameters, shard.values, self._stage.name)
+        if changes:
+            words.extend(self._settings or changes)
         before = {f"file {name}": sha256 for name, sha256 in old.files}
         now = {f"file {Path(file.path).name}": file.sha256 for file in shard.files}
         words.extend(_changes(before, now, has_values=False))

@@ -136,7 +136,7 @@ def _mark_failed(folder: RunFolder) -> None:
 
 def describe_runs(store: Store) -> list[dict[str, str]]:
     """Return the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
-    found = []
+    described = []
     for folder in list_runs(store):
         record = run_record(store, folder.run_id)
         if not record:
@@ -144,8 +144,8 @@ def describe_runs(store: Store) -> list[dict[str, str]]:
         status = record["status"]
         if status == "running" and record["host"] == platform.node() and not _is_alive(record["pid"]):
             status = "killed"
-        found.append({"run_id": folder.run_id, "study": record["study"], "status": status, "host": record["host"]})
-    return found
+        described.append({"run_id": folder.run_id, "study": record["study"], "status": status, "host": record["host"]})
+    return described
 
 
 def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:

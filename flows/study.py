@@ -92,11 +92,11 @@ class Study(BaseModel):
 
     def sections_of(self, stage: str) -> dict[str, dict[str, Any]]:
         """Return the settings of a stage as JSON values, by section: its own and those that it shares."""
-        own = self.parameters[stage]
-        shared = {name: section for name, section in self.shared.items() if isinstance(own, type(section))}
+        parameters = self.parameters[stage]
+        shared = {name: section for name, section in self.shared.items() if isinstance(parameters, type(section))}
         sections = {name: section.model_dump(mode="json") for name, section in shared.items()}
-        keys = shared_keys(type(own), map(type, shared.values()))
-        return {stage: own.model_dump(mode="json", exclude=keys), **sections}
+        keys = shared_keys(type(parameters), map(type, shared.values()))
+        return {stage: parameters.model_dump(mode="json", exclude=keys), **sections}
 
 
 def load_study(
@@ -258,8 +258,8 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
         message = message.replace("Input should", "should", 1)
     if item["type"] in ("model_type", "dict_type"):
         message = "should be a table"
-    found = item["input"]
-    return f"{path}: {message}" + ("" if isinstance(found, dict | BaseModel) else f"; found {found!r}")
+    given = item["input"]
+    return f"{path}: {message}" + ("" if isinstance(given, dict | BaseModel) else f"; found {given!r}")
 
 
 def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple[str, ...]:

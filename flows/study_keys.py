@@ -122,5 +122,5 @@ def _unit(name: str, meaning: str) -> str:
     last = name.rsplit("_", 1)[-1]
     if last in _UNITS and last != name:
         return _UNITS[last]
-    found = re.search(rf"(?:\bin|,) ({'|'.join(_UNIT_WORDS)})\b", meaning)
-    return _UNIT_WORDS[found.group(1)] if found else ""
+    match = re.search(rf"(?:\bin|,) ({'|'.join(_UNIT_WORDS)})\b", meaning)
+    return _UNIT_WORDS[match.group(1)] if match else ""

@@ -64,10 +64,10 @@ class Table:
 
     def column(self, name: str) -> Column:
         """Return the column of this name, or a KeyError that lists the known ones."""
-        found = {column.name: column for column in self.columns}
-        if name not in found:
-            raise KeyError(f"table '{self.name}' has no column '{name}'; known columns: {', '.join(found)}")
-        return found[name]
+        by_name = {column.name: column for column in self.columns}
+        if name not in by_name:
+            raise KeyError(f"table '{self.name}' has no column '{name}'; known columns: {', '.join(by_name)}")
+        return by_name[name]
 
 
 def is_plain_name(name: str) -> bool:

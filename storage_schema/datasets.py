@@ -63,11 +63,11 @@ def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
 
     CorruptArtifact where the list of one cannot be read.
     """
-    found = []
+    datasets = []
     for path in _folders(store, name):
         with suppress(OlderSchema):
-            found.append(_read(path))
-    return found
+            datasets.append(_read(path))
+    return datasets
 
 
 def named_places(store: Store) -> set[tuple[str, str]]:
@@ -75,15 +75,15 @@ def named_places(store: Store) -> set[tuple[str, str]]:
 
     CorruptArtifact where the list of one cannot be read: what it names is not known.
     """
-    found = set[tuple[str, str]]()
+    places = set[tuple[str, str]]()
     for path in _folders(store):
         try:
             values = json.loads((path / DATASET_FILE).read_bytes())
             refuse_newer(values["schema_version"], str(path))
-            found.update((ref["stage"], ref["key"]) for ref in values["refs"])
+            places.update((ref["stage"], ref["key"]) for ref in values["refs"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
-    return found
+    return places
 
 
 def dataset_labels(store: Store) -> list[str]:

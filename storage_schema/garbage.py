@@ -52,26 +52,26 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
     """
     store.check_version()
     store.clear_leftovers()
-    found = {stored.place: stored for stored in _all(store)}
-    waiting = [place for place in needed if place in found]
-    waiting += [place for place, stored in found.items() if stored.made_at >= since]
+    by_place = {stored.place: stored for stored in _all(store)}
+    waiting = [place for place in needed if place in by_place]
+    waiting += [place for place, stored in by_place.items() if stored.made_at >= since]
     kept: set[StageKey] = set()
     while waiting:
         place = waiting.pop()
         if place not in kept:
-            if found[place].is_damaged:
+            if by_place[place].is_damaged:
                 raise CorruptArtifact(
                     f"artifact {place[0]}@{place[1][:12]} is to be kept and its manifest is damaged, so what it was "
                     f"computed from is not known and nothing is removed; remove its folder {store.folder(*place)} and "
                     "run its study"
                 )
             kept.add(place)
-            waiting += [read for read in found[place].inputs if read in found]
-    reads = {place: [read for read in stored.inputs if read in found] for place, stored in found.items()}
+            waiting += [read for read in by_place[place].inputs if read in by_place]
+    reads = {place: [read for read in stored.inputs if read in by_place] for place, stored in by_place.items()}
     order = reversed(list(TopologicalSorter(reads).static_order()))
     return Sweep(
-        kept=tuple(stored for place, stored in found.items() if place in kept),
-        going=tuple(found[place] for place in order if place not in kept),
+        kept=tuple(stored for place, stored in by_place.items() if place in kept),
+        going=tuple(by_place[place] for place in order if place not in kept),
     )
 
 

@@ -55,18 +55,18 @@ class Lease:
             except FileNotFoundError:
                 self._remote.create("lease", self._as_bytes())
                 continue
-            found = _parsed(there)
-            if found["holder"] == self._name:
+            lease = _parsed(there)
+            if lease["holder"] == self._name:
                 self._tag = tag
                 return
             is_unchanged = tag == first_tag and time.monotonic() - since > LEASE_S
-            if not found["holder"] or is_unchanged or _is_dead_here(found):
+            if not lease["holder"] or is_unchanged or _is_dead_here(lease):
                 self._remote.replace("lease", self._as_bytes(), tag)
                 continue
             if first_tag not in ("", tag):
                 raise StorageError(
                     f"a run plans or builds in the store {self._remote.url} "
-                    f"(process {found['pid']} on {found['host']}); try again when it has ended"
+                    f"(process {lease['pid']} on {lease['host']}); try again when it has ended"
                 )
             if not first_tag:
                 first_tag, since = tag, time.monotonic()
@@ -76,7 +76,7 @@ class Lease:
                 _log.warning(
                     "%s: process %s on %s has the lease and does not renew it; waiting until %s, then this run takes "
                     "it over",
-                    *(self._remote.url, found["pid"], found["host"], until),
+                    *(self._remote.url, lease["pid"], lease["host"], until),
                 )
             time.sleep(_WATCH_S)
 

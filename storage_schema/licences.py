@@ -56,8 +56,8 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
 
 def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
     """Return the artifacts of these runs that have this content and are in the store."""
-    found = (find_manifest(store, run[ref]) for run in runs if ref in run)
-    return [manifest for manifest in found if manifest is not None]
+    manifests = (find_manifest(store, run[ref]) for run in runs if ref in run)
+    return [manifest for manifest in manifests if manifest is not None]
 
 
 def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
@@ -65,12 +65,12 @@ def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
 
     Where a source has another name there than it had, all that the dataset says: its own may be among them.
     """
-    found = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
-    if not found:
+    datasets = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
+    if not datasets:
         return source.sources
     names = {credit.name for credit in source.sources}
-    stated = tuple(credit for credit in found[-1].sources if credit.name in names)
-    return stated if names == {credit.name for credit in stated} else found[-1].sources
+    stated = tuple(credit for credit in datasets[-1].sources if credit.name in names)
+    return stated if names == {credit.name for credit in stated} else datasets[-1].sources
 
 
 def _last_runs(store: Store) -> Iterator[LatestRun]:

@@ -95,8 +95,8 @@ def read_table(
         if step != 1:
             raise SchemaError(f"table '{table.name}': rows are read in steps of 1, not {step}")
         groups, first = _groups_of(file, start, max(start, stop))
-        found = _guarded(path, lambda: file.read_row_groups(groups, columns=names, use_threads=False))
-        return TableData(table, found.slice(start - first, max(stop - start, 0)))
+        arrow_table = _guarded(path, lambda: file.read_row_groups(groups, columns=names, use_threads=False))
+        return TableData(table, arrow_table.slice(start - first, max(stop - start, 0)))
 
 
 def iter_table(path: Path, table: Table, *, columns: Sequence[str] | None = None) -> Iterator[TableData]:

@@ -33,8 +33,8 @@ def code_version() -> str:
 @cache
 def package_versions() -> dict[str, str]:
     """Return the versions of Python and of the installed packages that can change a result."""
-    found = {name: version for name in _PACKAGES if (version := _version(name))}
-    return {"python": platform.python_version(), **found}
+    versions = {name: version for name in _PACKAGES if (version := _version(name))}
+    return {"python": platform.python_version(), **versions}
 
 
 @cache

@@ -175,8 +175,8 @@ def _opened(reference: Reference | str, store: Store | str | Path | None) -> tup
 
 def _by_key(reference: Reference, store: Store) -> ArtifactRef:
     table, prefix = reference.table, reference.key_prefix
-    found = [store.find(folder.parent.parent.name, folder.name) for folder in store.folders(key_prefix=prefix)]
-    valid = [manifest for manifest in found if manifest is not None]
+    manifests = [store.find(folder.parent.parent.name, folder.name) for folder in store.folders(key_prefix=prefix)]
+    valid = [manifest for manifest in manifests if manifest is not None]
     if not valid:  # artifacts with the same content hold the same rows
         valid = list(
             {

@@ -206,10 +206,10 @@ class Store:
 
     def folders(self, stage: str | None = None, key_prefix: str = "") -> list[Path]:
         """Return the folders that stand under a key, valid or not, in the order of stage and key."""
-        found = self.root.glob(
+        paths = self.root.glob(
             f"{stage or '*'}/{key_prefix[:2] or '*'}{'*' if len(key_prefix) == 1 else ''}/{key_prefix}*"
         )
-        return sorted(path for path in found if path.parent.parent.name not in RESERVED_NAMES and path.is_dir())
+        return sorted(path for path in paths if path.parent.parent.name not in RESERVED_NAMES and path.is_dir())
 
     def read(
         self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None, rows: slice | None = None
@@ -221,9 +221,9 @@ class Store:
             CorruptArtifact: A file is not what its manifest says.
             SchemaError: A column is unknown, or the file was written with other columns.
         """
-        found = read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
+        table_data = read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
         self.manifest(ref)  # another may have taken its place before the file was opened
-        return found
+        return table_data
 
     def iter_batches(
         self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None
@@ -302,14 +302,14 @@ class Store:
             return
         try:
             with open(self._version_file, "rb") as file:  # noqa: PTH123
-                found = json.load(file)["schema_version"]
+                version = json.load(file)["schema_version"]
         except FileNotFoundError:
             return
         except NotADirectoryError:
             raise NotAStore(f"{self.root} is not a store: it is a file, not a folder") from None
         except (ValueError, KeyError, TypeError) as error:
             raise NotAStore(f"{self.root} is not a store: {STORE_FILE} cannot be read ({error})") from error
-        refuse_newer(found, f"the store {self}")
+        refuse_newer(version, f"the store {self}")
         self._is_checked = True
 
     # Committing and removing

@@ -127,13 +127,13 @@ def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
 
 def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> tuple[ProblemKind, str] | None:
     try:
-        found = store.file_sha256(ref, name, entry)
+        digest = store.file_sha256(ref, name, entry)
     except FileNotFoundError:
         return ProblemKind.MISSING, "the manifest names it"
     except OSError as error:
         return ProblemKind.UNREADABLE, str(error.strerror)
-    if found != entry.sha256:
-        return ProblemKind.CHANGED, f"sha256 is {found[:12]}, the manifest says {entry.sha256[:12]}"
+    if digest != entry.sha256:
+        return ProblemKind.CHANGED, f"sha256 is {digest[:12]}, the manifest says {entry.sha256[:12]}"
     return None
 
 

@@ -75,8 +75,8 @@ class SeenPair:
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
     """Return the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
-    found = [(SequenceFacts.of(manifest), manifest) for manifest in inputs.of("annotations")]
-    usable = [(facts, manifest) for facts, manifest in found if not facts.is_held_out and facts.num_persons >= 2]
+    sequences = [(SequenceFacts.of(manifest), manifest) for manifest in inputs.of("annotations")]
+    usable = [(facts, manifest) for facts, manifest in sequences if not facts.is_held_out and facts.num_persons >= 2]
     preferred = [manifest for facts, manifest in usable if facts.purpose in ("random_views", "given")]
     return preferred or [manifest for _, manifest in usable]
 
@@ -262,5 +262,5 @@ def gather_tracks(placed: PlacedPairs) -> np.ndarray:
             for person, name in enumerate((place.person_id, place.partner_id)):
                 if name in there:
                     tracks[number, column, person] = there[name]
-    own = tracks[placed.gathered.pairs.annotation_index]
-    return pair_in_metres(own, placed.gathered.metres_per_pixel[:, None])
+    tracks_here = tracks[placed.gathered.pairs.annotation_index]
+    return pair_in_metres(tracks_here, placed.gathered.metres_per_pixel[:, None])

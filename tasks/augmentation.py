@@ -80,15 +80,15 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
     sections = {"": parameters, **parameters.swept()}
     shards = []
     for take_id, take in takes.items():
-        found = variations(parameters, TakeFacts.of(take).num_persons)
-        if not any(found.values()):
+        by_name = variations(parameters, TakeFacts.of(take).num_persons)
+        if not any(by_name.values()):
             asked = tuple(sorted({who for own in sections.values() for who in own.persons}))
             nobody = NobodyParameters(persons=asked, num_persons=TakeFacts.of(take).num_persons)
             shards.append(AUGMENTATION.shard(inputs, take_id, "nobody", nobody, {"take": [take]}))
         for name, own in sections.items():
             stated = own.contacts.get(take_id, TakeFacts.of(take).contacts)
-            for start in range(0, len(found[name]), _PER_SHARD):
-                batch = tuple(variation.variant_id for variation in found[name][start : start + _PER_SHARD])
+            for start in range(0, len(by_name[name]), _PER_SHARD):
+                batch = tuple(variation.variant_id for variation in by_name[name][start : start + _PER_SHARD])
                 solved = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
                 shards.append(
                     AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", solved, {"take": [take]})

@@ -82,11 +82,11 @@ def followed(shard: Shard, store: Store) -> list[Manifest]:
     Raises:
         InputError: One is not there.
     """
-    found = []
+    manifests = []
     for key in shard.after:
         if (manifest := store.find(shard.stage, key)) is None:
             raise InputError(
                 f"{shard.stage}@{key[:12]}, which {shard.partition} {shard.name} continues, is not in the store"
             )
-        found.append(manifest)
-    return found
+        manifests.append(manifest)
+    return manifests

@@ -54,12 +54,12 @@ class ContactRows:
     @classmethod
     def of(cls, source: Source, stated: Sequence[UserContact] = ()) -> ContactRows:
         """Find the contacts of a motion, with those that are stated; none of one person alone without objects."""
-        found = source.contacts(tuple(stated))
-        frame, at = np.nonzero(found.weights > 0.0)
-        thing, joints = found.objects[frame, at], found.bones()[frame, at]
+        contacts = source.contacts(tuple(stated))
+        frame, at = np.nonzero(contacts.weights > 0.0)
+        thing, joints = contacts.objects[frame, at], contacts.bones()[frame, at]
         is_body = np.stack([np.ones_like(thing), thing < 0], axis=-1).astype(bool)
         person, bone = (np.where(is_body, part, -1) for part in np.divmod(joints, BODY22.num_joints))
-        points = found.ends(source.positions_m.reshape(source.num_frames, -1, 3))[frame, at]
+        points = contacts.ends(source.positions_m.reshape(source.num_frames, -1, 3))[frame, at]
         reach = np.where(is_body, source.radii_m.ravel()[np.maximum(joints, 0)], 0.0)
         if source.objects is not None:
             reach[:, 1] += np.where(thing >= 0, source.objects.radii_m[thing], 0.0)
@@ -67,11 +67,11 @@ class ContactRows:
             frame=frame,
             person=person,
             bone=np.where(is_body, bone, thing[:, None]),
-            share=np.where(is_body, found.shares[frame, at][:, [1, 3]] * (1.0, -1.0), np.nan),
+            share=np.where(is_body, contacts.shares[frame, at][:, [1, 3]] * (1.0, -1.0), np.nan),
             points_m=points,
             gap_m=np.linalg.norm(points[:, 0] - points[:, 1], axis=-1) - reach.sum(axis=-1),
-            weight=found.weights[frame, at],
-            is_held=found.is_held[frame, at],
+            weight=contacts.weights[frame, at],
+            is_held=contacts.is_held[frame, at],
             objects=() if source.objects is None else source.objects.names,
         )
 
@@ -112,13 +112,13 @@ class ContactRows:
         """
         check_whole(first, "first", minimum=0)
         check_whole(stop, "stop", minimum=int(first))
-        found = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
+        distances = np.zeros((stop - first, BODY22.num_joints, BODY22.num_joints), dtype=np.float32)
         order = np.argsort(self.person, axis=1)
         bone, person = (np.take_along_axis(ends, order, axis=1) for ends in (self.bone, self.person))
         both = (person == (0, 1)).all(axis=1) & (self.frame >= first) & (self.frame < stop)
         where = (self.frame[both] - first, *bone[both].T)
-        np.maximum.at(found, where, self.weight[both].astype(np.float32))
-        return found
+        np.maximum.at(distances, where, self.weight[both].astype(np.float32))
+        return distances
 
     def pandas(self) -> pd.DataFrame:
         """Return the rows as a data frame: the columns of the table `contacts`, points by their axes."""

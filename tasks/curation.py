@@ -189,8 +189,8 @@ def recorded_choices(folder: Path) -> dict[str, str]:
 
 def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
     """Return the content of each thing of a table that was rejected, by its name."""
-    found = {about.partition(" ")[2]: said.split() for about, said in settings.items() if about.split()[0] == table}
-    return {name: said[1] for name, said in found.items() if said[0] == "reject"}
+    choices = {about.partition(" ")[2]: said.split() for about, said in settings.items() if about.split()[0] == table}
+    return {name: said[1] for name, said in choices.items() if said[0] == "reject"}
 
 
 def content_columns(table: str) -> list[str] | None:
@@ -220,8 +220,8 @@ def clip_of(name: str) -> tuple[str, tuple[int, int] | None]:
     >>> clip_of("video/fit@12-40"), clip_of("waltz")
     (('video/fit', (12, 40)), ('waltz', None))
     """
-    found = _CLIP.fullmatch(name)
-    return (name, None) if found is None else (found[1], (int(found[2]), int(found[3])))
+    match = _CLIP.fullmatch(name)
+    return (name, None) if match is None else (match[1], (int(match[2]), int(match[3])))
 
 
 def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
@@ -327,8 +327,8 @@ class Choosing:
     def clips(self, table: str, name: str) -> dict[tuple[int, int], Choice]:
         """Return what was chosen of clips of a thing, by first and last frame, in order; nothing where none can be."""
         chosen = (choice for choice in read_choices(self.path).values() if choice.table == table and table in CLIPPED)
-        found = {clip_of(choice.name): choice for choice in chosen}
-        return dict(sorted((frames, one) for (whole, frames), one in found.items() if whole == name and frames))
+        by_clip = {clip_of(choice.name): choice for choice in chosen}
+        return dict(sorted((frames, one) for (whole, frames), one in by_clip.items() if whole == name and frames))
 
     def words(self, table: str, name: str, content: str) -> str:
         """Return what was chosen in words, and whether it was of this content."""

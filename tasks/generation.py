@@ -79,8 +79,8 @@ def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
                 f"generation.key_frames: '{take_id}' is no take of two people; takes: {', '.join(sorted(takes))}"
             )
         with named(f"generation.key_frames.{take_id}"):
-            found = read_key_frames(loaded.data, Path(loaded.file.path).name)
-            found.check(f"take {take_id}", TakeFacts.of(takes[take_id]).num_frames, BODY22)
+            key_frames = read_key_frames(loaded.data, Path(loaded.file.path).name)
+            key_frames.check(f"take {take_id}", TakeFacts.of(takes[take_id]).num_frames, BODY22)
     return [
         GENERATION.shard(
             inputs,
@@ -98,11 +98,11 @@ def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
 
 def _model_named(inputs: StageInputs, text: str, name: str, split: str) -> Manifest:
     models = [(ModelFacts.of(manifest), manifest) for manifest in inputs.of("models")]
-    found = [(facts, manifest) for facts, manifest in models if facts.model == name and split in ("", facts.split)]
-    if len(found) != 1:
+    named = [(facts, manifest) for facts, manifest in models if facts.model == name and split in ("", facts.split)]
+    if len(named) != 1:
         there = ", ".join(sorted(f"{facts.model}@{facts.split}" for facts, _ in models)) or "none"
-        raise InputError(f"generation.model: '{text}' names {len(found)} trained models, not one; there are: {there}")
-    facts, model = found[0]
+        raise InputError(f"generation.model: '{text}' names {len(named)} trained models, not one; there are: {there}")
+    facts, model = named[0]
     if facts.skeleton != BODY22.name:
         raise InputError(
             f"generation.model: '{text}' is of {facts.skeleton}; motion is cleaned by the interaction mesh, which is "

@@ -228,10 +228,10 @@ def read_searched(store: Store, refs: Sequence[ArtifactRef]) -> SearchedDatabase
 
 def clusters_of(inputs: StageInputs, parts: Sequence[Manifest]) -> tuple[list[Manifest], list[Manifest]]:
     """Return the clusters of a database of exactly these parts, none where there are none, and the parts in order."""
-    own = {part.ref: part for part in parts}
+    parts_by_ref = {part.ref: part for part in parts}
     for clusters in inputs.of("projection_clusters"):
-        if set(clusters.inputs) == set(own):
-            return [clusters], [own[ref] for ref in clusters.inputs]
+        if set(clusters.inputs) == set(parts_by_ref):
+            return [clusters], [parts_by_ref[ref] for ref in clusters.inputs]
     return [], list(parts)
 
 

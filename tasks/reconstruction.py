@@ -137,10 +137,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     facts["skipped"] = [f"{sequence_id}: {reason}" for reason in reasons]
     if tracks and not reasons:
         database = _database(store, database_refs, shard.refs("clusters"), num_people=len(tracks))
-        found = reconstruct_sequence(
+        reconstruction = reconstruct_sequence(
             tracks, database, StatedCamera(height_m=parameters.camera_height_m), _options(parameters)
         )
-        people, judged = found.people, found.judged.verdicts
+        people, judged = reconstruction.people, reconstruction.judged.verdicts
         made = [(motions.name, motions, people.camera_from_upright_rotmat) for motions in people.methods]
         if parameters.has_level_camera:
             made = [*_made_level(tracks, database, parameters), *made]

@@ -115,13 +115,15 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
         num_independent += share * len(rows)
         parts.append(_PlausibleRows(first, manifest, rows))
         first += len(rows)
-    found = selector.selection()
-    which = np.searchsorted([part.first for part in parts], found.index, side="right") - 1
-    chosen = [(parts[at], parts[at].rows[one - parts[at].first]) for at, one in zip(which, found.index, strict=True)]
+    selection = selector.selection()
+    which = np.searchsorted([part.first for part in parts], selection.index, side="right") - 1
+    chosen = [
+        (parts[at], parts[at].rows[one - parts[at].first]) for at, one in zip(which, selection.index, strict=True)
+    ]
     columns: dict[str, Any] = {}
     if chosen:
-        distance_m = np.where(np.isfinite(found.distance_m), found.distance_m, np.nan)
-        columns = {"rank": np.arange(len(chosen)), "distance_m": distance_m, "weight": found.weight}
+        distance_m = np.where(np.isfinite(selection.distance_m), selection.distance_m, np.nan)
+        columns = {"rank": np.arange(len(chosen)), "distance_m": distance_m, "weight": selection.weight}
         columns |= _origins(store, chosen, chains)
     return SelectedPairs(
         columns=columns,
@@ -130,13 +132,13 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
         num_grown=sum(manifest.tables["seeds"].rows for manifest in grown),
         num_plausible=num_plausible,
         num_independent=num_independent,
-        radius_m=found.radius_m,
+        radius_m=selection.radius_m,
     )
 
 
 def _read_chains(store: Store, manifests: Sequence[Manifest]) -> dict[tuple[Any, ...], _ChainWorth]:
     """Return all chains by density, seed and number; one that never moved is worth one pair."""
-    found = {}
+    chains = {}
     for manifest in manifests:
         if "chain_info" in manifest.tables:
             table = store.read(manifest.ref, "chain_info")
@@ -144,8 +146,8 @@ def _read_chains(store: Store, manifests: Sequence[Manifest]) -> dict[tuple[Any,
                 num_draws = float(table["num_draws"][row])
                 size = float(np.clip(np.nan_to_num(table["ess_min"][row], nan=1.0), 1.0, num_draws))
                 place = (str(table["density"][row]), int(table["seed_index"][row]), int(table["chain"][row]))
-                found[place] = _ChainWorth(size / num_draws, table["verdict"][row], table["reason"][row])
-    return found
+                chains[place] = _ChainWorth(size / num_draws, table["verdict"][row], table["reason"][row])
+    return chains
 
 
 def _table(manifest: Manifest) -> str:

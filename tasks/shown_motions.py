@@ -49,10 +49,10 @@ def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[s
     is_shown = table["method"] == method
     frames, rows = np.unique(table["frame"][is_shown], return_inverse=True)
     persons, columns = np.unique(table["person_id"][is_shown], return_inverse=True)
-    found = np.full((len(frames), len(persons), 14, 3), np.nan)
-    found[rows, columns] = table["op14_m"][is_shown]
+    positions_m = np.full((len(frames), len(persons), 14, 3), np.nan)
+    positions_m[rows, columns] = table["op14_m"][is_shown]
     caption = (
         f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs that are too "
         "short or bent wrongly show from the side."
     )
-    return ShownMotion(sequence_id, caption, found, rate_of(table["time_s"]))
+    return ShownMotion(sequence_id, caption, positions_m, rate_of(table["time_s"]))

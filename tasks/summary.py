@@ -57,17 +57,17 @@ _THINGS = (
 
 def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
-    found = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
-    told = [(one, facts_of(one)) for one in found]
+    in_order = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
+    told = [(one, facts_of(one)) for one in in_order]
     parts = {
         thing: [
             (manifest, facts) for manifest, facts in told if thing.table in manifest.tables and thing.is_in(manifest)
         ]
         for thing in _THINGS
     }
-    chains = stage_verdict(manifest for manifest in found if "chain_info" in manifest.tables)
-    verdicts = dict(sorted(_by_stage(found).items(), key=lambda named: -named[1].level.rank))
-    sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in found for s in one.sources}}
+    chains = stage_verdict(manifest for manifest in in_order if "chain_info" in manifest.tables)
+    verdicts = dict(sorted(_by_stage(in_order).items(), key=lambda named: -named[1].level.rank))
+    sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in in_order for s in one.sources}}
     return Summary(
         made=[made for thing, own in parts.items() if (made := _made(thing, own, chains)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
@@ -91,21 +91,21 @@ def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
 
 def _skipped(manifest: Manifest, facts: Facts) -> list[str]:
     """Return sentences on what an artifact with these facts, or the stage that made it, skipped and why."""
-    found = list(facts.skipped)
+    sentences = list(facts.skipped)
     match facts:
         case TakeFacts(num_persons=count) if "poses" in manifest.tables and count != 2:
             who = "one person" if count == 1 else f"{count} people"
-            found.append(f"Take {facts.take_id}: {who}; the stages that need pairs skipped it.")
+            sentences.append(f"Take {facts.take_id}: {who}; the stages that need pairs skipped it.")
         case SequenceFacts(num_skipped_frames=count) if count:
-            found.append(
+            sentences.append(
                 f"{manifest.partition}: {count} unreadable frames were skipped ({', '.join(facts.skipped_files)}); "
                 "`on_unreadable` of its source says whether they stop the run."
             )
         case DrawFacts(num_annotations_skipped=count) | SeedFacts(num_annotations_skipped=count) if count:
-            found.append(
+            sentences.append(
                 f"Chains: {count} annotations without all joints of two people, or without a view, were skipped."
             )
-    return found
+    return sentences
 
 
 def judge(manifests: Sequence[Manifest]) -> list[NamedVerdict]:
@@ -141,11 +141,11 @@ def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     for manifest in manifests:
         if manifest.ref.stage in parts:
             parts[manifest.ref.stage].append(manifest)
-    found = {name: stage_verdict(own) for name, own in parts.items()}
+    verdicts = {name: stage_verdict(own) for name, own in parts.items()}
     apart = {
         part_name(product.stage, product.partition): product.verdict for product in judged if product.stage == _APART
     }
-    return {name: verdict for name, verdict in found.items() if verdict is not None} | apart
+    return {name: verdict for name, verdict in verdicts.items() if verdict is not None} | apart
 
 
 def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdict | None) -> Made:
@@ -173,8 +173,8 @@ def _independent(thing: _Thing, facts: Sequence[Facts], chains: Verdict | None) 
     if thing.table == "variant_quality":
         return len({fact.take_id for fact in facts if isinstance(fact, VariantFacts)}), "takes with variants"
     if thing.table == "annotations":
-        found = {name for fact in facts if isinstance(fact, SequenceFacts) for name in fact.sequence_ids}
-        return len(found), "annotated sequences"
+        sequence_ids = {name for fact in facts if isinstance(fact, SequenceFacts) for name in fact.sequence_ids}
+        return len(sequence_ids), "annotated sequences"
     if thing.name == "draws" and chains is not None and chains.figure == "effective sample size":
         return round(chains.value * chains.count), "independent draws"
     return None

@@ -51,22 +51,22 @@ def complete(
         if is_known.all():
             raise InputError("no joint is missing; one that is not known is absent, or null")
         known = read_all_draws(opened, refs)
-        found = complete_pair(pair.pair_m, known.pairs_m, num_nearest=num_nearest)
+        completion = complete_pair(pair.pair_m, known.pairs_m, num_nearest=num_nearest)
     manifests = [opened.manifest(ref) for ref in refs]
     inherited = [PairSource(credit.name, credit.licence, credit.credit) for credit in source_credits(opened, *refs)]
     whole = PairFile(
-        pair_m=found.fitted_m,
+        pair_m=completion.fitted_m,
         made_from=f"{pair.made_from or file.name}, completed by {draws}",
         takes=tuple(sorted({*pair.takes, *merge_takes(*manifests)})),
         sources=tuple(dict.fromkeys((*pair.sources, *inherited))),
     )
     target = out or file.with_name(f"{file.stem}_completed.json")
     target.write_text(write_pair_json(whole), encoding="utf-8")
-    spread = np.linalg.norm(found.neighbours.pairs_m - np.median(found.neighbours.pairs_m, axis=0), axis=-1)
+    spread = np.linalg.norm(completion.neighbours.pairs_m - np.median(completion.neighbours.pairs_m, axis=0), axis=-1)
     for name, own, apart in zip("AB", is_known, np.moveaxis(spread, 1, 0), strict=True):
         if not own.all():
             far_cm = 100.0 * float(np.median(apart[:, ~own]))
             echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
-    near_m = found.neighbours.distance_m
+    near_m = completion.neighbours.distance_m
     echo(f"{len(near_m)} of {counted(len(known.pairs_m), 'draw')} within {100 * near_m.max():.1f} cm (D_I)")
     echo(f"written: {target}")

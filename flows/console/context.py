@@ -62,11 +62,11 @@ JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard o
 def key_option(model: type[BaseModel], key: str, *names: str, metavar: str | None = None) -> Any:
     """Return an option for a key that a study has too, with the meaning and the limits that its model states."""
     field = model.model_fields[key]
-    found = {
+    bounds = {
         name: getattr(bound, name) for bound in field.metadata for name in ("ge", "gt", "le") if hasattr(bound, name)
     }
-    least = found.get("ge", 1e-6 if found.get("gt") == 0 else None)
-    return Option(*names, metavar=metavar, min=least, max=found.get("le"), help=f"{field.description}.")
+    least = bounds.get("ge", 1e-6 if bounds.get("gt") == 0 else None)
+    return Option(*names, metavar=metavar, min=least, max=bounds.get("le"), help=f"{field.description}.")
 
 
 @dataclass
@@ -86,9 +86,9 @@ class Context:
 
 def graph_of(context: typer.Context) -> Graph:
     """Return the graph of all stages that a command is called with."""
-    found = context.find_object(Context)
-    assert found is not None
-    return found.graph
+    given = context.find_object(Context)
+    assert given is not None
+    return given.graph
 
 
 def open_store(folder: Path) -> Store:

@@ -37,17 +37,19 @@ def diff(
     """
     opened = open_store(store)
     one, other = read_recorded(opened, a), read_recorded(opened, b)
-    found = differences(opened, one, other)
-    changed = {name: {key: {"a": x, "b": y} for key, (x, y) in pairs.items()} for name, pairs in found.pairs.items()}
+    comparison = differences(opened, one, other)
+    changed = {
+        name: {key: {"a": x, "b": y} for key, (x, y) in pairs.items()} for name, pairs in comparison.pairs.items()
+    }
     described = {
         "a": one.label,
         "b": other.label,
         **changed,
-        "artifacts": found.artifacts,
-        "num_scores": found.num_scores,
-        "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in found.scores],
+        "artifacts": comparison.artifacts,
+        "num_scores": comparison.num_scores,
+        "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in comparison.scores],
     }
-    lines = [f"a: {one.label}", f"b: {other.label}", *_change_lines(found, rows)]
+    lines = [f"a: {one.label}", f"b: {other.label}", *_change_lines(comparison, rows)]
     answer(described, lines, as_json=as_json)
 
 

@@ -202,8 +202,8 @@ def outcome_lines(outcome: Outcome) -> list[str]:
 def headlines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[str]:
     """Return what the last run of a study built and what of it is good, as the report and the card begin."""
     last = read_last_run(store, study)
-    found = {} if last is None else last_manifests(store, last, seen)
-    return summary_of([one for manifests in found.values() for one in manifests]).headlines() if found else []
+    by_stage = {} if last is None else last_manifests(store, last, seen)
+    return summary_of([one for manifests in by_stage.values() for one in manifests]).headlines() if by_stage else []
 
 
 def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:

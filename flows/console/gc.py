@@ -36,21 +36,21 @@ def gc(
     """
     opened = existing_store(store)
     since = datetime.now(UTC) - timedelta(days=days)
-    found = find_garbage(opened, since) if is_dry else collect(opened, since)
-    by_stage = _by_stage(found)
+    collection = find_garbage(opened, since) if is_dry else collect(opened, since)
+    by_stage = _by_stage(collection)
     names = ("num_kept", "bytes_kept", "num_going", "bytes_going")
     described = {
         "is_dry_run": is_dry,
         "stages": {stage: dict(zip(names, row, strict=True)) for stage, row in by_stage.items()},
-        "artifacts": [{"stage": stored.place[0], "key": stored.place[1]} for stored in found.artifacts.going],
-        "runs": list(found.going_runs),
+        "artifacts": [{"stage": stored.place[0], "key": stored.place[1]} for stored in collection.artifacts.going],
+        "runs": list(collection.going_runs),
     }
-    needed_by = f"{counted(found.num_datasets, 'dataset')} and {counted(len(found.kept_runs), 'run')}"
+    needed_by = f"{counted(collection.num_datasets, 'dataset')} and {counted(len(collection.kept_runs), 'run')}"
     rows = [
         (stage, num_kept, size_text(bytes_kept), num_going, size_text(bytes_going))
         for stage, (num_kept, bytes_kept, num_going, bytes_going) in by_stage.items()
     ]
-    going = size_text(found.num_bytes)
+    going = size_text(collection.num_bytes)
     lines = [
         f"kept: what {needed_by} need, and all that was made since {since:%Y-%m-%d %H:%M} UTC",
         *format_table(("", "stay", "size", "go", "size"), rows),

@@ -140,13 +140,13 @@ def find_model(text: str, store_root: Path) -> Weights:
     else:
         manifests = list(store.artifacts("training"))
     models = [manifest for manifest in manifests if "models" in manifest.tables]
-    found = [manifest for manifest in models if ModelFacts.of(manifest).model == name]
-    if len(found) != 1:
-        named = [(ModelFacts.of(manifest), manifest.ref.key[:12]) for manifest in found or models]
+    candidates = [manifest for manifest in models if ModelFacts.of(manifest).model == name]
+    if len(candidates) != 1:
+        named = [(ModelFacts.of(manifest), manifest.ref.key[:12]) for manifest in candidates or models]
         there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
         which = f"say which: {', '.join(there[:12])}" if there else "the store has none; the stage training makes them"
-        raise InputError(f"model {text}: {len(found)} models of the store have this name; {which}")
-    return stored_weights(store, found[0])
+        raise InputError(f"model {text}: {len(candidates)} models of the store have this name; {which}")
+    return stored_weights(store, candidates[0])
 
 
 def known_take(weights: Weights, ref: ArtifactRef, take_id: str) -> tuple[str, str]:

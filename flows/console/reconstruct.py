@@ -153,7 +153,7 @@ def _reconstruct_video(
         stated_m = {
             name: stature for name, stature in (read_statures(statures, shown) | named_m).items() if name in shown
         }
-        found = reconstruct_sequence(
+        reconstruction = reconstruct_sequence(
             tracks,
             searched,
             camera,
@@ -161,9 +161,9 @@ def _reconstruct_video(
             sequence_id=sequence.sequence_id,
             on_step=Steps(listener, 1 + 2 * len(tracks)),
         )
-        if not found.people.methods:
-            raise InputError(f"nobody can be reconstructed: {next(iter(found.people.skipped.values()))}")
-        _write_sequence(found, sequence, out, units)
+        if not reconstruction.people.methods:
+            raise InputError(f"nobody can be reconstructed: {next(iter(reconstruction.people.skipped.values()))}")
+        _write_sequence(reconstruction, sequence, out, units)
 
     failed: list[InputError] = []
     num_made, known = 0, set[int]()

@@ -67,7 +67,7 @@ def rerun(
         outcome, made = build(Run(study, graph, target), cluster, is_quiet=as_json)
         named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
         new = artifacts_by_place(target, named)
-        found = compare(origin, old.artifacts, target, new)
+        comparison = compare(origin, old.artifacts, target, new)
     changes = environment_changes(old.environment, read_environment(target, outcome.run_id))
     changes |= {
         f"version of stage {place[0]}": (str(was.version), str(new[place].version))
@@ -76,12 +76,12 @@ def rerun(
     }
     stale = f"{store} had results of other sources, which were compared; --store names an empty folder"
     warnings = [stale] if made.warnings else []
-    lines = [*outcome_lines(outcome), *found.lines(), *(f"warning: {words}" for words in warnings)]
+    lines = [*outcome_lines(outcome), *comparison.lines(), *(f"warning: {words}" for words in warnings)]
     for what, (was, now) in changes.items():
         lines.append(f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}")
-    described = {"name": old.label, "run_id": outcome.run_id, **found.to_json()}
+    described = {"name": old.label, "run_id": outcome.run_id, **comparison.to_json()}
     answer({**described, "changes": changes, "warnings": warnings}, lines, as_json=as_json)
-    if not found.is_same:
+    if not comparison.is_same:
         raise typer.Exit(1)
 
 

@@ -143,8 +143,8 @@ def _score_lines(store: Store, text: str, asked_rows: int | None) -> Iterator[st
         for index in range(batch.num_rows):
             row = batch.row(index)
             # Scores of an earlier version have no intervals.
-            found = {name: row[name] for name in COLUMNS if name in row}
-            values = {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
+            identity = {name: row[name] for name in COLUMNS if name in row}
+            values = {name: value.item() if hasattr(value, "item") else value for name, value in identity.items()}
             topics.setdefault(str(row["topic"]), []).append(Score(**values))
     num_figures, default = sum(map(len, topics.values())), _SCORE_ROWS if len(topics) == 1 else _ROWS_OF_MANY
     num_rows, scope = default if asked_rows is None else asked_rows, text.partition("/")[0]

@@ -20,8 +20,8 @@ from tasks.summary import stage_verdict
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Show the contents of a store: its studies, their verdicts, its runs and its size."""
     opened = open_store(store)
-    found = describe_store(opened)
-    answer(found.described, _status_lines(opened, found), as_json=as_json)
+    described = describe_store(opened)
+    answer(described.described, _status_lines(opened, described), as_json=as_json)
 
 
 class Described(NamedTuple):
@@ -35,8 +35,8 @@ class Described(NamedTuple):
 def describe_store(store: Store) -> Described:
     """Return what `status` says of a store."""
     lasts = [last for name in latest_studies(store) if (last := read_last_run(store, name)) is not None]
-    found = {last.study: last_manifests(store, last) for last in lasts}
-    return Described(_describe(store, lasts, found), lasts, found)
+    manifests_by_study = {last.study: last_manifests(store, last) for last in lasts}
+    return Described(_describe(store, lasts, manifests_by_study), lasts, manifests_by_study)
 
 
 def _status_lines(store: Store, found: Described) -> Iterator[str]:

@@ -30,10 +30,10 @@ app.add_typer(_group, name="study")
 def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the studies that ship, and what motion each needs."""
     graph = graph_of(context)
-    found = [_describe(name, graph) for name in shipped_studies()]
+    studies = [_describe(name, graph) for name in shipped_studies()]
     header = ("name", "what it is", "stages", "data it needs")
-    rows = [(d["name"], d["title"], _stage_words(d["stages"], graph), d["data"]) for d in found]
-    answer(found, format_table(header, rows, text_columns=range(4)), as_json=as_json)
+    rows = [(d["name"], d["title"], _stage_words(d["stages"], graph), d["data"]) for d in studies]
+    answer(studies, format_table(header, rows, text_columns=range(4)), as_json=as_json)
 
 
 @_group.command()
@@ -75,18 +75,18 @@ def keys(
     In a key, N is a position in a list, counted from 0, and NAME a name of your own.
     """
     graph = graph_of(context)
-    found = study_keys(graph, section)
-    if not found:
+    known_keys = study_keys(graph, section)
+    if not known_keys:
         raise StudyError(
             [f"there is no section '{section}'; sections: {', '.join((HEAD, PUBLISH, *graph.shared, *graph.names))}"]
         )
-    defaults = ["" if key.default is None else json.dumps(key.default, ensure_ascii=False) for key in found]
+    defaults = ["" if key.default is None else json.dumps(key.default, ensure_ascii=False) for key in known_keys]
     rows = [
         (key.name, key.type, "needed" if key.is_needed else shorten(default), key.unit, key.meaning)
-        for key, default in zip(found, defaults, strict=True)
+        for key, default in zip(known_keys, defaults, strict=True)
     ]
     header = ("key", "type", "default", "unit", "meaning")
-    answer([asdict(key) for key in found], format_table(header, rows, text_columns=range(5)), as_json=as_json)
+    answer([asdict(key) for key in known_keys], format_table(header, rows, text_columns=range(5)), as_json=as_json)
 
 
 @_group.command()

@@ -169,10 +169,10 @@ def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
 
 def _read_video(path: Path, base: Path) -> _Video:
     """Read 2D poses as a study will; what is no video are single images, such as key frames."""
-    found = find_annotations(AnnotationOptions(id=_identifier(path.stem), path=path))
-    formats = {source.parameters.format for source in found}
+    sources = find_annotations(AnnotationOptions(id=_identifier(path.stem), path=path))
+    formats = {source.parameters.format for source in sources}
     people: Counter[tuple[str, int]] = Counter()
-    for source in found:
+    for source in sources:
         frames = source.read()
         people.update(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     numbers = defaultdict(list)
@@ -182,7 +182,7 @@ def _read_video(path: Path, base: Path) -> _Video:
         id=_identifier(path.stem),
         path=_quoted(_shown(path, base)),
         format=formats.pop() if len(formats) == 1 else "auto",
-        note=visible("; ".join(source.in_words() for source in found), is_line=True),
+        note=visible("; ".join(source.in_words() for source in sources), is_line=True),
         num_persons=max(people.values(), default=0),
         is_moving=any(not why_no_video(np.array(own)) for own in numbers.values()),
     )

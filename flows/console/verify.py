@@ -19,19 +19,23 @@ from storage_schema.verification import ProblemKind
 def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong."""
     opened = existing_store(store)
-    found = verify_store(opened)
+    audit = verify_store(opened)
     size = (
-        f"{counted(found.num_artifacts, 'artifact')}, {counted(found.num_files, 'file')}, {size_text(found.num_bytes)}"
+        f"{counted(audit.num_artifacts, 'artifact')}, {counted(audit.num_files, 'file')}, {size_text(audit.num_bytes)}"
     )
-    lines = [*map(str, found.problems), *(f"note: {note}" for note in found.notes)]
+    lines = [*map(str, audit.problems), *(f"note: {note}" for note in audit.notes)]
     lines.append(
-        f"{size}: " + ("all as their manifests say" if found.is_ok else counted(len(found.problems), "problem"))
+        f"{size}: " + ("all as their manifests say" if audit.is_ok else counted(len(audit.problems), "problem"))
     )
-    damaged = {problem.stage for problem in found.problems if problem.kind is not ProblemKind.EXTRA}
+    damaged = {problem.stage for problem in audit.problems if problem.kind is not ProblemKind.EXTRA}
     if stages := sorted(damaged - RESERVED_NAMES):
         force = " ".join(f"--force {stage}" for stage in stages)
         lines.append(f"what is damaged is computed again by `pasdedeux run STUDY {force}`")
-    described = {"is_ok": found.is_ok, **asdict(found), "problems": [str(problem) for problem in found.problems]}
+    described = {
+        "is_ok": audit.is_ok,
+        **asdict(audit),
+        "problems": [str(problem) for problem in audit.problems],
+    }
     answer(described, lines, as_json=as_json)
-    if not found.is_ok:
+    if not audit.is_ok:
         raise typer.Exit(1)

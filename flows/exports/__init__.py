@@ -57,9 +57,9 @@ def export_format(name: str) -> ExportFormat:
     """Return the format of this name, or an InputError that lists the known ones."""
     if name not in EXPORT_FORMATS:
         raise InputError(f"export format '{name}' is not known; known formats: {', '.join(EXPORT_FORMATS)}")
-    found = import_module(EXPORT_FORMATS[name]).FORMAT
-    assert isinstance(found, ExportFormat)
-    return found
+    file_format = import_module(EXPORT_FORMATS[name]).FORMAT
+    assert isinstance(file_format, ExportFormat)
+    return file_format
 
 
 def export_reference(
@@ -128,19 +128,19 @@ def export_selection(
     for table in READS[1:]:
         with suppress(UnknownReference):  # what has no joint limits of its own is judged by the published ones
             refs += resolve(replace(reference, table=table), store)
-    found = select_pairs(store, tuple(dict.fromkeys(refs)), count)
-    if not found.columns:
+    selected = select_pairs(store, tuple(dict.fromkeys(refs)), count)
+    if not selected.columns:
         raise InputError(f"'{text}': no draw and no grown pair of it is plausible")
     made = TABLES["selected_pairs"]
-    rows = TableData(made, encode(made, found.columns))
+    rows = TableData(made, encode(made, selected.columns))
     choices = choices_for(store, reference)
     kept = [at for at in range(rows.num_rows) if not _is_rejected(rows.row(at), choices)]
     if not kept:
         raise InputError(_ALL_REJECTED.format(text))
     chosen = TableData(made, rows.rows.take(kept))
-    export = Export(store, text, replace(reference, table=made.name), found.refs, selected=chosen, **options)
+    export = Export(store, text, replace(reference, table=made.name), selected.refs, selected=chosen, **options)
     rejected = f"; {rows.num_rows - len(kept)} of them left out, as rejected" if len(kept) < rows.num_rows else ""
-    return _written(export, kind, out), found.in_words() + rejected
+    return _written(export, kind, out), selected.in_words() + rejected
 
 
 def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:

@@ -19,12 +19,12 @@ _DECIMALS = 8
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
     """Write a file for each person, of takes and variants an npz too: degrees, Y up, at the true rate, centimetres."""
-    own = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
+    rigs = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
     files = CastFiles(export, out, ("BVH files are in centimetres and degrees.",))
     for cast in casts(export):
         for letter, rig in zip(cast.letters, cast.rigs(), strict=True):
             if rig.own is not None:
-                own.write((*cast.parts, letter), *rig.own, is_apart=files.is_apart(cast))
+                rigs.write((*cast.parts, letter), *rig.own, is_apart=files.is_apart(cast))
                 continue
             said = ""
             if rig.positions_m is not None and len(rig.positions_m) > 1:
@@ -35,7 +35,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
                 )
             path = files.path(cast, letter, suffix=".bvh", said=said)
             write_text(path, write_bvh(ended(rig.motion), decimals=_DECIMALS))
-    return [*own.close(), *files.close()]
+    return [*rigs.close(), *files.close()]
 
 
 FORMAT = ExportFormat(_write, holds_poses, POSED, has_rest_pose=True, options=VERDICT)

@@ -229,8 +229,8 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
         positions = motion.astype(np.float64)
 
         def rigs(rest_pose: RestPose, positions_m: Array = positions, scales: Array = scale) -> list[Rig]:
-            found = zip(people, np.moveaxis(positions_m, 1, 0), scales.reshape(len(people), -1), strict=True)
-            return [_own_rig(person, person.own.retargeted(to_m, by), to_m, rest_pose) for person, to_m, by in found]
+            scaled = zip(people, np.moveaxis(positions_m, 1, 0), scales.reshape(len(people), -1), strict=True)
+            return [_own_rig(person, person.own.retargeted(to_m, by), to_m, rest_pose) for person, to_m, by in scaled]
 
         yield Cast(
             (take_id, str(name)),
@@ -261,8 +261,8 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
         ids = np.unique(rows["person_id"][part]).tolist()
         people = []
         for own in (part[rows["person_id"][part] == person_id] for person_id in ids):
-            found = body_from_joints(rows["body22_m"][own], rows["body22_unitquat"][own])
-            upright = found.turned(camera.camera_from_upright_rotmat.T)
+            body = body_from_joints(rows["body22_m"][own], rows["body22_unitquat"][own])
+            upright = body.turned(camera.camera_from_upright_rotmat.T)
             people.append((int(rows["frame"][own[0]]), upright, rows["is_bridged"][own]))
         rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
         together = motions_together(people, rate_hz=rate_hz)

@@ -48,8 +48,8 @@ def stored_weights(store: Store, manifest: Manifest) -> Weights:
 
 def _read(store: Store, manifest: Manifest) -> list[Manifest]:
     """Return the training data of a model, as far as it is still in the store."""
-    found = (store.find(ref.stage, ref.key) for ref in manifest.inputs)
-    return [one for one in found if one is not None]
+    inputs = (store.find(ref.stage, ref.key) for ref in manifest.inputs)
+    return [one for one in inputs if one is not None]
 
 
 def _card(store: Store, manifest: Manifest) -> str:
@@ -67,10 +67,12 @@ def _card(store: Store, manifest: Manifest) -> str:
 
 def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
     """Return the figures of a model as rows: as the last runs of studies have scored it, else all that there are."""
-    found = [one for one in store.artifacts("evaluation") if manifest.ref in one.inputs and "scores" in one.tables]
+    evaluations = [
+        one for one in store.artifacts("evaluation") if manifest.ref in one.inputs and "scores" in one.tables
+    ]
     lasts = [last for study in latest_studies(store) if (last := read_last_run(store, study)) is not None]
     current = {ref.place for last in lasts for ref in last.refs("evaluation")}
-    for scores in [one for one in found if one.ref.place in current] or found:
+    for scores in [one for one in evaluations if one.ref.place in current] or evaluations:
         rows = store.read(scores.ref, "scores")
         for row in map(rows.row, range(rows.num_rows)):
             if row["method"] == ModelFacts.of(manifest).model and row["item"] == "all" and np.isnan(row["at"]):

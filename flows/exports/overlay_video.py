@@ -143,8 +143,8 @@ class Footage:
             self._film = open_film(path)
         self._name, count = path.name, self._film.num_frames
         # The first frame that each image shows.
-        own = self._film.first_number + np.arange(count)
-        self._shown = own if rate_hz is None else first_shown(self._film.times_s, rate_hz)
+        numbers = self._film.first_number + np.arange(count)
+        self._shown = numbers if rate_hz is None else first_shown(self._film.times_s, rate_hz)
         self._at = count
         self._image: Any = None
 

@@ -73,9 +73,9 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[TakePerson]:
             np.asarray(take["body22_offset_m"], dtype=np.float64).reshape(BODY22.num_joints, joints, 3),
         )
         letter = person_name(int(take["person"]))
-        own = OwnSkeleton(motion, body)
+        skeleton = OwnSkeleton(motion, body)
         unit, layout, up_axis = float(take["metres_per_unit"]), str(take["layout"]), str(take["up_axis"])
-        people.append(TakePerson(str(take["take_id"]), letter, own, unit, layout, up_axis))
+        people.append(TakePerson(str(take["take_id"]), letter, skeleton, unit, layout, up_axis))
     return people
 
 
@@ -148,8 +148,8 @@ class RigFiles:
     ) -> None:
         """Write a variant's motion (frame, P, 22, 3), metres, with scales (P, 22), on the skeletons of its people."""
         for person, wanted_m, scale in zip(people, np.moveaxis(motion_m, 1, 0), bone_scale, strict=True):
-            own = person.own.retargeted(wanted_m, scale)
-            self.write((person.take_id, variant_id, person.letter), person, own, wanted_m)
+            retargeted = person.own.retargeted(wanted_m, scale)
+            self.write((person.take_id, variant_id, person.letter), person, retargeted, wanted_m)
 
     def close(self) -> Sequence[Path]:
         """Write what someone who finds the files has to know, and return all files."""

@@ -104,12 +104,12 @@ class Bodies:
             return []
         positions = self._people.frame(frame) if pose is None else pose
         is_there = np.atleast_1d(np.isfinite(positions).all(axis=(1, 2)))
-        found = []
+        rotations = []
         for body, own, here in zip(self.skins, positions, is_there, strict=True):
             places = own if here else np.full_like(own, _NOWHERE_M)
             turns = body.turns(self._people.skeleton, places) if here else np.tile([0.0, 0.0, 0.0, 1.0], (len(own), 1))
-            found.append((turns[:, [3, 0, 1, 2]], places))
-        return found
+            rotations.append((turns[:, [3, 0, 1, 2]], places))
+        return rotations
 
     def person_colours(self, grey: tuple[int, int, int] | None = None) -> list[tuple[int, int, int]]:
         """Return the colour of each skin, 0 to 255; all of them grey where asked."""
@@ -170,9 +170,9 @@ def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, A
     people, radii = people_m[there], radii_m[there]
     if len(people) < 2:
         return np.empty((0, 3)), np.empty((0, 3))
-    found = find_contacts(people[None], radii, skeleton, rate_hz=1.0)
-    held = found.is_held[0]
-    parts = found.shares[0, held][..., None] * people.reshape(-1, 3)[found.points[0, held]]
+    contacts = find_contacts(people[None], radii, skeleton, rate_hz=1.0)
+    held = contacts.is_held[0]
+    parts = contacts.shares[0, held][..., None] * people.reshape(-1, 3)[contacts.points[0, held]]
     touching = 0.5 * (parts[:, :2].sum(axis=1) - parts[:, 2:].sum(axis=1))
     deep: list[Array] = []
     for one, other in combinations(range(len(people)), 2):

@@ -314,8 +314,8 @@ class Editor:
         names = ["sequence_id", "frame", "person_id", POSITIONS["annotations"], "pair17_confidence"]
         data: Any = viewer.item.read(viewer.shelf.store, "annotations", names)
         points = np.array(data["pair17_px"], dtype=np.float64)
-        own = viewer.scene.frame_of_row == viewer.frame
-        points[own] = self.image_px()[np.argsort(np.argsort(data["person_id"][own]))]
+        is_shown = viewer.scene.frame_of_row == viewer.frame
+        points[is_shown] = self.image_px()[np.argsort(np.argsort(data["person_id"][is_shown]))]
         confidence = np.where(np.isfinite(points).all(axis=-1), np.maximum(data["pair17_confidence"], 1e-3), 0.0)
         sequences = tuple(name.replace("/", ".") for name in data["sequence_id"])
         frames = AnnotatedFrames(

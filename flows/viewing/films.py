@@ -76,8 +76,8 @@ def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tup
     folders = dict.fromkeys(place if place.is_dir() else place.parent for place in places)
     files = []
     for name, digest in names:
-        found = (folder / name for folder in folders if (folder / name).is_file())
-        path = next((path for path in found if _digest(path) == digest), None)
+        existing = (folder / name for folder in folders if (folder / name).is_file())
+        path = next((path for path in existing if _digest(path) == digest), None)
         if path is None:
             raise InputError(
                 f"{name}, which these 2D poses are from, is not where the study says, or has changed since"

@@ -57,8 +57,8 @@ class Kind:
 def _take(shelf: Shelf, part: Part, item: Item) -> Scene:
     data = item.read(shelf.store, "poses", ["person", "frame", "time_s", "body22_m"])
     grid = Grid.of(data["frame"], data["person"])
-    found = read_objects(shelf.store, item.pieces[0][0])
-    ends, radii = (None, None) if found is None else (found.ends_m, found.radii_m)
+    objects = read_objects(shelf.store, item.pieces[0][0])
+    ends, radii = (None, None) if objects is None else (objects.ends_m, objects.radii_m)
     people = People(BODY22, grid.fill(data["body22_m"]))
     return Scene(people, grid.frame_of_row, rate_of(data["time_s"]), ends_m=ends, radii_m=radii)
 
@@ -68,9 +68,9 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
     data = item.read(store, "variants", ["frame", "person", "time_s", "body22_m"])
     grid = Grid.of(data["frame"], data["person"])
     ref = item.pieces[0][0]
-    found = store.read(ref, "variant_frames")
-    own = np.flatnonzero((found["take_id"] == take_id) & (found["variant_id"] == variant_id))
-    names = [column.name for column in found.table.columns if column.name.endswith(("_m", "_rad", "_ratio"))]
+    quality = store.read(ref, "variant_frames")
+    rows = np.flatnonzero((quality["take_id"] == take_id) & (quality["variant_id"] == variant_id))
+    names = [column.name for column in quality.table.columns if column.name.endswith(("_m", "_rad", "_ratio"))]
     names.sort(key=lambda name: name != "contact_drift_m")  # it comes first
     return Scene(
         People(BODY22, grid.fill(data["body22_m"])),
@@ -78,8 +78,8 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
         rate_of(data["time_s"]),
         behind=People(BODY22, read_motion(store, take_of(store, ref), "body22_m")["body22_m"]),
         behind_name="source",
-        curves={name: np.asarray(found[name], dtype=np.float64)[own] for name in names},
-        levels=np.array([_LEVELS.get(str(word), 0) for word in found["verdict"][own]], dtype=np.int64),
+        curves={name: np.asarray(quality[name], dtype=np.float64)[rows] for name in names},
+        levels=np.array([_LEVELS.get(str(word), 0) for word in quality["verdict"][rows]], dtype=np.int64),
     )
 
 
@@ -221,9 +221,9 @@ def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[An
     pairs: Any = np.empty((data.num_rows, 2, PAIR17.num_joints, 3), dtype=np.float32)
     rows = 0
     for piece in item.pieces:  # one at a time: there may be 100,000 draws
-        own = Item(item.names, (piece,), item.label).read(shelf.store, part.table, ["pair17_m"])["pair17_m"]
-        pairs[rows : rows + len(own)] = own
-        rows += len(own)
+        pair_m = Item(item.names, (piece,), item.label).read(shelf.store, part.table, ["pair17_m"])["pair17_m"]
+        pairs[rows : rows + len(pair_m)] = pair_m
+        rows += len(pair_m)
     return data, People(PAIR17, pairs), np.arange(data.num_rows)
 
 
@@ -285,9 +285,9 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
     truths = np.full(people.positions_m.shape, np.nan)
     for row, place in enumerate(places):
         seen = Seen.of(shelf, place.sequence_id)
-        found = seen.truth(np.array([place.frame]), np.array([place.person_id, place.partner_id]), "pair17_m")
-        if found is not None:
-            truths[row] = found[0] - found[0].reshape(-1, 3).mean(axis=0)
+        truth = seen.truth(np.array([place.frame]), np.array([place.person_id, place.partner_id]), "pair17_m")
+        if truth is not None:
+            truths[row] = truth[0] - truth[0].reshape(-1, 3).mean(axis=0)
 
     def say(frame: int) -> list[str]:
         at = places[frame]

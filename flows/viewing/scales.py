@@ -54,6 +54,6 @@ class Scales:
         wanted: Array = self._scales[self._items.index(self._own)].copy()
         wanted[axis] = value
         weight = np.where(np.arange(len(wanted)) == axis, 2.0, 1.0)
-        found = self._items[int(np.argmin((weight * np.abs(self._scales - wanted)).sum(axis=1)))]
-        if found != self._own:
-            self._show(found)
+        nearest = self._items[int(np.argmin((weight * np.abs(self._scales - wanted)).sum(axis=1)))]
+        if nearest != self._own:
+            self._show(nearest)

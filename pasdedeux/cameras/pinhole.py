@@ -98,14 +98,14 @@ class PinholeCamera:
             InputError: The points do not determine it.
         """
         is_known = np.isfinite(points_m).all(axis=-1) & np.isfinite(px).all(axis=-1)
-        own = np.asarray(points_m, dtype=np.float64)[is_known] @ camera_from_world_rotmat.T
+        turned_m = np.asarray(points_m, dtype=np.float64)[is_known] @ camera_from_world_rotmat.T
         ray = (px[is_known] - principal_point_px) * [1.0, -1.0] / focal_px  # at z = -1
-        zero, one = np.zeros(len(own)), np.ones(len(own))
+        zero, one = np.zeros(len(turned_m)), np.ones(len(turned_m))
         rows = [np.stack([one, zero, ray[:, 0]], axis=-1), np.stack([zero, one, ray[:, 1]], axis=-1)]
-        known = -(own[:, :2] + ray * own[:, 2:])
+        known = -(turned_m[:, :2] + ray * turned_m[:, 2:])
         displacement, _, rank, _ = np.linalg.lstsq(np.concatenate(rows), known.T.reshape(-1), rcond=None)
         if rank < 3:
-            raise InputError(f"a camera is located by two points or more that it sees apart; {len(own)} are known")
+            raise InputError(f"a camera is located by two points or more that it sees apart; {len(turned_m)} are known")
         position = -displacement @ camera_from_world_rotmat
         return cls(focal_px, principal_point_px, camera_from_world_rotmat, position, image_size_px)
 

@@ -191,10 +191,10 @@ def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
         shared = np.asarray(np.isfinite(px).all(axis=(-1, -3)))[..., None, :, None]
         total = np.where(shared, px, 0.0).sum(axis=-2) / np.maximum(shared.sum(axis=-2), 1)
         anchor = np.where(is_missing[..., None, None], total, anchor)
-    own = metres_from_pixels(px, scale, anchor)
+    people_m = metres_from_pixels(px, scale, anchor)
     between = (anchor[..., 1, :] - anchor[..., 0, :]) * np.array([1.0, -1.0]) * scale.mean(axis=-1)[..., None]
     place = between[..., None, :] * np.array([[-0.5], [0.5]])
-    return np.asarray(own + place[..., None, :])
+    return np.asarray(people_m + place[..., None, :])
 
 
 @dataclass(frozen=True)

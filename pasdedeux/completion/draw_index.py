@@ -179,9 +179,9 @@ class DrawIndex:
         squared = np.empty((len(draws), len(views)))
         for view, direction in enumerate(views):
             world = _towards(tilt, direction)
-            own = np.empty(len(draws))
-            refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, own)
-            squared[:, view] = own
+            errors = np.empty(len(draws))
+            refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, errors)
+            squared[:, view] = errors
         return squared
 
 

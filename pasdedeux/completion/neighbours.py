@@ -59,8 +59,8 @@ def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> NearbyDraws:
     count = min(count, len(squared))
     near = np.argpartition(squared, count - 1)[:count]
     near = near[np.lexsort((near, squared[near]))]
-    found = flat[near].astype(np.float64)
-    moved = align_rigid(found[:, joints], np.broadcast_to(known, (count, *known.shape))).apply(found)
+    nearby = flat[near].astype(np.float64)
+    moved = align_rigid(nearby[:, joints], np.broadcast_to(known, (count, *known.shape))).apply(nearby)
     return NearbyDraws(
         pairs_m=moved.reshape(count, *pair_m.shape),
         draw=near.astype(np.int64),

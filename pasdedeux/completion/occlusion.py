@@ -54,13 +54,13 @@ def complete_pair(
     Raises:
         InputError: There is no draw, or fewer than 5 joints are visible.
     """
-    found = nearest_by_interaction(draws_m, pair_m, count=num_nearest, num_ranked=num_ranked or 2 * num_nearest)
-    median = np.median(found.pairs_m, axis=0)
+    nearest = nearest_by_interaction(draws_m, pair_m, count=num_nearest, num_ranked=num_ranked or 2 * num_nearest)
+    median = np.median(nearest.pairs_m, axis=0)
     blended = blend_onto(median, pair_m)
-    lengths = _known_lengths(pair_m, found.pairs_m)
+    lengths = _known_lengths(pair_m, nearest.pairs_m)
     deviation = np.where(np.isfinite(pair_m).all(axis=-1, keepdims=True), _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M)
     fitted = fit_people(blended, deviation, blended, lengths)
-    return Completion(pair_m=blended, fitted_m=fitted, median_m=median, neighbours=found)
+    return Completion(pair_m=blended, fitted_m=fitted, median_m=median, neighbours=nearest)
 
 
 def blend_onto(median_m: Array, pair_m: Array) -> Array:

@@ -42,13 +42,13 @@ class ShotFinder:
         A cut changes the image far more than the frames round it do, and for good: a flash does not.
         """
         step, leap = np.array(self._change).reshape(-1, 2).T
-        found = [0]
+        frames = [0]
         for frame in np.flatnonzero(step > _MIN_CHANGE).tolist():
             around = np.r_[step[max(frame - _AROUND, 1) : frame], step[frame + 1 : frame + 1 + _AROUND]]
             is_for_good = leap[frame : frame + 2].min() > 0.5 * step[frame]
             if is_for_good and step[frame] > _CHANGE_RATIO * (np.median(around) if len(around) else 0.0):
-                found.append(frame)
-        return found
+                frames.append(frame)
+        return frames
 
 
 def constant_rate_hz(time_s: Array) -> tuple[float, bool]:
@@ -75,17 +75,17 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
     numbers, people, befores, afters, shares = [], [], [], [], []
     for person in np.unique(frames.person_id).tolist():
         rows = np.flatnonzero(frames.person_id == person)
-        own = time_s[frames.frame[rows] - first_frame]
-        wanted = np.arange(np.ceil(own[0] * rate_hz - 1e-6), np.floor(own[-1] * rate_hz + 1e-6) + 1)
-        low_at = np.clip(np.searchsorted(own, wanted / rate_hz + 1e-9) - 1, 0, len(own) - 1)
-        high_at = np.minimum(low_at + 1, len(own) - 1)
-        gap_s = np.maximum(own[high_at] - own[low_at], 1e-9)
+        times_s = time_s[frames.frame[rows] - first_frame]
+        wanted = np.arange(np.ceil(times_s[0] * rate_hz - 1e-6), np.floor(times_s[-1] * rate_hz + 1e-6) + 1)
+        low_at = np.clip(np.searchsorted(times_s, wanted / rate_hz + 1e-9) - 1, 0, len(times_s) - 1)
+        high_at = np.minimum(low_at + 1, len(times_s) - 1)
+        gap_s = np.maximum(times_s[high_at] - times_s[low_at], 1e-9)
         is_near = frames.frame[rows[high_at]] - frames.frame[rows[low_at]] <= 1
         numbers.append(wanted[is_near].astype(np.int64))
         people.append(np.full(np.count_nonzero(is_near), person))
         befores.append(rows[low_at][is_near])
         afters.append(rows[high_at][is_near])
-        shares.append(np.clip((wanted / rate_hz - own[low_at]) / gap_s, 0.0, 1.0)[is_near])
+        shares.append(np.clip((wanted / rate_hz - times_s[low_at]) / gap_s, 0.0, 1.0)[is_near])
     number, person_id, before, after = (np.concatenate(parts) for parts in (numbers, people, befores, afters))
     share = np.concatenate(shares)
     low, high = frames.keypoints_px[before], frames.keypoints_px[after]

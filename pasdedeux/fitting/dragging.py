@@ -27,10 +27,10 @@ def pull_joint(skeleton: Skeleton, people_m: Array, person: int, joint: int, tar
         joint: By which joint.
         target_m: Where to, metres.
     """
-    own = np.asarray(people_m[person], dtype=np.float64)[None]
-    forest = BoneForest((skeleton,), bone_lengths(skeleton, own[0]))
-    targets, weights = own.copy(), np.ones((1, skeleton.num_joints, 1))
+    person_m = np.asarray(people_m[person], dtype=np.float64)[None]
+    forest = BoneForest((skeleton,), bone_lengths(skeleton, person_m[0]))
+    targets, weights = person_m.copy(), np.ones((1, skeleton.num_joints, 1))
     targets[0, joint], weights[0, joint] = target_m, _PULL
     pulled = np.array(people_m, dtype=np.float64)
-    pulled[person] = fit_bones(forest, forest.state_of(own), [PointTerm(targets, weights)]).positions_m[0]
+    pulled[person] = fit_bones(forest, forest.state_of(person_m), [PointTerm(targets, weights)]).positions_m[0]
     return pulled

@@ -133,10 +133,10 @@ class AnnotatedFrames:
     ) -> AnnotatedFrames:
         """Return keypoints of a known layout; those of a layout of somebody's own become pair17."""
         if KEYPOINT_LAYOUTS.get(layout.name) is not layout:
-            own = layout.derive(PAIR17.name, keypoints_px, confidence)
+            joints = layout.derive(PAIR17.name, keypoints_px, confidence)
             if status is not None:
                 status = layout.derive_status(PAIR17.name, status)
-            layout, keypoints_px, confidence = KEYPOINT_LAYOUTS[PAIR17.name], own.positions, own.confidence
+            layout, keypoints_px, confidence = KEYPOINT_LAYOUTS[PAIR17.name], joints.positions, joints.confidence
         return cls(layout=layout.name, keypoints_px=keypoints_px, confidence=confidence, status=status, **others)
 
     def __post_init__(self) -> None:
@@ -406,8 +406,8 @@ def check_anatomy(frames: AnnotatedFrames) -> None:
     Raises:
         InputError: The segments are too long for a body, or much longer than in another layout, which is then named.
     """
-    own = stretch(frames.layout, frames.keypoints_px, frames.confidence)
-    if np.isnan(own):
+    stretch_here = stretch(frames.layout, frames.keypoints_px, frames.confidence)
+    if np.isnan(stretch_here):
         return
     others = {
         name: stretch(name, frames.keypoints_px, frames.confidence)
@@ -417,18 +417,18 @@ def check_anatomy(frames: AnnotatedFrames) -> None:
         and (layout.num_keypoints == frames.keypoints_px.shape[1] or name in USUAL_LAYOUTS)
         and layout.num_keypoints <= frames.keypoints_px.shape[1]
     }
-    better = [name for name, value in others.items() if value < CLEARLY_SHORTER * own]
+    better = [name for name, value in others.items() if value < CLEARLY_SHORTER * stretch_here]
     off_middle = _off_middle(frames)
     if off_middle > MAX_OFF_MIDDLE:
-        hint = "; the order of 'coco18' fits" if others.get("coco18", np.inf) < own else ""
+        hint = "; the order of 'coco18' fits" if others.get("coco18", np.inf) < stretch_here else ""
         raise InputError(
             f"the keypoints do not look like people in the layout '{frames.layout}': the mid-hip lies "
             f"{off_middle:.0%} of a body from the middle of the hips{hint}"
         )
-    if own <= SURE_STRETCH or (own <= MAX_STRETCH and not better):
+    if stretch_here <= SURE_STRETCH or (stretch_here <= MAX_STRETCH and not better):
         return
     hint = f"; the order of '{min(better, key=lambda name: others[name])}' fits" if better else ""
     raise InputError(
         f"the keypoints do not look like people in the layout '{frames.layout}': their body segments are "
-        f"{own:.0%} of the longest that a body allows (people come to 20-50%){hint}"
+        f"{stretch_here:.0%} of the longest that a body allows (people come to 20-50%){hint}"
     )

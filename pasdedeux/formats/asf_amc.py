@@ -89,8 +89,8 @@ class _Bone:
                 allowed, listed = list(_DOF)[: 3 if key == "dof" else 6], [value.lower() for value in values]
                 for value in listed:
                     if value not in allowed or listed.count(value) > 1:
-                        found = f"the degree of freedom '{shorten(value)}' of '{self.name}'"
-                        raise FormatError(f"{found} is not known or there twice; allowed: {', '.join(allowed)}")
+                        fault = f"the degree of freedom '{shorten(value)}' of '{self.name}'"
+                        raise FormatError(f"{fault} is not known or there twice; allowed: {', '.join(allowed)}")
                 self.dof = "".join(_DOF[value] for value in listed)
             case "id" | "bodymass" | "cofmass":
                 pass

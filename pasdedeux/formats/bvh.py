@@ -83,11 +83,11 @@ def _sample(data: bytes, person: int) -> MotionHead | None:
 
     That is where something but numbers stands among the frames, or a line is no frame, or something is wrong.
     """
-    found = _FRAME_TIME.search(data, 0, _LARGE_BYTES)
-    if found is None:
+    frame_time = _FRAME_TIME.search(data, 0, _LARGE_BYTES)
+    if frame_time is None:
         return None
-    lines, step = BytesIO(data), data.count(b"\n", found.end()) // _NUM_SAMPLED + 1
-    lines.seek(found.end())
+    lines, step = BytesIO(data), data.count(b"\n", frame_time.end()) // _NUM_SAMPLED + 1
+    lines.seek(frame_time.end())
     kept: list[bytes] = []
     last, num_frames = b"", 0
     for line in lines:
@@ -98,7 +98,7 @@ def _sample(data: bytes, person: int) -> MotionHead | None:
             last, num_frames = line, num_frames + 1
     kept += [last] if num_frames % step != 1 % step else []  # which may be cut off
     try:
-        file = _read(b"\n".join([data[: found.end()], *kept]), num_frames)
+        file = _read(b"\n".join([data[: frame_time.end()], *kept]), num_frames)
         is_whole = len(file.values) == len(kept)
         return MotionHead(file.motion(person, is_head=True), num_frames) if is_whole else None
     except FormatError:  # its line is that of the sample
@@ -201,8 +201,8 @@ def _read_hierarchy(lines: Lines) -> BvhHierarchy:
                 break
             if key not in allowed:
                 where = f" in '{blocks[-1].name}'" if blocks else ""
-                found = shorten(" ".join(words))
-                raise FormatError(f"'{found}' is not expected{where}; allowed: {', '.join(allowed)}")
+                shown = shorten(" ".join(words))
+                raise FormatError(f"'{shown}' is not expected{where}; allowed: {', '.join(allowed)}")
             del words[0]
             match key:
                 case "HIERARCHY":

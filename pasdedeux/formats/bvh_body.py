@@ -200,10 +200,10 @@ class BvhHierarchy:
 
     def _below(self, joint: int) -> frozenset[int]:
         """Return a joint and all below it."""
-        found = [joint]
-        for parent in found:
-            found.extend(self.skeleton.children(parent))
-        return frozenset(found)
+        joints = [joint]
+        for parent in joints:
+            joints.extend(self.skeleton.children(parent))
+        return frozenset(joints)
 
     @cached_property
     def _limbs(self) -> list[list[int]]:

@@ -117,14 +117,14 @@ def read_image_results(data: bytes) -> list[Detection]:
     people = content.get("instance_info") if isinstance(content, dict) else content
     if not isinstance(people, list):
         raise FormatError("this is no list of people with 'keypoints'")
-    found = []
+    detections = []
     for index, person in enumerate(people):
         where = f"person {index}"
         if not isinstance(person, dict) or not isinstance(person.get("keypoints", []), list | dict):
             raise FormatError(f"{where} is no object with 'keypoints'")
         if person.get("keypoints"):
-            found.append(Detection(("", 0), _person_id(person), _keypoint_table(person, where), where))
-    return found
+            detections.append(Detection(("", 0), _person_id(person), _keypoint_table(person, where), where))
+    return detections
 
 
 def write_coco(frames: AnnotatedFrames) -> str:

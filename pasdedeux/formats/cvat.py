@@ -74,8 +74,8 @@ def read_cvat(
         table = np.array([points.get(name, missing) for name in names])
         status = tuple(table[:, 3].astype(int).tolist())
         detections.append(Detection((video, frame), person, table[:, :3], f"frame {frame}", status, names))
-    found = join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, is_strict=True)
-    return replace(found, has_identities=has_numbers)
+    frames = join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, is_strict=True)
+    return replace(frames, has_identities=has_numbers)
 
 
 def write_cvat(frames: AnnotatedFrames) -> str:

@@ -72,8 +72,8 @@ def get_array(
     fits = len(sizes) == len(shape) and all(want in (None, size) for want, size in zip(shape, sizes, strict=True))
     if array is None or array.dtype.kind not in kinds or not fits:
         wanted = ", ".join("any" if size is None else str(size) for size in shape)
-        found = "none" if array is None else f"{array.dtype} of shape {sizes}"
-        raise FormatError(f"array '{name}' of {_KINDS[kinds]}, shape ({wanted}), is needed, found {found}")
+        described = "none" if array is None else f"{array.dtype} of shape {sizes}"
+        raise FormatError(f"array '{name}' of {_KINDS[kinds]}, shape ({wanted}), is needed, found {described}")
     return array
 
 

@@ -22,7 +22,7 @@ def read_people(data: bytes | str) -> list[Detection]:
         raise FormatError("this is not an OpenPose file: it has no list 'people'")
     if len(people) > MAX_PEOPLE:
         raise FormatError(f"{len(people)} people in one frame; at most {MAX_PEOPLE} are allowed")
-    found = []
+    detections = []
     for index, person in enumerate(people):
         where = f"person {index}"
         named = person if isinstance(person, dict) else {}
@@ -37,8 +37,8 @@ def read_people(data: bytes | str) -> list[Detection]:
             )
             raise FormatError(f"{where} has {len(numbers)} values in 'pose_keypoints_2d'; allowed: {counts}")
         table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")
-        found.append(Detection(("", 0), _person_id(named, index), table, where))
-    return found
+        detections.append(Detection(("", 0), _person_id(named, index), table, where))
+    return detections
 
 
 OPENPOSE = AnnotationFormat(

@@ -37,8 +37,8 @@ def read_layout(data: bytes | str) -> KeypointLayout:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FormatError(f"this layout is not valid TOML: {error}") from None
     if set(content) != set(_KEYS):
-        found = ", ".join(map(shorten, content)) or "nothing"
-        raise FormatError(f"a layout has {' and '.join(_KEYS)}, found {found}")
+        present = ", ".join(map(shorten, content)) or "nothing"
+        raise FormatError(f"a layout has {' and '.join(_KEYS)}, found {present}")
     names, joints = content["keypoints"], content["joints"]
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
         raise FormatError("'keypoints' must be a list of names in the order of the file")

@@ -68,11 +68,11 @@ class BodyMap:
 
     def positions(self, positions_m: Array, world_unitquat: Array) -> Array:
         """Return body22 (*batch, 22, 3) of positions (*batch, J, 3) and world rotations (*batch, J, 4), metres."""
-        found = np.einsum("bi,...ix->...bx", self.weight, positions_m)
+        weighted = np.einsum("bi,...ix->...bx", self.weight, positions_m)
         for joint, carrier in zip(*np.nonzero(self.offset_m.any(axis=-1)), strict=True):
-            offset = np.broadcast_to(self.offset_m[joint, carrier], found[..., joint, :].shape)
-            found[..., joint, :] += rotate(world_unitquat[..., carrier, :], offset)
-        return found
+            offset = np.broadcast_to(self.offset_m[joint, carrier], weighted[..., joint, :].shape)
+            weighted[..., joint, :] += rotate(world_unitquat[..., carrier, :], offset)
+        return weighted
 
     def joint_names(self, skeleton: Skeleton) -> list[str]:
         """Return for each joint of body22 the name of the source joint that it is, empty where it is none."""

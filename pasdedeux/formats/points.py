@@ -163,9 +163,9 @@ def _of_frames(content: Any) -> Iterator[Detection]:
                 has_world = any("world" in key for key in low)
                 raise FormatError("no landmarks of the image are there" + (", only of the world" if has_world else ""))
             is_number = isinstance(person, int) and 0 <= person <= MAX_COUNT
-            own = person if is_number or (isinstance(person, str) and person) else None
+            person_id = person if is_number or (isinstance(person, str) and person) else None
             for who, pose, names in _poses(frame if are_people else low or frame):
-                yield Detection(("", number), own if who is None else who, pose, where, names=names)
+                yield Detection(("", number), person_id if who is None else who, pose, where, names=names)
 
 
 def _by_frame(content: Any) -> Any:

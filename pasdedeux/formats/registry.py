@@ -73,11 +73,11 @@ def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
     refuse_foreign(data)
     if name != "auto":
         return known[name]
-    found = recognise_format(data).name
-    if found not in known:
+    recognised = recognise_format(data).name
+    if recognised not in known:
         what = "a motion of one person" if known is MOTION_FORMATS else "one of 2D poses"
-        raise FormatError(f"this is a file of the kind '{found}', not {what}")
-    return known[found]
+        raise FormatError(f"this is a file of the kind '{recognised}', not {what}")
+    return known[recognised]
 
 
 def read_annotations(
@@ -116,9 +116,10 @@ def read_annotations(
         raise InputError(f"frame {frames.frame.min()} would be {frames.frame.min() + frame_offset} (frame_offset)")
     frames = replace(frames, frame=frames.frame + frame_offset)
     frames = clean_annotations(frames, stated=stated, video=video, min_confidence=min_confidence)
-    own = f"{source_id}."
+    prefix = f"{source_id}."
     names = {
-        name: name if name == source_id or name.startswith(own) else own + name for name in set(frames.sequence_id)
+        name: name if name == source_id or name.startswith(prefix) else prefix + name
+        for name in set(frames.sequence_id)
     }
     return replace(
         frames,

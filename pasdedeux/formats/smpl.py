@@ -136,8 +136,8 @@ class BodyModel:
             matrix = np.concatenate([rows, _HOLD * np.eye(len(betas))])
             step = np.linalg.lstsq(matrix, np.concatenate([wanted - length, -_HOLD * betas]), rcond=None)[0]
             betas = betas + step
-        found = bone_lengths(self.skeleton, self.rest_m(betas))[bones]
-        return betas, dict(zip(lengths_m, (found - wanted).tolist(), strict=True))
+        lengths = bone_lengths(self.skeleton, self.rest_m(betas))[bones]
+        return betas, dict(zip(lengths_m, (lengths - wanted).tolist(), strict=True))
 
 
 @lru_cache(maxsize=2)

@@ -22,7 +22,7 @@ _MAX_SHARE = 2.0
 
 def read_people(data: bytes) -> list[Detection]:
     """Read the people of one image, whose coordinates are shares of it."""
-    found = []
+    detections = []
     with Lines(data, "file of YOLO") as lines:
         for words in lines.words():
             values = np.array([parse_number(word, "a value") for word in words])
@@ -31,8 +31,8 @@ def read_people(data: bytes) -> list[Detection]:
             table = np.concatenate([table, np.ones((count, 3 - width))], axis=1)
             track = values[-1] if len(values) == _BOX + count * width + 2 else -1.0
             person = int(track) if track >= 0 and track == int(track) else None
-            found.append(Detection(("", 0), person, table, f"line {lines.number}"))
-    return found
+            detections.append(Detection(("", 0), person, table, f"line {lines.number}"))
+    return detections
 
 
 def _form(values: np.ndarray) -> tuple[int, int]:

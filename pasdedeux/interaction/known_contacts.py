@@ -112,10 +112,10 @@ def read_contacts(data: bytes) -> tuple[UserContact, ...]:
         FormatError: A column, joint or value is not known or allowed; the line is named.
     """
     with Lines(data, "table of contacts") as lines:
-        found = []
+        contacts = []
         for row in lines.table((), list(UserContact.model_fields))[1]:
             try:
-                found.append(UserContact.model_validate({name: value for name, value in row.items() if value}))
+                contacts.append(UserContact.model_validate({name: value for name, value in row.items() if value}))
             except ValidationError as error:
                 raise FormatError(first_problem(error)) from None
-    return tuple(found)
+    return tuple(contacts)

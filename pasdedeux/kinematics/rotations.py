@@ -81,8 +81,8 @@ def unitquat_from_rotmat(rotmat: Array) -> Array:
     """Return unit quaternions (*batch, 4), w >= 0, of rotation matrices (*batch, 3, 3)."""
     from scipy.spatial.transform import Rotation  # here: planning need not wait for it
 
-    found = Rotation.from_matrix(np.reshape(rotmat, (-1, 3, 3)), assume_valid=True).as_quat(canonical=True)
-    return np.asarray(found.reshape(*np.shape(rotmat)[:-2], 4))
+    unitquat = Rotation.from_matrix(np.reshape(rotmat, (-1, 3, 3)), assume_valid=True).as_quat(canonical=True)
+    return np.asarray(unitquat.reshape(*np.shape(rotmat)[:-2], 4))
 
 
 def unitquat_from_rotvec(rotvec: Array) -> Array:

@@ -94,8 +94,8 @@ def read_key_frames(data: bytes, what: str) -> KeyFrames:
         InputError: It is no such file.
     """
     try:
-        found = json.loads(data)
-        frames, positions = found["frames"], np.array(found["body22_m"], dtype=np.float64)
+        content = json.loads(data)
+        frames, positions = content["frames"], np.array(content["body22_m"], dtype=np.float64)
         if not all(type(frame) is int for frame in frames):
             raise TypeError("frames are whole numbers")
         return KeyFrames(np.array(frames, dtype=np.int64), positions)

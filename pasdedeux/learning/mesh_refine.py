@@ -145,9 +145,9 @@ def refine(
         terms = fit_terms(problem, targets, 0)
         if key_frames is not None:
             terms.append(PointTerm(points_of(held[window]), np.array(FIXED)))
-        found = descend(targets, 0, terms, start[window], settings).positions_m
-        missed = laplacian_residual(problem, targets, found[None] - targets.reference)[0]
-        points[window] += share[:, None, None] * found
+        polished = descend(targets, 0, terms, start[window], settings).positions_m
+        missed = laplacian_residual(problem, targets, polished[None] - targets.reference)[0]
+        points[window] += share[:, None, None] * polished
         residual[window] += share * (missed**2).sum(axis=-1).mean(axis=-1)
     motion = points.reshape(source.positions_m.shape)
     return Refined(motion if len(windows) == 1 else request.with_exact_bones(motion), residual)

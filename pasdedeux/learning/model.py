@@ -308,11 +308,11 @@ def check_topology(model: VariantModel, source: Source) -> None:
     Raises:
         InputError: Names both.
     """
-    own = model.skeleton
-    if own not in (None, source.skeleton):
+    skeleton = model.skeleton
+    if skeleton not in (None, source.skeleton):
         raise InputError(
-            f"{model.name}: weights of another topology: it is of {own.name}, {own.num_joints} joints a person, "
-            f"and {source.name} of {source.skeleton.name}, {source.skeleton.num_joints}"
+            f"{model.name}: weights of another topology: it is of {skeleton.name}, {skeleton.num_joints} joints a "
+            f"person, and {source.name} of {source.skeleton.name}, {source.skeleton.num_joints}"
         )
 
 

@@ -85,16 +85,16 @@ def load_model(description: ModelDescription, arrays: Arrays) -> VariantModel:
         InputError: Unknown model, or settings or arrays that do not fit it or are not finite.
     """
     name, kind = description.model, model_class(description.model)
-    own = {key: values for key, values in arrays.items() if not key.startswith(_BUILT_ON)}
+    own_arrays = {key: values for key, values in arrays.items() if not key.startswith(_BUILT_ON)}
     inner = {key.removeprefix(_BUILT_ON): values for key, values in arrays.items() if key.startswith(_BUILT_ON)}
-    for key, values in own.items():
+    for key, values in own_arrays.items():
         if values.dtype not in (np.float32, np.float64):
             raise InputError(f"{name}: array '{key}' is of {values.dtype}, not float32 or float64")
         if not np.isfinite(values).all():
             raise InputError(f"{name}: array '{key}' has a value that is not finite")
     built_on = None if description.built_on is None else load_model(description.built_on, inner)
     try:
-        return kind.restore(description.config, own, built_on)
+        return kind.restore(description.config, own_arrays, built_on)
     except ValidationError as error:
         raise InputError(f"{name}: its settings do not fit: {first_problem(error)}") from None
 
@@ -169,9 +169,9 @@ def read_weights(data: bytes, what: str) -> Weights:
             )
         stored = _Header.model_validate_json(words)
     except (SafetensorError, RecursionError, ValueError, TypeError, KeyError) as problem:
-        found = f"{type(problem).__name__}: {problem}".splitlines()[0][:120]
+        reason = f"{type(problem).__name__}: {problem}".splitlines()[0][:120]
         raise InputError(
-            f"{what}: these are no weights of a model that `export --format safetensors` wrote ({found})"
+            f"{what}: these are no weights of a model that `export --format safetensors` wrote ({reason})"
         ) from None
     try:
         model = load_model(stored.description, arrays)

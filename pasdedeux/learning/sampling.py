@@ -113,13 +113,13 @@ class VariantSampler:
             scale: Scales of B's bones (22,); see `sample_motion`.
         """
         source = self._request.source
-        found = sample_motion(
+        drawn = sample_motion(
             self._model, source, generator, scale=scale, key_frames=self._key_frames, take_id=self._take_id
         )
-        request = replace(self._request, bone_scale=found.bone_scale)
-        refined = refine(request, self._parts, found.motion_m, NUM_STEPS, self._key_frames)
+        request = replace(self._request, bone_scale=drawn.bone_scale)
+        refined = refine(request, self._parts, drawn.motion_m, NUM_STEPS, self._key_frames)
         return self._augmenter.assess(
-            Variation(variant_id, found.bone_scale),
+            Variation(variant_id, drawn.bone_scale),
             refined.motion_m,
             squared_residual=refined.squared_residual,
             num_iterations=NUM_STEPS,

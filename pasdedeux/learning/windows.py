@@ -101,13 +101,13 @@ def gather_windows(items: Items, length: int) -> list[Window]:
         _, moved, scales = variants.setdefault((item.request.take_id, person), (source, [], []))
         moved.append((item.motion_m - source.positions_m)[sampled_frames(source)][:, [1 - person, person]])
         scales.append(item.request.bone_scale[person])
-    found = []
+    windows = []
     for (take_id, person), (source, moved, scales) in variants.items():
         change, scale = np.stack(moved), np.stack(scales).astype(np.float32)
         for window in cut(source, take_id, person, length):
             motion = window.template_m + (change[:, window.frames] @ window.axes).astype(np.float32)
-            found.append(Window(take_id, person, window.frames, window.template_m, window.axes, motion, scale))
-    return found
+            windows.append(Window(take_id, person, window.frames, window.template_m, window.axes, motion, scale))
+    return windows
 
 
 def blend(source: Source, windows: Sequence[Window], moved_m: Iterator[Narrow]) -> Array:

@@ -86,7 +86,7 @@ def find_breaks(
             for at, part in enumerate(parts)
         )
         ends[person] = first, last
-    found = []
+    breaks = []
     for before, after in permutations(ends, 2):
         end, start = ends[before][1], ends[after][0]
         gap_s = (start.frame - end.frame) / rate_hz
@@ -101,8 +101,8 @@ def find_breaks(
         moved_s, step = _FADE_S * (1.0 - float(np.exp(-gap_s / _FADE_S))), start.place_px - end.place_px
         off = max(float(np.linalg.norm(step - moved_s * speed)) for speed in (end.speed_px_s, start.speed_px_s)) / size
         is_clear = growth <= _CLEAR_GROWTH and max(apart, off) <= _CLEAR_SIZES
-        found.append((apart, Break(before, after, *spans[after], is_clear)))
-    return _nearest([one for _, one in sorted(found, key=lambda one: one[0])])
+        breaks.append((apart, Break(before, after, *spans[after], is_clear)))
+    return _nearest([one for _, one in sorted(breaks, key=lambda one: one[0])])
 
 
 def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, is_last: bool) -> _TrackEnd:

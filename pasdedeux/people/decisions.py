@@ -142,9 +142,9 @@ def decide(
         where = f"people of '{sequence_id}', row '{decision.in_words()}'"
         if decision.person not in people:
             raise InputError(f"{where}: there is no person {decision.person}; persons: {', '.join(map(str, people))}")
-        own = frame[person_id == decision.person]
+        at = frame[person_id == decision.person]
         raise InputError(
-            f"{where}: person {decision.person} is in none of these frames, but in {own.min()} to {own.max()}"
+            f"{where}: person {decision.person} is in none of these frames, but in {at.min()} to {at.max()}"
         )
     order = np.lexsort([decided, frame])
     order = order[decided[order] >= 0]

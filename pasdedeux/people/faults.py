@@ -137,9 +137,9 @@ def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Flags:
     exchanged = np.zeros(pair_px.shape[1:3], dtype=bool)
     size = np.nanmax([track_size_px(pair_px[0]), track_size_px(pair_px[1])], axis=0)
     for limb in _EXCHANGED_LIMBS:
-        own = pair_px[:, :, np.array(limb)]
-        given = np.concatenate([own[0], own[1]], axis=1)
-        other = np.concatenate([own[1], own[0]], axis=1)
+        limb_px = pair_px[:, :, np.array(limb)]
+        given = np.concatenate([limb_px[0], limb_px[1]], axis=1)
+        other = np.concatenate([limb_px[1], limb_px[0]], axis=1)
         path = _smoothest(np.stack([given, other], axis=1), np.array([0.0, 1.0]), size, rate_hz)
         # Exchange needs both limbs; with one missing it may be the partner's or one's own, so masking decides.
         is_complete = np.isfinite(given).all(axis=(-1, -2))

@@ -134,8 +134,8 @@ class Follower:
             if given_id is not None:
                 passed = time_s - np.array([person.last_time_s for person in self._people])
                 claim = _GIVEN_COST + _GATE_GROWTH_PER_S * passed
-                own = np.array([person.given_id for person in self._people])
-                cost += claim[:, None] * (own[:, None] != given_id[usable])
+                given_ids = np.array([person.given_id for person in self._people])
+                cost += claim[:, None] * (given_ids[:, None] != given_id[usable])
                 limit += claim[:, None]
             from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
 
@@ -221,11 +221,11 @@ def follow_people(
     follower = Follower()
     for number in np.unique(frame):
         rows = np.flatnonzero(frame == number)
-        found = follower.step(
+        followed = follower.step(
             float(number) / rate_hz, points[rows], seen[rows], None if given_id is None else given_id[rows]
         )
-        track_id[rows], points[rows], seen[rows] = found.track_id, found.keypoints_px, found.confidence
-        twin[rows] = np.where(found.twin >= 0, rows[found.twin], -1)
+        track_id[rows], points[rows], seen[rows] = followed.track_id, followed.keypoints_px, followed.confidence
+        twin[rows] = np.where(followed.twin >= 0, rows[followed.twin], -1)
     for part, whole in reversed(follower.part_of.items()):
         track_id, twin, points, seen = _joined_rows(frame, track_id, twin, points, seen, part, whole)
     if given_id is None:

@@ -65,8 +65,10 @@ def repair_rows(
         seen[change, keypoint] = confidence[source_row[change, joint], source[change]]
         masked = is_kept & found.is_masked[person, at, joint]
         px[masked, keypoint], seen[masked, keypoint] = np.nan, 0.0
-    own = _own_joints(layout)
-    others = np.array([point for point, name in enumerate(layout.keypoint_names) if name not in own], dtype=np.int64)
+    joint_pairs = _own_joints(layout)
+    others = np.array(
+        [point for point, name in enumerate(layout.keypoint_names) if name not in joint_pairs], dtype=np.int64
+    )
     for number in range(len(people)):  # what is no joint of op14 is only masked
         rows = np.flatnonzero(person == number)
         rows = rows[np.argsort(at[rows])]
@@ -87,13 +89,13 @@ def repair_rows(
 def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:
     """Return for each keypoint the joint of op14 that it moves with, -1 for none, and its mirrored keypoint."""
     names, own = layout.keypoint_names, _own_joints(layout)
-    found = []
+    joints = []
     for keypoint, name in enumerate(names):
         side, _, part = name.partition("_")
         joint = own.get(name, f"{side}_{_MOVES_WITH[part]}" if part in _MOVES_WITH else "")
         other = {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
-        found.append((OP14.index(joint) if joint else -1, names.index(other) if other in names else keypoint))
-    return found
+        joints.append((OP14.index(joint) if joint else -1, names.index(other) if other in names else keypoint))
+    return joints
 
 
 def _own_joints(layout: KeypointLayout) -> dict[str, str]:

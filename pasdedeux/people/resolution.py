@@ -171,12 +171,12 @@ def resolve_people(
     """
     if frames.rate_hz is None:
         raise InputError("people cannot be followed without the frame rate of the video")
-    found = []
+    sequences = []
     sequence_of = np.array(frames.sequence_id, dtype=object)
     for name in sorted(set(frames.sequence_id)):
         at = np.flatnonzero(sequence_of == name)
         rows = SequenceRows(frames.frame[at], frames.person_id[at], frames.keypoints_px[at], frames.confidence[at], at)
-        found.append(
+        sequences.append(
             resolve_sequence(
                 name,
                 rows,
@@ -188,19 +188,19 @@ def resolve_people(
                 is_start=is_start,
             )
         )
-    if not sum(len(sequence.rows.frame) for sequence in found):
+    if not sum(len(sequence.rows.frame) for sequence in sequences):
         raise NobodyError("no frame shows enough joints of a person")
-    paired = {(pair.first, pair.second) for sequence in found for pair in sequence.decided.pairs}
+    paired = {(pair.first, pair.second) for sequence in sequences for pair in sequence.decided.pairs}
     for couple in settings.couples if settings and not is_start else ():
         if tuple(sorted(couple)) not in paired:
-            people = sorted({person for sequence in found for person in sequence.rows.person_id.tolist()})
+            people = sorted({person for sequence in sequences for person in sequence.rows.person_id.tolist()})
             raise InputError(f"couple {list(couple)} is never seen together; persons: {', '.join(map(str, people))}")
     columns: dict[str, Any] = {
-        field.name: np.concatenate([getattr(sequence.rows, field.name) for sequence in found])
+        field.name: np.concatenate([getattr(sequence.rows, field.name) for sequence in sequences])
         for field in fields(SequenceRows)
     }
     source_row = columns.pop("source_row")
-    names = tuple(sequence.decided.sequence_id for sequence in found for _ in sequence.rows.frame)
+    names = tuple(sequence.decided.sequence_id for sequence in sequences for _ in sequence.rows.frame)
     return ResolvedPeople(
         frames=replace(
             frames,
@@ -209,12 +209,12 @@ def resolve_people(
             **columns,
         ),
         source_person_id=frames.person_id[source_row],
-        partner_id=np.concatenate([sequence.partner_id for sequence in found]),
+        partner_id=np.concatenate([sequence.partner_id for sequence in sequences]),
         op14=Keypoints(
-            np.concatenate([sequence.op14.positions for sequence in found]),
-            np.concatenate([sequence.op14.confidence for sequence in found]),
+            np.concatenate([sequence.op14.positions for sequence in sequences]),
+            np.concatenate([sequence.op14.confidence for sequence in sequences]),
         ),
-        sequences=tuple(sequence.decided for sequence in found),
+        sequences=tuple(sequence.decided for sequence in sequences),
     )
 
 
@@ -279,8 +279,8 @@ def resolve_sequence(
     pairs, partner = _partners(rows, op14, couples, has_identities=has_numbers)
     num_people = len(np.unique(rows.person_id))
     counts = (merged, ghosts, repaired, renamed)
-    found = SequencePeople(sequence_id, num_people, tuple(pairs), reason, *counts, tuple(spans), tuple(joined))
-    return ResolvedSequence(rows, op14, partner, found)
+    people = SequencePeople(sequence_id, num_people, tuple(pairs), reason, *counts, tuple(spans), tuple(joined))
+    return ResolvedSequence(rows, op14, partner, people)
 
 
 def _merged(rows: SequenceRows, twin: Integers) -> SequenceRows:
@@ -305,11 +305,11 @@ def _names_of(rows: SequenceRows, track_id: Integers) -> Integers:
     named: set[int] = set()
     for vote in np.argsort(-counts, kind="stable"):
         track, name = votes[:, vote].tolist()
-        own = {(name, at) for at in rows.frame[track_id == track].tolist()}
-        if track not in named and not own & taken:
+        places = {(name, at) for at in rows.frame[track_id == track].tolist()}
+        if track not in named and not places & taken:
             person_id[track_id == track] = name
             named.add(track)
-            taken |= own
+            taken |= places
     for track in sorted(set(track_id[is_followed].tolist()) - named):
         person_id[track_id == track] = int(person_id.max()) + 1
     return person_id

@@ -171,19 +171,22 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
     """
     apart = next(filter(None, (_names_apart(*both) for both in combinations(names, 2))), "")
     shared = [Complaint(Level.WARN, apart, is_of_take=True)] if apart else []
-    found = [shared + person.complaints(limits) for person in people]
+    complaints = [shared + person.complaints(limits) for person in people]
     everybody = [
         one if one.is_of_take or len(people) == 1 else replace(one, text=f"{person_name(person)}: {one.text}")
-        for person, own in enumerate(found)
+        for person, own in enumerate(complaints)
         for one in own
     ]
-    return JudgedCapture(_verdict(everybody), tuple(_verdict(own) for own in found))
+    return JudgedCapture(_verdict(everybody), tuple(_verdict(own) for own in complaints))
 
 
 def _verdict(complaints: Sequence[Complaint]) -> Verdict:
     """Return the worst level, and all complaints, failures first, none twice."""
-    found = dict.fromkeys(sorted(complaints, key=lambda complaint: complaint.level is not Level.FAIL))
-    return Verdict(next(iter(found)).level if found else Level.PASS, "; ".join(complaint.text for complaint in found))
+    in_order = dict.fromkeys(sorted(complaints, key=lambda complaint: complaint.level is not Level.FAIL))
+    return Verdict(
+        next(iter(in_order)).level if in_order else Level.PASS,
+        "; ".join(complaint.text for complaint in in_order),
+    )
 
 
 def _names_apart(one: str, other: str) -> str:
@@ -240,15 +243,20 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
         of_take |= {"distance_m": float(nearest.min(axis=0).max()), "trunk_m": min(trunk_m), "twin_m": min(twin_m)}
         of_take |= {"penetration_m": max(0.0, *depth_m), "body_difference_m": min(body_m)}
     step = max(1, round(rate_hz * _STEP_S))
-    found = []
+    captures = []
     for person in range(body22_m.shape[1]):
-        own = body22_m[:, person]
-        speed = _norm(own[step:] - own[:-step]) * (rate_hz / step)
-        third = _norm(own[3 * step :] - 3 * own[2 * step : -step] + 3 * own[step : -2 * step] - own[: -3 * step])
+        person_m = body22_m[:, person]
+        speed = _norm(person_m[step:] - person_m[:-step]) * (rate_hz / step)
+        third = _norm(
+            person_m[3 * step :]
+            - 3 * person_m[2 * step : -step]
+            + 3 * person_m[step : -2 * step]
+            - person_m[: -3 * step]
+        )
         speed, third = (values if len(values) else np.zeros((1, BODY22.num_joints)) for values in (speed, third))
         jerk = np.percentile(third, _JERK_PERCENT, axis=0) * (rate_hz / step) ** 3
         frame, jumping = np.unravel_index(np.argmax(third), third.shape)
-        found.append(
+        captures.append(
             PersonCapture(
                 stature_m=float(statures[person]),
                 speed_m_s=float(speed.max()),
@@ -258,13 +266,13 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
                 jump_m=float(third[frame, jumping]) / 2,
                 jump_joint=BODY22.joint_names[jumping],
                 jump_s=float((frame + 1.5 * step) / rate_hz),
-                skate_m_s=_skate(own[:, _FEET], step) * rate_hz / step,
+                skate_m_s=_skate(person_m[:, _FEET], step) * rate_hz / step,
                 sunk_m=float(np.percentile(floor - low[:, person], 95.0)),
                 floating_share=float(is_high[:, person].mean()),
                 **of_take,
             )
         )
-    return found
+    return captures
 
 
 def _norm(vectors: Array) -> Array:

@@ -29,8 +29,8 @@ def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
     forward = normalise(np.cross(of("left_shoulder") - of("right_shoulder"), up))
     length = np.linalg.norm(neck_to_head, axis=-1, keepdims=True)
     nose = of("head") + length * (_NOSE_FORWARD * forward + _NOSE_UP * up)
-    own = {"neck": middle, "head": nose}
-    return np.stack([own[name] if name in own else of(name) for name in OP14.joint_names], axis=-2)
+    made_joints = {"neck": middle, "head": nose}
+    return np.stack([made_joints[name] if name in made_joints else of(name) for name in OP14.joint_names], axis=-2)
 
 
 def resample_positions(positions: Array, *, from_hz: float, to_hz: float, start_s: float = 0.0) -> Array:

@@ -110,12 +110,12 @@ def lift_over_time(
             )
             for track, partner in zip(tracks, tracks[::-1], strict=True)
         ]
-        found = reconstruct_sequence(both, database, camera, options)
-        if found.people.skipped:
+        reconstruction = reconstruct_sequence(both, database, camera, options)
+        if reconstruction.people.skipped:
             return None
-        positions.append(np.stack([track.positions_m for track in found.people.methods[-1].people], axis=1))
-        (place,) = found.judged.places.values()
-        poses_m = np.mean([person.expected_error_m for person in found.judged.people.values()])
+        positions.append(np.stack([track.positions_m for track in reconstruction.people.methods[-1].people], axis=1))
+        (place,) = reconstruction.judged.places.values()
+        poses_m = np.mean([person.expected_error_m for person in reconstruction.judged.people.values()])
         # About their middle, each of the two is off by half of what their place is.
         expected.append(np.full(len(part), np.hypot(poses_m, 0.5 * place.expected_error_m)))
     return LiftedFrames(np.concatenate(positions), np.concatenate(expected))

@@ -115,8 +115,8 @@ class Skeleton:
         return self._both_sides(LEG)
 
     def _both_sides(self, joints: tuple[str, ...]) -> tuple[list[int], list[int]]:
-        found = self.indices(by_side("left", *joints))
-        return found[: len(joints)], found[len(joints) :]
+        left = self.indices(by_side("left", *joints))
+        return left[: len(joints)], left[len(joints) :]
 
     @property
     def limbs(self) -> tuple[list[int], list[int], list[int], list[int]]:

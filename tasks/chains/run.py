@@ -200,10 +200,10 @@ def _nearest(evidence: AnnotationEvidence, pairs_m: np.ndarray) -> dict[str, Any
     places: list[PairPlace | None] = [None] * count
     views, distances = np.full((count, 3), np.nan), np.full(count, np.nan)
     for draw, pair_m in enumerate(pairs_m if len(likelihood.directions) else ()):
-        found = likelihood.nearest(pair_m)
-        view = int(np.argmin(found.dissimilarity_m))
-        places[draw] = evidence.places[int(found.entry[view])]
-        views[draw], distances[draw] = likelihood.directions[view], found.dissimilarity_m[view]
+        nearest = likelihood.nearest(pair_m)
+        view = int(np.argmin(nearest.dissimilarity_m))
+        places[draw] = evidence.places[int(nearest.entry[view])]
+        views[draw], distances[draw] = likelihood.directions[view], nearest.dissimilarity_m[view]
     return {
         "sequence_id": [place and place.sequence_id for place in places],
         "sequence_frame": [place and place.frame for place in places],

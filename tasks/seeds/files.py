@@ -167,12 +167,12 @@ def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
     Raises:
         UnknownReference: The reference names nothing.
     """
-    found = []
+    pairs = []
     for ref, rows in find_rows(parse_reference(text), store):
         manifest, table = store.manifest(ref), store.read(ref, "seeds", columns=["seed_index", "pair17_m"], rows=rows)
         for row, (seed_index, pair_m) in enumerate(
             zip(table["seed_index"], table["pair17_m"], strict=True), rows.start
         ):
             pair = np.array(pair_m, dtype=np.float64)
-            found.append((int(seed_index), _pair_file(store, manifest, pair, f"seeds@{ref.key}#{row}")))
-    return found
+            pairs.append((int(seed_index), _pair_file(store, manifest, pair, f"seeds@{ref.key}#{row}")))
+    return pairs

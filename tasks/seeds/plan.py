@@ -35,8 +35,8 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         InputError: A named frame or file cannot be a seed, or seeds are asked of takes or of annotations and there are
             none, or more starts than pairs that grow, or pairs are to be filled in between none.
     """
-    found = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
-    takes = {take.take_id: manifest for take, manifest in found if not take.is_held_out and take.num_persons == 2}
+    known_takes = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
+    takes = {take.take_id: manifest for take, manifest in known_takes if not take.is_held_out and take.num_persons == 2}
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
     _check_sources(parameters, takes, has_annotations=bool(annotated and views))

@@ -53,8 +53,10 @@ class StoredVariants:
         self._homes: dict[tuple[str, str], _Home] = {}
         for ref in variants:
             take_id = VariantFacts.of(store.manifest(ref)).take_id
-            own = {name: it for name, it in (rejected or {}).items() if name.partition("/")[0] == take_id}
-            refused = rejected_names(own, store.iter_batches(ref, "variants", columns=content_columns("variants")))
+            rejected_here = {name: it for name, it in (rejected or {}).items() if name.partition("/")[0] == take_id}
+            refused = rejected_names(
+                rejected_here, store.iter_batches(ref, "variants", columns=content_columns("variants"))
+            )
             table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
             for row, variant_id in enumerate(table["variant_id"]):
                 is_refused = str(table["verdict"][row]) == "fail" or f"{take_id}/{variant_id}" in refused

@@ -103,12 +103,12 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 def read_arrays(store: Store, ref: ArtifactRef, table: str = "models") -> dict[str, np.ndarray]:
     """Return the arrays of a stored model, or of the segment that its training continues."""
-    found = store.read(ref, table)
+    rows = store.read(ref, table)
     return {
-        str(name): np.asarray(found["values"][row], dtype=str(found["array_dtype"][row])).reshape(
-            found["array_shape"][row]
+        str(name): np.asarray(rows["values"][row], dtype=str(rows["array_dtype"][row])).reshape(
+            rows["array_shape"][row]
         )
-        for row, name in enumerate(found["array_name"])
+        for row, name in enumerate(rows["array_name"])
     }
 
 

@@ -128,8 +128,8 @@ def output(outputs: Mapping[str, np.ndarray], name: str, num_axes: int, last: in
     Raises:
         InputError: It has not, so this is not the kind of network that its outputs are named after.
     """
-    found = np.asarray(outputs[name])
-    if found.ndim != num_axes or (last is not None and found.shape[-1] != last):
+    array = np.asarray(outputs[name])
+    if array.ndim != num_axes or (last is not None and array.shape[-1] != last):
         wanted = f"{num_axes} axes" + (f", the last of {last}" if last else "")
-        raise InputError(f"the network's output '{name}' has the shape {list(found.shape)}; {wanted} are needed")
-    return found
+        raise InputError(f"the network's output '{name}' has the shape {list(array.shape)}; {wanted} are needed")
+    return array

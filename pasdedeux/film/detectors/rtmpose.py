@@ -29,10 +29,10 @@ class RtmPose:
         if self._boxes is not None:
             return [self._in_box(image, box[:, :2]) for box in self._boxes.detect(image)]
         whole = np.array([[0.0, 0.0], image.shape[1::-1]])
-        found = self._in_box(image, whole if self._last is None else self._last)
-        seen = found[found[:, 2] > _MIN_SEEN, :2]
+        people = self._in_box(image, whole if self._last is None else self._last)
+        seen = people[people[:, 2] > _MIN_SEEN, :2]
         self._last = np.array([seen.min(axis=0), seen.max(axis=0)]) if len(seen) > 3 else None
-        return [found] if len(seen) else []
+        return [people] if len(seen) else []
 
     def _in_box(self, image: Image, corners: Array) -> Array:
         import cv2  # here: a quarter of a second that others need not wait for

@@ -66,8 +66,8 @@ class KeypointLayout:
 
     def num_named(self, names: Sequence[str], *, is_strict: bool = False) -> int:
         """Return how many keypoints have a name, where strict without the words of the layout's own data set."""
-        found = find_keypoints(self.keypoint_names, names, {} if is_strict else self.also)
-        return sum(place is not None for place in found)
+        keypoints = find_keypoints(self.keypoint_names, names, {} if is_strict else self.also)
+        return sum(place is not None for place in keypoints)
 
     def derive(self, skeleton_name: str, positions: Array, confidence: Array) -> Keypoints:
         """Derive the joints of pair17 or op14, or the points of `FEET4`, from keypoints.

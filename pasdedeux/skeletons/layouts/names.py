@@ -69,8 +69,8 @@ def with_sides_exchanged(joint_names: Sequence[str]) -> list[str]:
 
 
 def _words(name: str) -> Words:
-    found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_a-zA-Z]+", name)
-    return tuple(str(int(word)) if word.isdigit() else word.lower() for word in found)
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_a-zA-Z]+", name)
+    return tuple(str(int(word)) if word.isdigit() else word.lower() for word in words)
 
 
 def _without_common(names: list[Words], at: int) -> list[Words]:

@@ -37,8 +37,8 @@ class FilmOptions(SourceOptions):
     def _check_source(self) -> Self:
         given = [name for name in ("keys", "detections", "detect") if getattr(self, name)]
         if len(given) != 1:
-            found = " and ".join(given) if given else "none"
-            raise ValueError(f"one of keys, detections and detect is needed for a film, found {found}")
+            stated = " and ".join(given) if given else "none"
+            raise ValueError(f"one of keys, detections and detect is needed for a film, found {stated}")
         if self.image_size_px is not None:
             raise ValueError("image_size_px is that of the film; leave it out")
         return self

@@ -158,15 +158,15 @@ class CorrectedShot:
 
         Of a detector that was run the other shots are not there.
         """
-        own = self.shot.frames.given()
+        given_frames = self.shot.frames.given()
         if self._parameters.num_networks:
-            return own
+            return given_frames
         others = _given(self._parameters, self._files)
         source = KeypointStatus.ANNOTATED if self._parameters.is_key else KeypointStatus.DETECTED
         if others.status is None:
             others = replace(others, status=np.where(others.confidence > 0, source, 0))
         span = self._first, self._first + self._parameters.num_frames
-        return join_frames([own, others.rows((others.frame < span[0]) | (others.frame >= span[1]))])
+        return join_frames([given_frames, others.rows((others.frame < span[0]) | (others.frame >= span[1]))])
 
     def _images(self, first: int, stop: int) -> Iterator[Any]:
         """Yield the images of some frames of the film."""

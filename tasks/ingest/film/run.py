@@ -58,15 +58,15 @@ def find_videos(
 ) -> list[FoundFilm]:
     """Find the shots of films as sources of 2D poses, as `find_annotations` finds cameras."""
     shots = find_shots(options, is_held_out=is_held_out, take_seconds=take_seconds)
-    found = []
+    films = []
     with named(f"video {options.id}"):
         decisions = decisions_of(options.people_file)
         check_sequences(decisions, {shot.parameters.id for shot in shots})
         for shot in shots:
             rows = tuple(row.in_words() for row in decisions if row.sequence_id == shot.parameters.id)
             parameters = shot.parameters.model_copy(update={"people": rows})
-            found.append(FoundFilm(parameters, shot.files, Path(shot.files[-1].path), shot.notes))
-    return found
+            films.append(FoundFilm(parameters, shot.files, Path(shot.files[-1].path), shot.notes))
+    return films
 
 
 def run_film(shard: Shard, store: Store, parameters: FilmParameters) -> ArtifactRef:

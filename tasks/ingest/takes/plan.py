@@ -152,11 +152,11 @@ def _family_paths(family: PairOptions, subject: str, take: str) -> list[Path]:
 
 def _family_file(family: PairOptions, subject: str, take: str) -> Path:
     paths = _family_paths(family, subject, take)
-    found = [path for path in paths if path.is_file()]
-    if not found:
+    existing = [path for path in paths if path.is_file()]
+    if not existing:
         names = " or ".join(path.name for path in paths)
         raise InputError(f"file {names} does not exist in {family.folder}")
-    return found[0]
+    return existing[0]
 
 
 def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOptions) -> Shard:

@@ -198,12 +198,12 @@ def _commit(
     A take that fails the check is committed without its motion where the study leaves such takes out.
     """
     captured, captured_hz = _captured_together(people)
-    found = check_capture(captured, rate_hz=captured_hz)
+    captures = check_capture(captured, rate_hz=captured_hz)
     names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
     limits = dict(parameters.capture.limits)
     if not all(person.source.format == _WITH_BETAS for person in people):
         limits["body_difference_m"] = _NO_LIMIT  # two people may well be captured on one rig
-    judged = judge_capture(found, limits, names)
+    judged = judge_capture(captures, limits, names)
     take_id = parameters.take_id
     facts = TakeFacts(
         take_id=take_id,
@@ -216,7 +216,7 @@ def _commit(
         is_built_in=isinstance(parameters, DuetParameters),
         **({} if contacts is None else {"contacts": contacts}),
     )
-    tables = {"take_quality": _quality(take_id, found, judged)}
+    tables = {"take_quality": _quality(take_id, captures, judged)}
     if judged.take.level is Level.FAIL and parameters.capture.skip_failing:
         skipped = f"Take {take_id} was skipped, its capture fails: {judged.take.reason}."
         return commit(

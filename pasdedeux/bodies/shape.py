@@ -95,7 +95,7 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, roles: Mapping[s
             continue
         if names[parent] in _FLANKS and names[child] in _FLANKS:
             shape = np.array([_FLANKS[names[parent]], _FLANKS[names[child]]])
-            width = float(max(radii_m[[parent, child]].max(), radii_m[skeleton.parents[parent]]))
+            width = float(radii_m[[parent, child]].max())
             for side in (-1.0, 1.0):
                 beside = rest_m[[parent, child]] + side * width * shape[:, :1] * axes[0]
                 made.add(beside, width * shape[:, 1], parent, meets)

@@ -18,6 +18,8 @@ NUM_VERTICES = 4000
 """About as many vertices has a body."""
 _VERTICES_PER_SQUARE = 1.15
 """Vertices that marching cubes makes for an area of one voxel's side, with overlaps of the cones taken off."""
+_MOST_VOXELS = 300
+"""A body is at most so many voxels long: a joint that lies far off must not fill the memory."""
 _STEPS, _STEP_M = 2, 1e-4
 """Newton's steps of each vertex onto the surface, and the step of differences."""
 _NEAR = 3.0
@@ -171,7 +173,8 @@ def mesh_of(cones: Cones) -> tuple[Array, Integers, Array]:
     shape = (_packed(cones), cones.is_beside, _SMOOTH_M)
     lengths, widest = np.linalg.norm(cones.ends_m[:, 1] - cones.ends_m[:, 0], axis=-1), cones.radii_m.max(axis=-1)
     area = float(np.sum(np.pi * cones.radii_m.sum(axis=-1) * lengths))
-    voxel = math.sqrt(_VERTICES_PER_SQUARE * area / NUM_VERTICES)
+    extent = float(np.ptp(cones.ends_m.reshape(-1, 3), axis=0).max())
+    voxel = max(math.sqrt(_VERTICES_PER_SQUARE * area / NUM_VERTICES), extent / _MOST_VOXELS)
     low = (cones.ends_m.min(axis=1) - widest[:, None]).min(axis=0) - 2.0 * voxel
     high = (cones.ends_m.max(axis=1) + widest[:, None]).max(axis=0) + 2.0 * voxel
     coarse = np.indices(np.ceil((high - low) / (2.0 * voxel)).astype(int)).transpose(1, 2, 3, 0) + 0.25

@@ -150,3 +150,11 @@ def test_a_tree_of_unknown_joints_has_capsules_alone() -> None:
     body = body_of(chain, np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.1, 0.05]))
     assert body.vertices_m[:, 0].min() == pytest.approx(-0.1, abs=0.01)
     assert body.vertices_m[:, 0].max() == pytest.approx(1.05, abs=0.01)
+
+
+def test_a_joint_that_lies_far_off_does_not_fill_the_memory() -> None:
+    far = Skeleton("far", ("a", "b", "c"), (-1, 0, 1))
+    body = body_of(
+        far, np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0], [200.0, 300.0, 100.0]]), np.array([0.0, 4.0, 4.0])
+    )
+    assert 0 < len(body.vertices_m) < 20_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,16 +16,16 @@ from flows.exports.export_format import Export, RestPose
 from flows.exports.own_skeletons import TakePerson, people_of_take, rig_of
 from pasdedeux.arrays import Array
 from pasdedeux.formats.humanoid import humanoid_motion
-from pasdedeux.formats.own_skeleton import OwnSkeleton
+from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton
 from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times
-from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT, body_height_m
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import body_from_joints, motions_together
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
-from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
+from pasdedeux.skeletons.humanoid import HUMANOID
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.references import find_rows
@@ -50,11 +50,11 @@ POSED = f"whole {', '.join(MOVING)}; rows of {', '.join(name for name in _KEYS i
 """What holds poses, in words."""
 WORLD = "right-handed, Y up"
 CAMERA = "right-handed, x right, y up, z towards the camera"
-_BODY22_NAMES = {theirs: ours for ours, theirs in HUMANOID_NAMES.items()}
+_HUMANOID_MAP = BodyMap(
+    np.eye(BODY22.num_joints, HUMANOID.num_joints), np.zeros((BODY22.num_joints, HUMANOID.num_joints, 3))
+)
 _NOMINAL_HZ = 30.0
 """Rate of frames that do not follow each other in time: files want one."""
-_FINGER = 0.25
-"""Radius of a bone that the body has no radius for, in lengths of the bone; at most that of a forearm."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +63,16 @@ class Rig:
 
     Args:
         motion: The motion.
-        radii_m: Radius of the bone that ends in each joint (J,), metres.
+        height_m: The person's stature.
         positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
-        roles: Joints of working skeletons by names of its joints; None where they have those names.
+        body_map: body22 as points of its joints; None where it is a working skeleton itself.
         own: On the source's own skeleton: who it is, the motion, and body22 of the variant that it plays.
     """
 
     motion: Motion
-    radii_m: Array
+    height_m: float
     positions_m: Array | None = None
-    roles: Mapping[str, str] | None = None
+    body_map: BodyMap | None = None
     own: tuple[TakePerson, OwnSkeleton, Array | None] | None = None
 
 
@@ -144,7 +144,7 @@ class Cast:
         rigs = []
         for one, height_m in zip(np.moveaxis(self.positions_m, 1, 0), self.statures_m.tolist(), strict=True):
             motion = motion_from_positions(self.skeleton, one, self.rate_hz)
-            rigs.append(Rig(motion, bone_radii(motion, height_m), one))
+            rigs.append(Rig(motion, height_m, one))
         return rigs
 
     def in_words(self) -> str:
@@ -170,25 +170,6 @@ def casts(export: Export) -> Iterator[Cast]:
         for cast in make(export, ref):
             if "/".join(map(str, cast.parts)) not in export.left_out:
                 yield cast
-
-
-def bone_radii(motion: Motion, height_m: float, roles: Mapping[str, str] | None = None) -> Array:
-    """Return the radius of the bone that ends in each joint (J,), metres.
-
-    Args:
-        motion: A motion.
-        height_m: The person's stature.
-        roles: Joints of working skeletons by names of the motion's joints; None where they have those names.
-    """
-    names = [(roles or {}).get(name, name) for name in motion.skeleton.joint_names]
-    lengths = np.linalg.norm(motion.rest_offsets_m, axis=-1)
-    thin = RADIUS_PER_HEIGHT["left_wrist"]
-    return np.array(
-        [
-            height_m * RADIUS_PER_HEIGHT[name] if name in RADIUS_PER_HEIGHT else min(_FINGER * length, thin * height_m)
-            for name, length in zip(names, lengths, strict=True)
-        ]
-    )
 
 
 def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np.ndarray]]:
@@ -245,10 +226,9 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
 def _own_rig(person: TakePerson, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose) -> Rig:
     drawn = rig_of(own, rest_pose)
-    roles = dict(zip(drawn.body.joint_names(drawn.motion.skeleton), BODY22.joint_names, strict=True))
     lengths = np.median(bone_lengths(BODY22, own.body.of(own.motion)), axis=0)
-    radii = bone_radii(drawn.motion, float(body_height_m(BODY22, lengths)), roles)
-    return Rig(drawn.motion, radii, roles=roles, own=(person, own, wanted_m))
+    height_m = float(body_height_m(BODY22, lengths))
+    return Rig(drawn.motion, height_m, body_map=drawn.body, own=(person, own, wanted_m))
 
 
 def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
@@ -275,10 +255,7 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
         def rigs(_: RestPose, motions: list[Motion] = motions, heights: Array = heights) -> list[Rig]:
             both = zip(motions, heights.tolist(), strict=True)
-            return [
-                Rig(motion, bone_radii(motion, height_m, _BODY22_NAMES), roles=_BODY22_NAMES)
-                for motion, height_m in both
-            ]
+            return [Rig(motion, height_m, body_map=_HUMANOID_MAP) for motion, height_m in both]
 
         who = ", ".join(
             f"{letter} is person {person_id}" for letter, person_id in zip(person_names(len(ids)), ids, strict=True)

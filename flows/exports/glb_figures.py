@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import POSED, Rig, casts, holds_poses
 from flows.exports.export_format import VERDICT, Export, ExportFormat
 from pasdedeux.bodies import body_of, standing_motion
 from pasdedeux.formats.glb import GlbPerson, Skin, write_glb
+from pasdedeux.kinematics.rotations import identity_unitquat
+from pasdedeux.plausibility.capsules import radius_per_height
+from pasdedeux.skeletons import BODY22
 
 _SAID = (
     "GLB files are in metres, seconds and unit quaternions (x, y, z, w); set the scene of Blender to their rate before "
@@ -34,8 +39,13 @@ def _person(name: str, rig: Rig) -> GlbPerson:
     motion = rig.motion
     if rig.positions_m is not None:
         motion = standing_motion(motion.skeleton, rig.positions_m, motion.rate_hz)
-    body = body_of(motion.skeleton, motion.rest_positions_m(), rig.radii_m, rig.roles)
-    skin = Skin(body.vertices_m, body.normals, body.faces, *body.strongest())
+    rest, skeleton, moved_by = motion.rest_positions_m(), motion.skeleton, np.arange(motion.skeleton.num_joints)
+    if rig.body_map is not None:
+        upright, skeleton = identity_unitquat(len(rest)), BODY22
+        rest, moved_by = rig.body_map.positions(rest, upright), rig.body_map.weight.argmax(axis=1)
+    body = body_of(skeleton, rest, rig.height_m * radius_per_height(skeleton))
+    joints, weights = body.strongest()
+    skin = Skin(body.vertices_m, body.normals, body.faces, moved_by[joints], weights)
     return GlbPerson(name, motion, skin, rig.positions_m)
 
 

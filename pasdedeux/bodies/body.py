@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -68,19 +67,17 @@ class Body:
         return csr_array(self.weights)
 
 
-def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, roles: Mapping[str, str] | None = None) -> Body:
-    """Return the body of a skeleton in its rest pose.
+def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Body:
+    """Return the body of a working skeleton in its rest pose.
 
-    Its surface lies within 1 cm of the capsules, but for head, hands and heels, which have none.
+    Its surface lies within 1 cm of the capsules, but for head, hands, heels and flanks, which lie outside.
 
     Args:
-        skeleton: The joints.
+        skeleton: pair17, op14 or body22; of joints with other names the capsules alone are covered.
         rest_m: Where they are in the rest pose (J, 3), metres.
         radii_m: Radius of the capsule round the bone that ends in each joint (J,), metres; 0 where there is none.
-        roles: Joints of `body22` by names of these joints; None where they have those names.
     """
-    roles = {name: name for name in skeleton.joint_names} if roles is None else roles
-    cones = cones_of(skeleton, np.asarray(rest_m, dtype=np.float64), radii_m, roles)
+    cones = cones_of(skeleton, np.asarray(rest_m, dtype=np.float64), radii_m)
     vertices, faces, normals = mesh_of(cones)
     return Body(rest_m, vertices, faces, normals, joint_weights(vertices, cones, skeleton.num_joints))
 

@@ -72,22 +72,20 @@ class Cones:
     is_beside: Flags
 
 
-def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, roles: Mapping[str, str]) -> Cones:
+def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
     """Return the cones of a body in its rest pose.
 
     Args:
         skeleton: Its joints.
         rest_m: Where they are in the rest pose (J, 3), metres.
         radii_m: Radius of the capsule round the bone that ends in each joint (J,), metres; 0 where there is none.
-        roles: Joints of `body22` or `pair17` by names of these joints; joints that are not in it have capsules only.
     """
-    names = [roles.get(name, "") for name in skeleton.joint_names]
-    axes = _axes(rest_m, {name: joint for joint, name in enumerate(names) if name})
+    names = skeleton.joint_names
+    axes = _axes(rest_m, {name: joint for joint, name in enumerate(names)})
     made = _Made([], [], [], [])
     for parent, child in skeleton.bones:
         radius, meets = float(radii_m[child]), frozenset((parent, child))
-        is_end = names[parent].rpartition("_")[2] in ("wrist", "head") and _is_last(skeleton, parent)
-        if radius > 0 and not is_end:
+        if radius > 0:
             taper = np.array(_TAPERS.get(names[child].rpartition("_")[2], (1.0, 1.0)))
             radii = radius + np.clip(radius * (taper - 1.0), -_THINNER_M, _THICKER_M)
             made.add(rest_m[[parent, child]], radii, parent, meets)
@@ -99,7 +97,7 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, roles: Mapping[s
             for side in (-1.0, 1.0):
                 beside = rest_m[[parent, child]] + side * width * shape[:, :1] * axes[0]
                 made.add(beside, width * shape[:, 1], parent, meets)
-        joint, frame, parts = _outside(skeleton, rest_m, parent, child, names[child], axes)
+        joint, frame, parts = _outside(rest_m, parent, child, names[child], axes)
         length = float(np.linalg.norm(rest_m[child] - rest_m[parent]))
         for ends in length * np.array(parts):
             made.add(rest_m[joint] + ends[:, :3] @ frame, ends[:, 3], joint, frozenset((joint,)))
@@ -134,16 +132,14 @@ class _Made:
         )
 
 
-def _outside(
-    skeleton: Skeleton, rest_m: Array, parent: int, child: int, role: str, axes: Array
-) -> tuple[int, Array, Any]:
+def _outside(rest_m: Array, parent: int, child: int, name: str, axes: Array) -> tuple[int, Array, Any]:
     """Return what lies outside the capsules at the end of a bone: its joint, its axes (3, 3) and its parts."""
     bone = normalise(rest_m[child] - rest_m[parent], fallback=axes[1])
-    kind = role.rpartition("_")[2]
-    if kind == "wrist" and _is_last(skeleton, child):
+    kind = name.rpartition("_")[2]
+    if kind == "wrist":
         forward = normalise(axes[2] - bone * (axes[2] @ bone), fallback=axes[1])
         return child, np.stack([bone, np.cross(forward, bone), forward]), _HAND
-    if kind == "head" and _is_last(skeleton, child):
+    if kind == "head":
         return child, axes, _HEAD
     if kind == "toe":
         forward = normalise(bone - axes[1] * (bone @ axes[1]), fallback=axes[2])
@@ -151,17 +147,11 @@ def _outside(
     return child, axes, np.empty((0, 2, 4))
 
 
-def _is_last(skeleton: Skeleton, joint: int) -> bool:
-    """Return whether nothing but an end site follows a joint."""
-    below = skeleton.children(joint)
-    return not below or (len(below) == 1 and not skeleton.children(below[0]))
-
-
-def _axes(rest_m: Array, by_role: Mapping[str, int]) -> Array | None:
+def _axes(rest_m: Array, joints: Mapping[str, int]) -> Array | None:
     """Return left, up and forward of a body in its rest pose (3, 3); None where its joints do not tell."""
-    sides = [(by_role[role], by_role[f"right_{role[5:]}"]) for role in by_role if role.startswith("left_")]
-    middle = [by_role[role] for role in ("head", "neck") if role in by_role]
-    hips = [by_role[role] for role in ("left_hip", "right_hip") if role in by_role]
+    sides = [(joints[name], joints[f"right_{name[5:]}"]) for name in joints if name.startswith("left_")]
+    middle = [joints[name] for name in ("head", "neck") if name in joints]
+    hips = [joints[name] for name in ("left_hip", "right_hip") if name in joints]
     if not (sides and middle and len(hips) == 2):
         return None
     up = normalise(rest_m[middle[0]] - rest_m[hips].mean(axis=0))

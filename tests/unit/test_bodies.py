@@ -25,7 +25,7 @@ def standing_body(skeleton: Skeleton, stature_m: float) -> Body:
 
 def cones_in(skeleton: Skeleton, stature_m: float) -> Cones:
     rest, radii = stature_m * standing_m(skeleton), stature_m * radius_per_height(skeleton)
-    return cones_of(skeleton, rest, radii, {name: name for name in skeleton.joint_names})
+    return cones_of(skeleton, rest, radii)
 
 
 def distance_to_cone(point: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> float:
